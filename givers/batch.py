@@ -12,8 +12,9 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
+from handover_marl.givers.action_batch import compute_gripper_object_distances, make_giver_actions
 from handover_marl.givers.cooperative import CooperativeGiver
-from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_grip_distances, make_giver_actions
+from handover_marl.givers.cooperative_batch import CooperativeBatch
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.givers.replay import ReplayGiver
 from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver
@@ -54,7 +55,7 @@ class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause near the gripper."""
-        is_near = compute_grip_distances(observation) < self._policy.config.distance
+        is_near = compute_gripper_object_distances(observation) < self._policy.config.distance
         return make_giver_actions(len(rows), rate=self._arrays.xp.where(is_near, _PAUSE, 0.0), arrays=self._arrays)
 
 
@@ -127,10 +128,10 @@ class WithdrawingBatch(ArrayPolicy[WithdrawingGiver]):
         self._last_distance[rows] = distance
         # Before the second decision the speed is nan, which is not above the limit.
         is_present = observation["hand_present"][:, 0] != 0.0
-        flees = is_present & (distance < config.max_distance) & (speed > config.max_speed)
-        until = xp.where(flees, now + config.return_after, self._until[rows])
+        withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
+        until = xp.where(withdraws, now + config.return_after, self._until[rows])
         withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
-        displacement = xp.where(flees[:, None], withdrawal, self._displacement[rows])
+        displacement = xp.where(withdraws[:, None], withdrawal, self._displacement[rows])
         self._until[rows], self._displacement[rows] = until, displacement
         displacement = xp.where((now < until)[:, None], displacement, 0.0)
         return make_giver_actions(len(rows), displacement=displacement, arrays=self._arrays)

@@ -1,4 +1,4 @@
-"""Giver that helps the robot, and a timer that varies the handover pose while the robot stays away."""
+"""Giver that helps the robot, and a schedule that varies the handover pose while the robot stays away."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,36 +14,36 @@ from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giv
 Vector = npt.NDArray[np.float64]
 
 
-class HandoverPoseTimer:
-    """Timer that changes the handover pose whenever the gripper has not approached for 2 s.
+class HandoverPoseVariation:
+    """Schedule of the scale of a giver's deviation, which changes whenever the gripper has not approached for 2 s.
 
     Attributes:
-        share: Factor, from -0.5 to 1, by which the giver multiplies its deviation from the recorded
+        scale: Factor, from -0.5 to 1, by which the giver multiplies its deviation from the recorded
             handover pose; 0 gives the recorded pose.
-        timeout: Time without an approach after which `share` changes (s).
+        timeout: Time without an approach after which `scale` changes (s).
         min_approach: Decrease of the distance from gripper to object that counts as an approach (m).
-        shares: Values that `share` takes one after the other; the first follows the last.
+        scales: Values that `scale` takes one after the other; the first follows the last.
     """
 
     timeout = 2.0
     min_approach = 0.02
-    shares = (1.0, 0.0, 0.5, -0.5)
+    scales = (1.0, 0.0, 0.5, -0.5)
 
     def __init__(self) -> None:
-        self.share = self.shares[0]
+        self.scale = self.scales[0]
         self._timeouts = 0
         self._min_distance = np.inf
         self._since: float | None = None
 
     def update(self, observation: Observation) -> None:
-        """Update `share`; to be called in every decision once the hand is at its handover pose."""
+        """Update `scale`; to be called in every decision once the hand is at its handover pose."""
         now = float(observation["time"][0])
         distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
         if self._since is None or distance < self._min_distance - self.min_approach:
             self._min_distance, self._since = distance, now
         elif now - self._since >= self.timeout:
             self._timeouts += 1
-            self.share = self.shares[self._timeouts % len(self.shares)]
+            self.scale = self.scales[self._timeouts % len(self.scales)]
             self._min_distance, self._since = np.inf, now
 
 
@@ -82,7 +82,7 @@ class CooperativeGiver(Giver):
 
     While the recorded hand moves to its handover pose, the hand turns behind the object as seen
     from the gripper and moves towards the gripper. The pose is fixed once the recorded hand has
-    stopped or the gripper is near, because robots take resting objects best. `HandoverPoseTimer` varies
+    stopped or the gripper is near, because robots take resting objects best. `HandoverPoseVariation` varies
     the pose if the gripper does not approach. The hand releases the object when both fingers have
     stopped on the object, and withdraws after any release.
 
@@ -124,7 +124,7 @@ class CooperativeGiver(Giver):
         """Start an episode without deviation from the recording."""
         self._displacement, self._rotation = np.zeros(3), np.zeros(3)
         self._is_fixed = False
-        self._timer = HandoverPoseTimer()
+        self._pose_variation = HandoverPoseVariation()
         self._grasped_since: float | None = None
         self._withdrawn: Vector | None = None
 
@@ -136,12 +136,12 @@ class CooperativeGiver(Giver):
             self._choose_pose(observation)
         self._is_fixed = self._is_fixed or self._is_near(observation) or self._has_arrived(observation)
         if self._is_fixed:
-            self._timer.update(observation)
-        share = self._timer.share
+            self._pose_variation.update(observation)
+        scale = self._pose_variation.scale
         return make_giver_action(
             self.config.rate,
-            displacement=share * self._displacement,
-            rotation=share * self._rotation,
+            displacement=scale * self._displacement,
+            rotation=scale * self._rotation,
             release=self._is_grasped(observation),
         )
 
@@ -194,6 +194,6 @@ class CooperativeGiver(Giver):
     def _withdraw(self, observation: Observation) -> Action:
         if self._withdrawn is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            displacement = self._timer.share * self._displacement
+            displacement = self._pose_variation.scale * self._displacement
             self._withdrawn = displacement + self.config.withdrawal * away / max(float(np.linalg.norm(away)), 1e-6)
-        return make_giver_action(displacement=self._withdrawn, rotation=self._timer.share * self._rotation)
+        return make_giver_action(displacement=self._withdrawn, rotation=self._pose_variation.scale * self._rotation)

@@ -4,76 +4,48 @@ import math
 from typing import TypeAlias
 
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
-from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseTimer
+from handover_marl.givers.action_batch import compute_gripper_object_distances, make_giver_actions
+from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseVariation
 from handover_marl.policies.batch import Actions, ArrayPolicy, Rows
 
 #: Flags (r,).
 Flags: TypeAlias = AnyArray
 
 
-def make_giver_actions(
-    count: int,
-    rate: float | AnyArray = 0.0,
-    displacement: float | AnyArray = 0.0,
-    rotation: float | AnyArray = 0.0,
-    release: float | AnyArray = 0.0,
-    arrays: ArrayFactory = NUMPY_ARRAYS,
-) -> Actions:
-    """Make actions (r, 8) of r givers of their components; see `policies.policy.make_giver_action`.
-
-    Args:
-        count: Number r of givers.
-        rate: Playback rates minus 1, (r,) or one for all.
-        displacement: Set-points (r, 3) of the wrists' displacements, world frame (m).
-        rotation: Set-points (r, 3) of the rotation vectors about the wrists, world frame (rad).
-        release: Whether to release the objects, (r,).
-        arrays: Creator of the array.
-    """
-    actions = arrays.zeros((count, GIVER_ACTION_SIZE), "float32")
-    actions[:, 0], actions[:, 1:4], actions[:, 4:7], actions[:, 7] = rate, displacement, rotation, release
-    return actions
-
-
-def compute_grip_distances(observation: Observation) -> AnyArray:
-    """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
-    return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
-
-
-class PoseTimerBatch:
-    """Batch of `HandoverPoseTimer`: changes handover poses that the gripper does not approach.
+class HandoverPoseVariationBatch:
+    """Batch of `HandoverPoseVariation`.
 
     Args:
         count: Number of episodes.
         arrays: Creator of the arrays.
 
     Attributes:
-        share: Factor (n,) by which each deviation from the recorded handover pose is multiplied.
+        scale: Factor (n,) by which each deviation from the recorded handover pose is multiplied.
     """
 
     def __init__(self, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._xp, self._shares = arrays.xp, arrays.asarray(HandoverPoseTimer.shares)
-        self.share = arrays.full(count, HandoverPoseTimer.shares[0])
+        self._xp, self._scales = arrays.xp, arrays.asarray(HandoverPoseVariation.scales)
+        self.scale = arrays.full(count, HandoverPoseVariation.scales[0])
         self._timeouts, self._min_distance = arrays.zeros(count, "int64"), arrays.full(count, math.inf)
         self._since = arrays.full(count, math.nan)
 
     def reset(self, row: int) -> None:
         """Start an episode."""
-        self.share[row], self._timeouts[row] = HandoverPoseTimer.shares[0], 0
+        self.scale[row], self._timeouts[row] = HandoverPoseVariation.scales[0], 0
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: Rows, observation: Observation) -> None:
-        """Update `share` of the episodes `rows`, whose hands are at their handover poses."""
-        xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_grip_distances(observation)
+        """Update `scale` of the episodes `rows`, whose hands are at their handover poses."""
+        xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
-        nearer = xp.isnan(since) | (distance < closest - HandoverPoseTimer.min_approach)
-        late = ~nearer & (now - since >= HandoverPoseTimer.timeout)
+        nearer = xp.isnan(since) | (distance < closest - HandoverPoseVariation.min_approach)
+        late = ~nearer & (now - since >= HandoverPoseVariation.timeout)
         self._timeouts[rows] += late
-        number = self._timeouts[rows] % len(HandoverPoseTimer.shares)
-        self.share[rows] = xp.where(late, self._shares[number], self.share[rows])
+        number = self._timeouts[rows] % len(HandoverPoseVariation.scales)
+        self.scale[rows] = xp.where(late, self._scales[number], self.scale[rows])
         self._since[rows] = xp.where(nearer | late, now, since)
         self._min_distance[rows] = xp.where(nearer, distance, xp.where(late, math.inf, closest))
 
@@ -85,36 +57,37 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         super().__init__(policy, count, arrays=arrays)
         self._displacement, self._rotation, self._withdrawn = (arrays.zeros((count, 3)) for _ in range(3))
         self._is_fixed, self._is_withdrawn = (arrays.zeros(count, "bool") for _ in range(2))
-        self._grasped_since, self._timer = arrays.full(count, math.nan), PoseTimerBatch(count, arrays)
+        self._pose_variation = HandoverPoseVariationBatch(count, arrays)
+        self._grasped_since = arrays.full(count, math.nan)
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation from the recording."""
         self._displacement[row] = self._rotation[row] = 0.0
         self._is_fixed[row] = self._is_withdrawn[row] = False
         self._grasped_since[row] = math.nan
-        self._timer.reset(row)
+        self._pose_variation.reset(row)
 
     def decide(self, rows: Rows, observation: Observation) -> Actions:
         """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
         xp = self._arrays.xp
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0
-        near = compute_grip_distances(observation) < self._policy.near_distance
+        near = compute_gripper_object_distances(observation) < self._policy.near_distance
         chooses = xp.nonzero(~released & present & ~self._is_fixed[rows])[0]
         if len(chooses):
             self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
         self._is_fixed[rows] |= ~released & (near | self._has_arrived(observation))
         offers = xp.nonzero(~released & self._is_fixed[rows])[0]
         if len(offers):
-            self._timer.update(rows[offers], {key: value[offers] for key, value in observation.items()})
-        share = self._timer.share[rows, None]
-        displacement = share * self._displacement[rows]
+            self._pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
+        scale = self._pose_variation.scale[rows, None]
+        displacement = scale * self._displacement[rows]
         self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)
         return make_giver_actions(
             len(rows),
             xp.where(released, 0.0, self._policy.config.rate),
             displacement=xp.where(released[:, None], self._withdrawn[rows], displacement),
-            rotation=share * self._rotation[rows],
+            rotation=scale * self._rotation[rows],
             release=~released & self._are_grasped(rows, ~released, near, observation),
             arrays=self._arrays,
         )

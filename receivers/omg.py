@@ -147,15 +147,15 @@ class OmgReceiver(PhasedReceiver):
         number = elapsed // self.timing.step_ms
         path = self._plan.trajectory
         if number < len(path):
-            return self._command(path[number], OPEN, self._waypoint_start(number + 1))
-        closed_ms = self._waypoint_start(len(path)) + self.timing.close_ms
+            return self._command(path[number], OPEN, self._compute_waypoint_start(number + 1))
+        closed_ms = self._compute_waypoint_start(len(path)) + self.timing.close_ms
         if self._now_ms < closed_ms:
             return self._command(path[-1], CLOSED, closed_ms)
         if not self._retreat:
             self._retreat_ms = self._now_ms
         return self._carry(observation, self._retreat_ms)
 
-    def _waypoint_start(self, number: int) -> int:
+    def _compute_waypoint_start(self, number: int) -> int:
         return self.timing.wait_ms + number * self.timing.step_ms
 
     def _make_plan(self, observation: Observation) -> Plan | None:
@@ -171,14 +171,14 @@ class OmgReceiver(PhasedReceiver):
         base_from_objects = compose(base_from_world, object_poses)
         plan = require_reset(self._planner, self.name).plan(
             compose(base_from_objects[0], grasps),
-            self._obstacles(observation, base_from_objects),
-            self._hand(observation, base_from_world),
+            self._make_obstacles(observation, base_from_objects),
+            self._find_human_hand(observation, base_from_world),
         )
         if plan is None:
             _log.warning("%s: no grasp of %r can be reached; staying at the start pose", self.name, name)
         return plan
 
-    def _obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
+    def _make_obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
         """Return the objects of the scene as obstacles in the base frame."""
         padding = self.config.costs.padding
         present = np.flatnonzero(observation["object_mask"])
@@ -188,7 +188,7 @@ class OmgReceiver(PhasedReceiver):
             for number, name in zip(present, names, strict=True)
         ]
 
-    def _hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
+    def _find_human_hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
         """Return the person's hand in the base frame, or None if it is ignored or absent."""
         hand = None if self.config.hand is None else hand_capsules_from_observation(observation)
         if hand is None:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
-from handover_marl.givers.cooperative import HandoverPoseTimer
+from handover_marl.givers.cooperative import HandoverPoseVariation
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
 from handover_marl.learning.features import handover_frame
 from handover_marl.policies.policy import make_giver_action
@@ -53,7 +53,7 @@ class HandoverPoseScheme(GiverScheme):
     Outputs are requested when the recorded hand is about to stop at its own handover pose. Before
     that time the giver follows the recording; afterwards it holds the chosen pose until the object
     is released, because robots take resting objects best. If the gripper does not approach for two
-    seconds, `HandoverPoseTimer` varies the pose.
+    seconds, `HandoverPoseVariation` varies the pose.
 
     | outputs | meaning at 1, in the frame of `handover_frame` |
     |---|---|
@@ -81,7 +81,7 @@ class HandoverPoseScheme(GiverScheme):
         self._decided = self._chosen = False
         self._shift, self._turn = np.zeros(3), np.zeros(3)
         self._withdrawal: npt.NDArray[np.float64] | None = None
-        self._timer = HandoverPoseTimer()
+        self._pose_variation = HandoverPoseVariation()
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the recorded hand is about to stop and no outputs were set yet."""
@@ -106,9 +106,9 @@ class HandoverPoseScheme(GiverScheme):
         if self._chosen and observation["released"][0]:
             return self._withdraw(observation)
         if self._chosen:
-            self._timer.update(observation)
-        share = self._timer.share
-        return make_giver_action(displacement=share * self._shift, rotation=share * self._turn)
+            self._pose_variation.update(observation)
+        scale = self._pose_variation.scale
+        return make_giver_action(displacement=scale * self._shift, rotation=scale * self._turn)
 
     def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
         """Return the outputs (7,) that choose the handover pose of a giver's action (8,).
@@ -140,6 +140,6 @@ class HandoverPoseScheme(GiverScheme):
         if self._withdrawal is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
             length = (self._outputs[6] + 1.0) / 2.0 * self.withdraw
-            shift = self._timer.share * self._shift
+            shift = self._pose_variation.scale * self._shift
             self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
-        return make_giver_action(displacement=self._withdrawal, rotation=self._timer.share * self._turn)
+        return make_giver_action(displacement=self._withdrawal, rotation=self._pose_variation.scale * self._turn)

@@ -71,7 +71,7 @@ class HandoverController:
         chosen = self._selector.chosen
         if chosen is None or not self._is_approaching:
             return None
-        grasp = self._selector.compute_grasp_pose(chosen, self._scene.object)
+        grasp = self._selector.compute_grasp_pose(chosen, self._scene.object_pose)
         return np.stack([self._selector.compute_standoff_pose(grasp), grasp])
 
     def step(self) -> Action:
@@ -107,7 +107,7 @@ class HandoverController:
             self.phase = ReactivePhase.REACH if self._approach_controller.is_near else ReactivePhase.APPROACH
             return result
         self.phase, self._phase_start = ReactivePhase.CLOSE, scene.time
-        self._closing_pose = self._selector.compute_grasp_pose(result, scene.object)
+        self._closing_pose = self._selector.compute_grasp_pose(result, scene.object_pose)
         self._closing_points = scene.person.reference_points
         return self._close(False)
 
@@ -117,10 +117,12 @@ class HandoverController:
             return self._catch()
         if is_released:
             self.phase = ReactivePhase.RETREAT
-            held = inverse_transform_points(scene.hand, transform_points(scene.object, self._selector.surface.centers))
+            gripper_pose = scene.gripper_pose
+            surface = transform_points(scene.object_pose, self._selector.surface.centers)
+            held = inverse_transform_points(gripper_pose, surface)
             person, others = scene.person.spheres, scene.obstacles
             self._retreat = RetreatController(
-                motion.arm, motion.servo, self._goal, self._config.retreat, scene.hand, held, person, others
+                motion.arm, motion.servo, self._goal, self._config.retreat, gripper_pose, held, person, others
             )
             return self._carry(self._retreat)
         since = scene.time - self._phase_start
@@ -131,11 +133,11 @@ class HandoverController:
         period = config.close_period
         motion.servo.period = period
         pose = scene.person.predict_attached_pose(self._closing_points, self._closing_pose, period)
-        goal, _ = motion.arm.solve(pose[None], scene.joints[None], IK_ITERATIONS)
+        goal, _ = motion.arm.solve(pose[None], scene.arm_joints[None], IK_ITERATIONS)
         following = motion.arm.compute_joint_velocity(
-            scene.joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period
+            scene.arm_joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period
         )
-        velocity = following + config.close_gain * (goal[0] - scene.joints)
+        velocity = following + config.close_gain * (goal[0] - scene.arm_joints)
         return motion.move_closed(velocity, config.close_acceleration)
 
     def _catch(self) -> Action:
@@ -146,8 +148,8 @@ class HandoverController:
             return self._start_backing_out()
         motion.servo.period = period
         # It may spin, which the gripper cannot follow.
-        falling, _ = scene.motion.predict_point_twist(scene.object[:3], period)
-        velocity = motion.arm.compute_joint_velocity(scene.joints, falling, np.zeros(3), ROTATION_WEIGHT, period)
+        falling, _ = scene.motion.predict_point_twist(scene.object_pose[:3], period)
+        velocity = motion.arm.compute_joint_velocity(scene.arm_joints, falling, np.zeros(3), ROTATION_WEIGHT, period)
         return motion.catch(velocity, config.close_acceleration)
 
     def _start_backing_out(self) -> Action:
@@ -155,13 +157,13 @@ class HandoverController:
         config, scene = self._config.approach, self._scene
         self._selector.give_up(scene.time + config.failed_duration)
         self.phase, self._phase_start = ReactivePhase.BACK, scene.time
-        self._backout_position = transform_points(scene.hand, np.array([0.0, 0.0, -config.backout_distance]))
+        self._backout_position = transform_points(scene.gripper_pose, np.array([0.0, 0.0, -config.backout_distance]))
         return self._back_out()
 
     def _back_out(self) -> Action:
         config, scene, motion = self._config.approach, self._scene, self._motion
         since = scene.time - self._phase_start
-        remaining = self._backout_position - scene.hand[:3]
+        remaining = self._backout_position - scene.gripper_pose[:3]
         distance = float(np.linalg.norm(remaining))
         if distance < _BACKOUT_END * config.backout_distance or since > config.backout_timeout:
             self.phase = ReactivePhase.APPROACH
@@ -171,15 +173,15 @@ class HandoverController:
         velocity = config.backout_speed * remaining / distance
         period = motion.servo.period
         joint_velocity = motion.arm.compute_joint_velocity(
-            scene.joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period
+            scene.arm_joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period
         )
         return motion.move_open(joint_velocity)
 
     def _carry(self, retreat: RetreatController) -> Action:
         scene = self._scene
-        if scene.has_dropped:
+        if scene.are_fingers_empty:
             return self._start_backing_out()
-        return self._motion.carry(retreat.compute_velocity(scene.time, scene.joints, scene.hand))
+        return self._motion.carry(retreat.compute_velocity(scene.time, scene.arm_joints, scene.gripper_pose))
 
 
 class ControllerReceiver(Receiver):

@@ -97,16 +97,18 @@ def load_obstacle(context: PolicyContext, object_name: str, config: ReactiveConf
     return sample_surface_spheres(vertices, faces, config.n_obstacle_spheres, config.obstacle_radius)
 
 
-def find_offset_grasps(item: GraspableObject, hand: Spheres, config: ReactiveConfig) -> tuple[ValidatedGrasps, Array]:
+def find_offset_grasps(
+    graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
+) -> tuple[ValidatedGrasps, Array]:
     """Return offset copies of an object's grasps beside a person's hand, and their pad margins (n,).
 
     Args:
-        item: Object with its grasps.
-        hand: The person's hand in the object's frame.
+        graspable: Object with its grasps.
+        human_hand: The person's hand in the object's frame.
         config: Offsets, clearances and smallest pad margin of the copies.
     """
-    offset = perturb_grasps(item.grasps, item.points, hand, config.approach.standoff, config.offsets)
-    margins = compute_pad_margins(offset.poses, item.points)
+    offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff, config.offsets)
+    margins = compute_pad_margins(offset.poses, graspable.points)
     kept = margins > config.selection.min_offset_pad_margin
     return offset.select(kept), margins[kept]
 

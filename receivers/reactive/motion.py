@@ -51,11 +51,11 @@ class MotionController:
 
     def move_home(self) -> Action:
         """Return the action towards the robot's waiting pose, ignoring the person's hand."""
-        return self.move_open(self._home_velocity())
+        return self.move_open(self._compute_home_velocity())
 
     def retreat_home(self) -> Action:
         """Return the action towards the robot's waiting pose, clear of the person's hand."""
-        return self.move_open(self._separate(self._home_velocity(), self._config.hand_clearance))
+        return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
         """Return the action towards arm joints (7,), clear of the person's hand and the object.
@@ -64,7 +64,7 @@ class MotionController:
             goal: (7,) wanted configuration (rad).
             surface: The object's surface in its frame.
         """
-        velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.joints, goal))
+        velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 
     def approach(self, velocity: Array) -> Action:
@@ -103,7 +103,7 @@ class MotionController:
 
     def move_open(self, velocity: Array) -> Action:
         """Return the action with joint velocities (7,) (rad/s) and open fingers, ignoring obstacles."""
-        return self._action(velocity, OPEN, None)
+        return self._make_action(velocity, OPEN, None)
 
     def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:
         """Return the action with joint velocities and closing fingers, ignoring obstacles.
@@ -112,13 +112,13 @@ class MotionController:
             velocity: (7,) joint velocities (rad/s).
             acceleration: Maximum joint acceleration (rad/s^2) instead of the configured one.
         """
-        return self._action(velocity, CLOSED, acceleration)
+        return self._make_action(velocity, CLOSED, acceleration)
 
-    def _home_velocity(self) -> Array:
-        return self.servo.compute_goal_velocity(self.scene.joints, HOME)
+    def _compute_home_velocity(self) -> Array:
+        return self.servo.compute_goal_velocity(self.scene.arm_joints, HOME)
 
-    def _action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
-        target = self.servo.compute_motor_targets(self.scene.joints, self.servo.limit_speed(velocity), acceleration)
+    def _make_action(self, velocity: Array, fingers: float, acceleration: float | None) -> Action:
+        target = self.servo.compute_motor_targets(self.scene.arm_joints, self.servo.limit_speed(velocity), acceleration)
         return np.array([*target, fingers, fingers], dtype=np.float32)
 
     def _separate(
@@ -132,16 +132,16 @@ class MotionController:
         """Return the velocity (7,) that keeps clear of hand, other objects and a given object surface."""
         scene, bodies, config = self.scene, list[MovingBody](), config or self._config
         if surface is not None:
-            item = Spheres(transform_points(scene.object, surface.centers), surface.radii)
-            bodies.append(MovingBody(item, scene.motion.latest_velocity, config.object_clearance))
+            moved = Spheres(transform_points(scene.object_pose, surface.centers), surface.radii)
+            bodies.append(MovingBody(moved, scene.motion.latest_velocity, config.object_clearance))
         if scene.obstacles is not None:
             bodies.append(MovingBody(scene.obstacles, np.zeros(3), config.obstacle_clearance))
         if scene.person.spheres is not None:
             bodies.append(MovingBody(scene.person.spheres, scene.person.velocity, clearance))
-        separated = enforce_separation(velocity, self.arm, scene.joints, bodies, config, leaving)
+        separated = enforce_separation(velocity, self.arm, scene.arm_joints, bodies, config, leaving)
         candidates = _SPEED_FACTORS[:, None] * self.servo.limit_speed(separated)
         reached = self.servo.limit_acceleration(candidates)
-        return select_safe_velocity(candidates, reached, self.arm, scene.joints, bodies, TABLE_HEIGHT, config)
+        return select_safe_velocity(candidates, reached, self.arm, scene.arm_joints, bodies, TABLE_HEIGHT, config)
 
 
 class ApproachController:
@@ -170,32 +170,33 @@ class ApproachController:
             self.is_near = False
             return self._motion.retreat_home()
         config, scene = self._config, self._scene
-        error, factor = self._selector.compute_grasp_error(goal, scene.object, scene.hand), scene.tolerance_factor
+        error = self._selector.compute_grasp_error(goal, scene.object_pose, scene.gripper_pose)
+        factor = scene.tolerance_factor
         # The fingers close along y and center what is between them, which tolerates more error there.
-        axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _angle(error)
+        axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _compute_angle(error)
         max_lateral = config.straight_lateral if axial > config.commit_distance else config.commit_lateral
         is_in_front = axial < config.standoff + config.straight_margin and lateral < max_lateral
         self.is_near = is_in_front and rotation < config.straight_rotation
         if not self.is_near:
-            self._check_progress(float(np.abs(goal.standoff - scene.joints).max()))
+            self._check_progress(float(np.abs(goal.standoff - scene.arm_joints).max()))
             waypoint = goal.standoff if goal.via is None else goal.via
             return self._motion.move_to(waypoint, self._selector.surface)
         self._check_progress(axial + lateral)
         is_at_grasp = abs(axial) < factor * config.axial_tolerance and lateral < factor * config.lateral_tolerance
-        if scene.is_loose:
+        if scene.is_known_released:
             # It falls: only fingers that are around it already can catch it.
             return goal if self.is_catchable(goal) else self._approach_straight(goal, 0.0)
-        is_slow = self._object_speed(error[:3]) < factor * config.close_speed
+        is_slow = self._compute_object_speed(error[:3]) < factor * config.close_speed
         if is_slow and is_at_grasp and rotation < factor * config.rotation_tolerance:
             return goal
-        return self._approach_straight(goal, self._next_depth(axial, lateral, rotation))
+        return self._approach_straight(goal, self._compute_next_depth(axial, lateral, rotation))
 
     def is_catchable(self, goal: GraspGoal) -> bool:
         """Return whether the object of a grasp is still between the fingers, so that they may catch it."""
-        error = self._selector.compute_grasp_error(goal, self._scene.object, self._scene.hand)
+        error = self._selector.compute_grasp_error(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < self._config.catch_distance
 
-    def _object_speed(self, position: Array) -> float:
+    def _compute_object_speed(self, position: Array) -> float:
         """Return the object's speed (m/s), relative to the gripper for an object held in the air.
 
         Args:
@@ -212,10 +213,10 @@ class ApproachController:
         """Return the grasp to approach: the previous one while the fingers are close to it."""
         config, scene, chosen = self._config, self._scene, self._selector.chosen
         if chosen is not None:
-            error = self._selector.compute_grasp_error(chosen, scene.object, scene.hand)
+            error = self._selector.compute_grasp_error(chosen, scene.object_pose, scene.gripper_pose)
             lateral = float(np.hypot(error[0], error[1]))
             is_close = -error[2] < config.commit_distance and lateral < config.commit_lateral
-            if is_close and _angle(error) < config.commit_rotation:
+            if is_close and _compute_angle(error) < config.commit_rotation:
                 return chosen
         if scene.time - self._selected_at < self._period - TIME_STEP:
             return chosen
@@ -225,7 +226,7 @@ class ApproachController:
             self._remaining, self._remaining_at = np.inf, scene.time
         return goal
 
-    def _next_depth(self, axial: float, lateral: float, rotation: float) -> float:
+    def _compute_next_depth(self, axial: float, lateral: float, rotation: float) -> float:
         """Return the next axial distance from the grasp (m)."""
         config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
         before, speed = max(axial, 0.0), motion.speed
@@ -245,18 +246,18 @@ class ApproachController:
         """Return the action towards an axial distance (m) from a grasp of the moving object."""
         config, scene, arm = self._config, self._scene, self._motion.arm
         back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
-        pose = compose(self._selector.compute_grasp_pose(goal, scene.object), back)
+        pose = compose(self._selector.compute_grasp_pose(goal, scene.object_pose), back)
         # The seed is moved slightly towards the selected configuration: from the present one, joint
         # limits may be in the way, and to go there at once would swing the hand aside.
         share = depth / config.standoff
-        change = goal.goal + share * (goal.standoff - goal.goal) - scene.joints
+        change = goal.goal + share * (goal.standoff - goal.goal) - scene.arm_joints
         scale = config.max_posture_change / max(float(np.abs(change).max()), config.max_posture_change)
-        joints, _ = arm.solve(pose[None], (scene.joints + scale * change)[None], IK_ITERATIONS)
-        velocity = config.position_gain * (joints[0] - scene.joints)
+        joints, _ = arm.solve(pose[None], (scene.arm_joints + scale * change)[None], IK_ITERATIONS)
+        velocity = config.position_gain * (joints[0] - scene.arm_joints)
         velocity *= min(1.0, config.max_joint_speed / max(float(np.abs(velocity).max()), 1e-9))
         period = self._motion.servo.period
         linear, angular = scene.predict_point_twist(pose[:3], period)
-        following = arm.compute_joint_velocity(scene.joints, linear, angular, ROTATION_WEIGHT, period)
+        following = arm.compute_joint_velocity(scene.arm_joints, linear, angular, ROTATION_WEIGHT, period)
         return self._motion.approach(velocity + following)
 
     def _check_progress(self, remaining: float) -> None:
@@ -268,6 +269,6 @@ class ApproachController:
             self._selector.give_up(time + self._config.failed_duration)
 
 
-def _angle(pose: Array) -> float:
+def _compute_angle(pose: Array) -> float:
     """Return the rotation angle (rad) of a pose (7,)."""
     return compute_rotation_angle(pose[3:], IDENTITY[3:])

@@ -72,28 +72,28 @@ class RetreatController:
         self._remaining, self._remaining_at = np.inf, 0.0
         self._started_at: float | None = None
 
-    def compute_velocity(self, time: float, joints: Array, hand: Array) -> Array:
+    def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
         """Return the joint velocities (7,) in rad/s that continue the retreat.
 
         Args:
             time: Time since the start of the episode (s).
             joints: (7,) present configuration (rad).
-            hand: (7,) present world pose of the hand link.
+            gripper_pose: (7,) present world pose of the hand link.
         """
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:
                 self._rejected.append(self._end)
-            self._end, self._remaining, self._remaining_at = self._select_end(joints, hand), np.inf, time
+            self._end, self._remaining, self._remaining_at = self._select_end(joints, gripper_pose), np.inf, time
         config, period = self._config, self._servo.period
         self._started_at = time if self._started_at is None else self._started_at
-        distance = float((hand[:3] - self._start[:3]) @ self._back)
+        distance = float((gripper_pose[:3] - self._start[:3]) @ self._back)
         progress = max(distance / config.backout_distance, (time - self._started_at) / config.backout_timeout)
         self._blend = float(np.clip(progress, self._blend, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
         to_end = self._servo.limit_speed(self._servo.compute_goal_velocity(joints, self._end))
         if self._blend >= 1.0:
             return to_end
-        rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(hand[3:]).inv()).as_rotvec()
+        rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(gripper_pose[3:]).inv()).as_rotvec()
         linear, angular = self._speed * self._back, config.rotation_gain * rotation
         out = self._arm.compute_joint_velocity(joints, linear, angular, config.rotation_weight, period)
         blended: Array = (1.0 - self._blend) * out + self._blend * to_end
@@ -104,9 +104,9 @@ class RetreatController:
             self._remaining, self._remaining_at = remaining, time
         return time - self._remaining_at > self._config.stall_timeout
 
-    def _select_end(self, joints: Array, hand: Array) -> Array:
+    def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
         """Return the configuration (7,) near the goal that is reached soonest on a clear path."""
-        ends, times = self._solve_ends(joints, hand)
+        ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
         fastest = order[: self._config.max_path_checks]
         clear = [n for n in fastest if times[n] < 0.5 * _UNREACHABLE and self._is_clear_of_arm(joints, ends[n])]
@@ -116,9 +116,9 @@ class RetreatController:
                 return np.asarray(ends[number])
         return np.asarray(ends[beside[0] if beside else order[0]])
 
-    def _solve_ends(self, joints: Array, hand: Array) -> tuple[Array, Array]:
+    def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
         """Return configurations (n, 7) around the goal, and their costs (n,) by travel time (s)."""
-        here = Rotation.from_quat(hand[3:])
+        here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
         positions = self._goal + self._config.goal_radius * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres
@@ -31,10 +31,10 @@ class SceneEstimate(ABC):
 
     Attributes:
         time: Time since the start of the episode (s).
-        joints: (7,) configuration of the arm (rad).
+        arm_joints: (7,) configuration of the arm (rad).
         fingers: (2,) positions of the fingers (m).
-        hand: (7,) world pose of the robot's hand link.
-        object: (7,) world pose of the object that is handed over.
+        gripper_pose: (7,) world pose of the robot's hand link.
+        object_pose: (7,) world pose of the object that is handed over.
         motion: Motion of the object and its predicted handover pose.
         person: Tracker of the person's hand.
         obstacles: Spheres that approximate the other objects within reach, in the world, or None
@@ -46,16 +46,16 @@ class SceneEstimate(ABC):
         self._arm, self.config = arm, config
         self.obstacles: Spheres | None = None
         self.time = 0.0
-        self.joints, self.fingers = np.zeros(ARM_DOF), np.zeros(2)
-        self.hand = self.object = np.zeros(7)
+        self.arm_joints, self.fingers = np.zeros(ARM_DOF), np.zeros(2)
+        self.gripper_pose = self.object_pose = np.zeros(7)
         self.motion, self.person = HandoverPosePredictor(config.prediction), person
 
     def update_robot(self, observation: Observation) -> None:
         """Update time and state of the robot from an observation."""
         joints = observation["robot_joint_position"].astype(np.float64)
         self.time = round(float(observation["time"][0]), 3)
-        self.joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
-        self.hand = self._arm.compute_hand_pose(self.joints)
+        self.arm_joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
+        self.gripper_pose = self._arm.compute_hand_pose(self.arm_joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
         """Set the other objects to the spheres in the world that are within reach of the arm."""
@@ -81,8 +81,28 @@ class SceneEstimate(ABC):
         """
         return self.motion.predict_point_twist(point, ahead)
 
+    def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
+        """Return object and hand where the object is expected to be held out, and other objects, in the world.
+
+        Args:
+            handover_pose: (7,) world pose at which the object is expected to be held out.
+            surface: Spheres that approximate the object's surface, in the object's frame.
+        """
+        human_hand = self.person.spheres
+        bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
+        if human_hand is not None:
+            moved = transform_points(compose(handover_pose, invert_pose(self.object_pose)), human_hand.centers)
+            bodies.append(Spheres(moved, human_hand.radii))
+        return Spheres.join(bodies if self.obstacles is None else [*bodies, self.obstacles])
+
     @property
-    def is_loose(self) -> bool:
+    def hand_in_object(self) -> Spheres | None:
+        """Spheres that approximate the person's hand, in the object's frame, or None without a hand."""
+        human_hand = self.person.spheres
+        return None if human_hand is None else human_hand.transform_to_frame(self.object_pose)
+
+    @property
+    def is_known_released(self) -> bool:
         """Whether the person is known to have released the object."""
         return False
 
@@ -97,8 +117,8 @@ class SceneEstimate(ABC):
         return False
 
     @property
-    def has_dropped(self) -> bool:
-        """Whether the object is known to have left the closed fingers."""
+    def are_fingers_empty(self) -> bool:
+        """Whether the fingers are known to have closed with nothing between them."""
         return False
 
     @property
@@ -109,7 +129,7 @@ class SceneEstimate(ABC):
             return self.time > config.no_hand_start
         if self.motion.lift_distance > config.min_lift:
             return True
-        is_near = person.compute_distance(self.object[:3]) < config.hand_distance
+        is_near = person.compute_distance(self.object_pose[:3]) < config.hand_distance
         is_beside = is_near and person.speed < config.prediction.rest_speed
         return is_beside and self.motion.rest_time > config.still_time and self.time > config.still_start
 
@@ -121,7 +141,7 @@ class SceneEstimate(ABC):
     @property
     def has_motion_nearby(self) -> bool:
         """Whether the object is near the gripper and the object or the person's hand moves."""
-        distance = float(np.linalg.norm(self.object[:3] - self.hand[:3]))
+        distance = float(np.linalg.norm(self.object_pose[:3] - self.gripper_pose[:3]))
         is_near = distance < self.config.near_distance
         return is_near and max(self.motion.speed, self.person.speed) > self.config.near_speed
 
@@ -166,10 +186,10 @@ class PoseSceneEstimate(SceneEstimate):
         if self.time > time:
             closed = float((fingers - self.fingers).max()) / max(float(fingers.max()), _MIN_OPENING)
             self._closing_rate = closed / (self.time - time)
-        self.object = observation["object_poses"][0].astype(np.float64)
+        self.object_pose = observation["object_poses"][0].astype(np.float64)
         self.object_name = self._object_names[int(observation["object_classes"][0])]
         self._is_released = bool(observation["released"][0])
-        self.motion.update(self.time, self.object)
+        self.motion.update(self.time, self.object_pose)
         self.person.update(self.time, observation)
         self._update_obstacles(observation)
 
@@ -187,7 +207,7 @@ class PoseSceneEstimate(SceneEstimate):
         return super().predict_point_twist(point, ahead)
 
     @property
-    def is_loose(self) -> bool:
+    def is_known_released(self) -> bool:
         """Whether the person has released the object, as observed."""
         return self._is_released
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.panda import HALF_TURN
-from handover_marl.geometry.poses import compose, invert_pose, transform_points
+from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
@@ -116,46 +116,32 @@ class GraspSelector:
             is_near: Whether the gripper is in front of the previous grasp already; the cost of
                 another grasp must then be lower by a larger margin.
         """
-        config, hand = self._config, scene.person.spheres
-        if self._poor_time > config.offset_delay and not self._has_offsets and self._object and hand is not None:
-            grasps, margins = find_offset_grasps(self._object, hand.transform_to_frame(scene.object), self._receiver)
-            self._add(grasps, margins, config.offset_cost)
-            self._has_offsets = True
+        self._add_offset_grasps(scene)
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
-            # All candidates have been examined: only another position of the hand can help.
+            # All candidates have been examined: only another position of the human hand can help.
             self._batch += 1
             return None
-        handover_pose = scene.motion.predict_handover_pose()
+        handover_pose, joints = scene.motion.predict_handover_pose(), scene.arm_joints
         world = compose(handover_pose, self.grasps)
-        rough = self._rough_costs(world, self._clearances(scene), scene.time)
-        rough = rough + self._obstacle_costs(world, scene, handover_pose)
-        numbers = self._candidates(rough)
+        rough = self._compute_rough_costs(world, self._compute_clearances(scene), scene.time)
+        rough = rough + self._compute_obstacle_costs(world, scene, handover_pose)
+        numbers = self._select_candidates(rough)
         if not len(numbers):
             self._report_failure("no clearance", scene.is_settled, 1.0)
             return None
-        # The previous solution is a seed, so that one from a fallback seed is not lost again.
-        previous = None if self.chosen is None else self.chosen.standoff
-        reach = self._reachability
-        standoffs, goals, is_reached = reach.solve(world[numbers], scene.joints, previous, self._batch > 0)
-        costs = rough[numbers] + reach.compute_travel_times(standoffs, scene.joints)
-        costs = costs + reach.compute_limit_margin_costs(standoffs, goals)
-        obstacles = PathObstacles(self._bodies(scene, handover_pose), TABLE_HEIGHT, config.path_clearance)
-        costs[~(is_reached & reach.is_arm_clear(goals, obstacles.spheres))] += _FORBIDDEN
-        old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
-        if is_near:
-            best = int(np.argmin(costs))
-        else:
-            best = self._add_path_costs(costs, standoffs, old, scene.joints, obstacles)
+        bodies = scene.predict_bodies(handover_pose, self.surface)
+        obstacles = PathObstacles(bodies, TABLE_HEIGHT, self._config.path_clearance)
+        costs, standoffs, goals = self._compute_costs(rough[numbers], world[numbers], joints, obstacles.spheres)
+        best = self._choose_with_hysteresis(numbers, costs, standoffs, joints, obstacles, is_near)
         if costs[best] >= _FORBIDDEN:
             self._batch += 1
-            self._report_failure("out of reach", scene.is_settled, config.unreachable_relaxation)
+            self._report_failure("out of reach", scene.is_settled, self._config.unreachable_relaxation)
             return None
-        if old is not None and costs[old] < min(costs[best] + self._switch_margin(is_near), _FORBIDDEN):
-            best = old
         number = int(numbers[best])
         self._batch, self.failure_reason = 0, ""
-        self._poor_time += self._receiver.period if self._hold_costs[number] > config.poor_hold_cost else 0.0
-        via = None if is_near else self._find_via_point(standoffs[best], scene.joints, obstacles)
+        is_poor = self._hold_costs[number] > self._config.poor_hold_cost
+        self._poor_time += self._receiver.period if is_poor else 0.0
+        via = None if is_near else self._find_via_point(standoffs[best], joints, obstacles)
         self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
         return self.chosen
 
@@ -173,15 +159,15 @@ class GraspSelector:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
         return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
 
-    def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, hand: Array) -> Array:
+    def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
         """Return the hand link's pose (7,) in the frame of a grasp.
 
         Args:
             goal: Grasp of the object.
             object_pose: (7,) world pose of the object.
-            hand: (7,) world pose of the hand link.
+            gripper_pose: (7,) world pose of the hand link.
         """
-        pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), hand)
+        pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose)
         return pose
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
@@ -190,29 +176,37 @@ class GraspSelector:
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
 
+    def _add_offset_grasps(self, scene: SceneEstimate) -> None:
+        """Add offset copies of the object's grasps, once, after only poor grasps were found for long."""
+        if self._poor_time <= self._config.offset_delay or self._has_offsets or self._object is None:
+            return
+        human_hand = scene.hand_in_object
+        if human_hand is not None:
+            grasps, margins = find_offset_grasps(self._object, human_hand, self._receiver)
+            self._add(grasps, margins, self._config.offset_cost)
+            self._has_offsets = True
+
     def _report_failure(self, reason: str, is_settled: bool, relaxation: float) -> None:
         if is_settled:
             self._relaxing_time += relaxation * self._receiver.period
             self._poor_time += self._receiver.period
         self.chosen, self.failure_reason = None, reason
 
-    def _switch_margin(self, is_near: bool) -> float:
+    def _compute_switch_margin(self, is_near: bool) -> float:
         """Return the cost difference (s) for which the selected grasp is replaced."""
         margin = self._config.switch_margin + (self._config.near_switch_margin if is_near else 0.0)
         if self.chosen is not None and self.chosen.via is not None:
             margin += self._config.blocked_path_cost
         return margin
 
-    def _clearances(self, scene: SceneEstimate) -> Array:
+    def _compute_clearances(self, scene: SceneEstimate) -> Array:
         """Return the clearances (n,) in m beside the hand, which moves with the object."""
-        hand = scene.person.spheres
-        if hand is None:
+        human_hand = scene.hand_in_object
+        if human_hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
-        return compute_grasp_clearances(
-            self.grasps, hand.transform_to_frame(scene.object), self._receiver.approach.standoff
-        )
+        return compute_grasp_clearances(self.grasps, human_hand, self._receiver.approach.standoff)
 
-    def _rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
+    def _compute_rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
         """Return the costs (n,) in s that need no inverse kinematics."""
         config = self._config
         rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
@@ -228,7 +222,7 @@ class GraspSelector:
                 costs[number] += config.failed_cost
         return costs
 
-    def _obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
+    def _compute_obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
         """Return the costs (n,) in s of the gripper's clearance to the other objects, 0 if none is near."""
         if scene.obstacles is None:
             return 0.0
@@ -240,7 +234,7 @@ class GraspSelector:
         costs: Array = self._config.obstacle_cost * missing
         return costs
 
-    def _candidates(self, costs: Array) -> Indices:
+    def _select_candidates(self, costs: Array) -> Indices:
         """Return the cheapest grasps, the next ones while none is reachable, and the selected."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
@@ -250,14 +244,29 @@ class GraspSelector:
             numbers = np.append(numbers, self.chosen.number)
         return numbers
 
-    def _bodies(self, scene: SceneEstimate, handover_pose: Array) -> Spheres:
-        """Return object and hand where the object is expected to be held out, and other objects."""
-        hand, obstacles = scene.person.spheres, scene.obstacles
-        bodies = [Spheres(transform_points(handover_pose, self.surface.centers), self.surface.radii)]
-        if hand is not None:
-            moved = transform_points(compose(handover_pose, invert_pose(scene.object)), hand.centers)
-            bodies.append(Spheres(moved, hand.radii))
-        return Spheres.join(bodies if obstacles is None else [*bodies, obstacles])
+    def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
+        """Return the costs (k,) in s without those of paths, and joints (k, 7) at standoffs and grasps."""
+        # The previous solution is a seed, so that one from a fallback seed is not lost again.
+        previous = None if self.chosen is None else self.chosen.standoff
+        reach = self._reachability
+        standoffs, goals, is_reached = reach.solve(world, joints, previous, self._batch > 0)
+        costs = rough + reach.compute_travel_times(standoffs, joints)
+        costs = costs + reach.compute_limit_margin_costs(standoffs, goals)
+        costs[~(is_reached & reach.is_arm_clear(goals, bodies))] += _FORBIDDEN
+        return costs, standoffs, goals
+
+    def _choose_with_hysteresis(
+        self, numbers: Indices, costs: Array, standoffs: Array, joints: Array, obstacles: PathObstacles, is_near: bool
+    ) -> int:
+        """Return the position of the cheapest candidate, or of the selected one unless another is clearly cheaper.
+
+        Adds the costs of blocked paths in place, unless the gripper is near.
+        """
+        old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
+        best = int(np.argmin(costs)) if is_near else self._add_path_costs(costs, standoffs, old, joints, obstacles)
+        if old is not None and costs[old] < min(costs[best] + self._compute_switch_margin(is_near), _FORBIDDEN):
+            best = old
+        return best
 
     def _add_path_costs(
         self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles

@@ -66,8 +66,8 @@ def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | Non
     trained, fingerprint = read_network_weights(weights, GraspNetwork)
     network, counts = trained.eval(), config or GraspPredictorConfig()
 
-    def predict(item: Array, hand: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
-        inputs = (*_sample_points(item, hand, counts, rng), velocity.astype(np.float32))
+    def predict(object_points: Array, hand_points: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
+        inputs = (*_sample_points(object_points, hand_points, counts, rng), velocity.astype(np.float32))
         with single_threaded_inference():
             output = network(PointCloudBatch(*(torch.from_numpy(value)[None] for value in inputs)))
         rotations = output.rotations[0].numpy().astype(np.float64)
@@ -82,12 +82,12 @@ def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | Non
 
 
 def _sample_points(
-    item: Array, hand: Array, config: GraspPredictorConfig, rng: np.random.Generator
+    object_points: Array, hand_points: Array, config: GraspPredictorConfig, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], npt.NDArray[np.int_]]:
     """Return object points, hand points, the mask of valid hand points, and grasp indices."""
     n_object, n_hand = config.n_object_points, config.n_hand_points
-    objects = item[rng.choice(len(item), n_object, replace=len(item) < n_object)]
-    hands, count = np.zeros((n_hand, 3)), min(len(hand), n_hand)
-    hands[:count] = hand[rng.choice(len(hand), count, replace=False)]
+    objects = object_points[rng.choice(len(object_points), n_object, replace=len(object_points) < n_object)]
+    hands, count = np.zeros((n_hand, 3)), min(len(hand_points), n_hand)
+    hands[:count] = hand_points[rng.choice(len(hand_points), count, replace=False)]
     centers = rng.permutation(n_object)[: config.n_grasps]
     return objects.astype(np.float32), hands.astype(np.float32), np.arange(n_hand) < count, centers

@@ -30,7 +30,7 @@ class GraspTracker:
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
-        hand: Spheres at the visible part of the person's hand in the world, or None if no part is
+        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is
             visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None.
         use_all: Whether the candidates are all predicted grasps and tilted copies of them.
@@ -43,7 +43,7 @@ class GraspTracker:
         self._rng = np.random.default_rng(0 if seed is None else seed)
         self.grasps, self.costs = np.zeros((0, 7)), np.zeros(0)
         self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
-        self.hand: Spheres | None = None
+        self.human_hand: Spheres | None = None
         self.use_all = False
         self.lost_timeout = config.lost_timeout
         self._seen_at = -np.inf
@@ -95,44 +95,46 @@ class GraspTracker:
         """
         self._failed += [(grasp, until), (compose(grasp, np.array(HALF_TURN)), until)]
 
-    def update(self, time: float, link: Array, item: Array, hand: Array) -> None:
+    def update(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Update object, hand and grasp candidates from a view of the wrist camera.
 
         Args:
             time: Time since the start of the episode (s).
-            link: (7,) world pose of the hand link.
-            item: (n, 3) points of the object in the hand link's frame (m).
-            hand: (m, 3) points of the person's hand in the hand link's frame (m).
+            gripper_pose: (7,) world pose of the hand link.
+            object_points: (n, 3) points of the object in the hand link's frame (m).
+            hand_points: (m, 3) points of the person's hand in the hand link's frame (m).
         """
         config = self._config
-        if len(item) < config.min_points:
+        if len(object_points) < config.min_points:
             self.position.coast(time)
-            self._update_maps(time, link, item, hand)
+            self._update_maps(time, gripper_pose, object_points, hand_points)
             self._set_candidates(np.zeros((0, 7)), np.zeros(0), time, config.far_gains)
             return
         if self.compute_unseen_time(time) > self.lost_timeout:
             self._restart()
         self._seen_at = time
-        velocity = Rotation.from_quat(link[3:]).inv().apply(self.position.velocity)
-        prediction = self._predict(item, hand, velocity, self._rng)
-        gains = self._select_gains(link)
-        self._update_position(time, link, item, prediction, gains)
-        self._update_maps(time, link, item, hand)
-        checked = item[:: max(1, len(item) // config.n_finger_points)]
-        grasps, costs = self._predicted_candidates(prediction, checked, link)
+        velocity = Rotation.from_quat(gripper_pose[3:]).inv().apply(self.position.velocity)
+        prediction = self._predict(object_points, hand_points, velocity, self._rng)
+        gains = self._select_gains(gripper_pose)
+        self._update_position(time, gripper_pose, object_points, prediction, gains)
+        self._update_maps(time, gripper_pose, object_points, hand_points)
+        checked = object_points[:: max(1, len(object_points) // config.n_finger_points)]
+        grasps, costs = self._compute_candidates(prediction, checked, gripper_pose)
         if self.selected is not None and gains is not config.final_gains:
-            points = transform_points(link, checked) - self.object_pose[:3]
+            points = transform_points(gripper_pose, checked) - self.object_pose[:3]
             shifted, extra = shift_to_avoid_collisions(self.selected[None], points, config.fingers)
             self.selected, self._selected_cost = shifted[0], self._selected_cost + config.unseen_cost * float(extra[0])
         self._set_candidates(grasps, costs, time, gains)
 
-    def _predicted_candidates(self, prediction: GraspPrediction, points: Array, link: Array) -> tuple[Array, Array]:
+    def _compute_candidates(
+        self, prediction: GraspPrediction, points: Array, gripper_pose: Array
+    ) -> tuple[Array, Array]:
         """Return candidates (n, 7) relative to the center and their costs (n,) from a prediction.
 
         Args:
             prediction: Predicted grasps.
             points: (k, 3) object points for finger collisions, in the hand link's frame (m).
-            link: (7,) world pose of the hand link.
+            gripper_pose: (7,) world pose of the hand link.
         """
         config, quality = self._config, prediction.quality
         order = np.argsort(-quality, kind="stable")
@@ -140,7 +142,7 @@ class GraspTracker:
             order = order[: config.max_grasps]
             order = order[quality[order] > config.min_quality]
         shifted, extra = shift_to_avoid_collisions(prediction.grasps[order], points, config.fingers)
-        grasps = compose(link, shifted)
+        grasps = compose(gripper_pose, shifted)
         grasps[:, :3] -= self.object_pose[:3]
         costs = extra - config.cost_scale * np.log(quality[order])
         if self.use_all and len(grasps):
@@ -149,29 +151,30 @@ class GraspTracker:
             costs = np.concatenate([costs, np.tile(costs + config.tilt_cost, len(tilts))])
         return grasps, costs
 
-    def _is_near(self, link: Array) -> bool:
+    def _is_near(self, gripper_pose: Array) -> bool:
         """Return whether the object is near the hand link at a pose (7,)."""
-        distance = float(np.linalg.norm(self.object_pose[:3] - link[:3]))
+        distance = float(np.linalg.norm(self.object_pose[:3] - gripper_pose[:3]))
         return self.is_initialized and distance < self._config.near_distance
 
-    def _select_gains(self, link: Array) -> FilterGains:
+    def _select_gains(self, gripper_pose: Array) -> FilterGains:
         """Return the filter gains for a view from the hand link at a pose (7,)."""
         config = self._config
         if self.is_initialized and self.selected is not None:
             grasp = self.object_pose[:3] + self.selected[:3]
-            if float(np.linalg.norm(grasp - link[:3])) < config.final_distance:
+            if float(np.linalg.norm(grasp - gripper_pose[:3])) < config.final_distance:
                 return config.final_gains
-        return config.near_gains if self._is_near(link) else config.far_gains
+        return config.near_gains if self._is_near(gripper_pose) else config.far_gains
 
     def _update_position(
-        self, time: float, link: Array, item: Array, prediction: GraspPrediction, gains: FilterGains
+        self, time: float, gripper_pose: Array, object_points: Array, prediction: GraspPrediction, gains: FilterGains
     ) -> None:
         """Update the object's position.
 
         Near the object the camera sees a part of it, whose center the network can only guess. From
         there the motion of its surface is registered instead.
         """
-        config, cloud, center = self._config, transform_points(link, item), transform_points(link, prediction.center)
+        config, cloud = self._config, transform_points(gripper_pose, object_points)
+        center = transform_points(gripper_pose, prediction.center)
         share = 0.0
         if gains is config.far_gains:
             self._keyframe = None
@@ -190,17 +193,17 @@ class GraspTracker:
         if gains is not config.far_gains and share < config.keyframe_share:
             self._keyframe = Keyframe(cloud - self.object_pose[:3])
 
-    def _update_maps(self, time: float, link: Array, item: Array, hand: Array) -> None:
+    def _update_maps(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Add points in the hand link's frame to the maps of object and hand."""
         if not self.is_initialized:
             return
         config, center = self._config, self.object_pose[:3]
-        forget = not self._is_near(link)
-        for point_map, points in ((self._object_map, item), (self._hand_map, hand)):
-            point_map.update(time, transform_points(link, points) - center, forget)
+        forget = not self._is_near(gripper_pose)
+        for point_map, points in ((self._object_map, object_points), (self._hand_map, hand_points)):
+            point_map.update(time, transform_points(gripper_pose, points) - center, forget)
         self.surface = Spheres(self._object_map.points, np.full(len(self._object_map.points), config.sphere_radius))
         centers = center + self._hand_map.points
-        self.hand = Spheres(centers, np.full(len(centers), config.sphere_radius)) if len(centers) else None
+        self.human_hand = Spheres(centers, np.full(len(centers), config.sphere_radius)) if len(centers) else None
 
     def _set_candidates(self, grasps: Array, costs: Array, time: float, gains: FilterGains) -> None:
         """Set the candidates to the grasps of a view and their half turns, the selected first."""
@@ -213,14 +216,14 @@ class GraspTracker:
             all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
-            is_same = self._distances(pose, candidates) < self._config.same_distance
+            is_same = self._compute_distances(pose, candidates) < self._config.same_distance
             all_costs[is_same] += self._config.failed_cost
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
         """Return the selected grasp (7,), moved towards the same predicted grasps by a gain."""
         config = self._config
-        distances = self._distances(selected, grasps)
+        distances = self._compute_distances(selected, grasps)
         same = np.flatnonzero(distances < config.same_distance)
         if not len(same):
             self._selected_cost += config.unseen_cost
@@ -235,9 +238,9 @@ class GraspTracker:
         self._selected_cost = (1.0 - gain) * self._selected_cost + gain * float(weights @ costs[same])
         return corrected
 
-    def _distances(self, pose: Array, poses: Array) -> Array:
+    def _compute_distances(self, pose: Array, poses: Array) -> Array:
         """Return the distances (n,) in m of grasps at the pads, with weighted rotations."""
-        pads = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+        pads = np.array([0.0, 0.0, self._config.pad_distance, 0.0, 0.0, 0.0, 1.0])
         offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
         cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
         weight = 2.0 * self._config.rotation_weight

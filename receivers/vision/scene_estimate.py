@@ -29,8 +29,8 @@ class PointCloudHandTracker(HandTracker):
 
     def update_from_tracker(self, tracker: GraspTracker) -> None:
         """Update the hand's points and velocity from the tracked object."""
-        self.spheres = tracker.hand
-        self.points = np.zeros((0, 3)) if tracker.hand is None else tracker.hand.centers
+        self.spheres = tracker.human_hand
+        self.points = np.zeros((0, 3)) if tracker.human_hand is None else tracker.human_hand.centers
         self.velocity = tracker.velocity
         self._object_position = tracker.position.position
 
@@ -79,17 +79,17 @@ class PointCloudSceneEstimate(SceneEstimate):
         """Update robot, object and person's hand from an observation."""
         self.update_robot(observation)
         counts = observation["wrist_point_counts"].astype(int)
-        item, hand, others = (
+        object_points, hand_points, others = (
             observation[f"wrist_{name}_points"][:count].astype(np.float64)
             for name, count in zip(("object", "hand", "other"), counts, strict=True)
         )
-        self.tracker.update(self.time, self.hand, item, hand)
+        self.tracker.update(self.time, self.gripper_pose, object_points, hand_points)
         self._person.update_from_tracker(self.tracker)
         if self.tracker.is_initialized:
-            self.object = self.tracker.object_pose
-            self.motion.update(self.time, self.object)
+            self.object_pose = self.tracker.object_pose
+            self.motion.update(self.time, self.object_pose)
         if self.obstacles is not None and self.tracker.compute_unseen_time(self.time) == 0.0:
-            self._set_patience()
+            self._set_lost_timeouts()
         if len(others):
             self._update_obstacles(others)
 
@@ -105,13 +105,13 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._closing_since = self._moved_at = closing_since
         moved = float(np.abs(self.fingers - self._last_fingers).max())
         self._last_fingers = self.fingers
-        if moved > self._vision.finger_rest_distance or self.has_dropped:
+        if moved > self._vision.finger_rest_distance or self.are_fingers_empty:
             self._moved_at = self.time
         is_late = self.time - closing_since > self._vision.release_timeout
         is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
         return (is_late and is_holding) or self.time - self._moved_at > self._vision.release_delay
 
-    def _set_patience(self) -> None:
+    def _set_lost_timeouts(self) -> None:
         """Keep the estimate of an object at rest for longer if paths lead around other objects."""
         vision = self._vision
         timeouts = vision.search_timeout, vision.tracker.lost_timeout
@@ -121,7 +121,7 @@ class PointCloudSceneEstimate(SceneEstimate):
 
     def _update_obstacles(self, points: Array) -> None:
         """Add visible points (n, 3) of the other objects, which do not move, in the hand link's frame (m)."""
-        self._obstacle_map.update(self.time, transform_points(self.hand, points), forget=False)
+        self._obstacle_map.update(self.time, transform_points(self.gripper_pose, points), forget=False)
         centers = self._obstacle_map.points
         self.set_obstacles(Spheres(centers, np.full(len(centers), self.config.obstacle_radius)))
 
@@ -131,7 +131,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return self.tracker.compute_unseen_time(self.time) > self._search_timeout
 
     @property
-    def has_dropped(self) -> bool:
+    def are_fingers_empty(self) -> bool:
         """Whether there is nothing between the fingers.
 
         The person may have kept the object, or the fingers may have lost it.

@@ -5,7 +5,8 @@ from handover_marl.episode.spaces import giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
-from handover_marl.givers.cooperative_batch import PoseTimerBatch, make_giver_actions
+from handover_marl.givers.action_batch import make_giver_actions
+from handover_marl.givers.cooperative_batch import HandoverPoseVariationBatch
 from handover_marl.learning.batch.features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
@@ -39,7 +40,7 @@ class HandoverPoseBatch(SchemeBatch):
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
-        self._scheme, self._timer = scheme, PoseTimerBatch(count, arrays)
+        self._scheme, self._pose_variation = scheme, HandoverPoseVariationBatch(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
 
@@ -48,7 +49,7 @@ class HandoverPoseBatch(SchemeBatch):
         super().reset(row)
         self._decided[row] = self._chosen[row] = self._withdrawn[row] = False
         self._shift[row] = self._turn[row] = 0.0
-        self._timer.reset(row)
+        self._pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether each recorded hand is about to stop and no outputs were set yet."""
@@ -73,13 +74,13 @@ class HandoverPoseBatch(SchemeBatch):
         chosen, released = self._chosen[rows], observation["released"][:, 0] != 0.0
         offers = xp.nonzero(chosen & ~released)[0]
         if len(offers):
-            self._timer.update(rows[offers], {key: value[offers] for key, value in observation.items()})
-        share = self._timer.share[rows, None]
-        displacement, leaves = share * self._shift[rows], chosen & released
+            self._pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
+        scale = self._pose_variation.scale[rows, None]
+        displacement, leaves = scale * self._shift[rows], chosen & released
         if leaves.any():
             self._withdraw(rows, observation, leaves & ~self._withdrawn[rows], displacement)
             displacement = xp.where(leaves[:, None], self._withdrawal[rows], displacement)
-        rotation = share * self._turn[rows]
+        rotation = scale * self._turn[rows]
         return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
 
     def _choose_poses(self, rows: AnyArray, observation: Observation) -> None:

@@ -106,18 +106,18 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
 def test_robot_slows_down_before_other_objects(handover_observation: Observation) -> None:
     estimate = make_estimate(remove_others(handover_observation))
     receiver = make_receiver()
-    ahead = transform_points(estimate.hand, np.array([0.0, 0.0, 1.0])) - estimate.hand[:3]
+    ahead = transform_points(estimate.gripper_pose, np.array([0.0, 0.0, 1.0])) - estimate.gripper_pose[:3]
     velocity = receiver.arm.compute_joint_velocity(
-        estimate.joints, 0.4 * ahead, np.zeros(3), 0.1, receiver.servo.period
+        estimate.arm_joints, 0.4 * ahead, np.zeros(3), 0.1, receiver.servo.period
     )
 
     def speed_ahead() -> float:
         receiver.servo.reset()
         MotionController(receiver.arm, receiver.servo, estimate).approach(velocity)
-        return float(ahead @ (receiver.arm.compute_jacobian(estimate.joints)[:3] @ receiver.servo.velocity))
+        return float(ahead @ (receiver.arm.compute_jacobian(estimate.arm_joints)[:3] @ receiver.servo.velocity))
 
     free = speed_ahead()
-    tips = transform_points(estimate.hand, np.array([[0.0, 0.05, 0.135], [0.0, -0.05, 0.135]]))
+    tips = transform_points(estimate.gripper_pose, np.array([[0.0, 0.05, 0.135], [0.0, -0.05, 0.135]]))
     estimate.set_obstacles(Spheres(tips, np.full(2, 0.015)))
     assert free > 0.2
     assert speed_ahead() < 0.5 * free

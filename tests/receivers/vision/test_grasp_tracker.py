@@ -84,8 +84,8 @@ def test_point_maps_keep_one_point_per_voxel() -> None:
     config = GraspTrackerConfig()
     tracker = GraspTracker(FixedPredictor(), config, 0)
     tracker.update(0.0, LINK, ITEM, HAND)
-    assert tracker.hand is not None
-    for centers, points in ((tracker.hand.centers, HAND), (tracker.surface.centers + CENTER, ITEM)):
+    assert tracker.human_hand is not None
+    for centers, points in ((tracker.human_hand.centers, HAND), (tracker.surface.centers + CENTER, ITEM)):
         assert nearest_distances(centers, transform_points(LINK, points)).max() < 1e-9
         assert nearest_distances(transform_points(LINK, points), centers).max() < config.voxel_size * 3.0**0.5
         assert len(centers) < len(points)
