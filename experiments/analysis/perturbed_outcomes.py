@@ -21,7 +21,7 @@ from handover_marl.evaluation.reports.tables import format_percent_rate, format_
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
-from handover_marl.policies.nudged import NudgedReceiver
+from handover_marl.policies.perturbed import PerturbedReceiver
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class PerturbedSimulator:
         scene, statuses = self._data.load_scene(number), []
         for nudge in (0.0, *self._nudges):
             self._episode.reset(scene)
-            play(self._episode, NudgedReceiver(self._receiver, nudge, number), seed=0)
+            play(self._episode, PerturbedReceiver(self._receiver, nudge, number), seed=0)
             statuses.append(self._episode.status)
         return statuses
 

@@ -37,7 +37,7 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import open_pool
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
-from handover_marl.policies.nudged import NudgedReceiver
+from handover_marl.policies.perturbed import PerturbedReceiver
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 from handover_marl.policies.reference import parse_policy
@@ -129,7 +129,7 @@ class ControlSimulator:
             return [self._play(episode, giver, condition, number) for number in self._scenes]
 
     def _play(self, episode: Episode, giver: Policy, condition: Condition, number: int) -> str:
-        receiver = NudgedReceiver(self._receiver, condition.nudge, (condition.seed, number))
+        receiver = PerturbedReceiver(self._receiver, condition.nudge, (condition.seed, number))
         episode.reset(self._data.load_scene(number), number)
         play(episode, receiver, giver, seed=0)
         return episode.status.label

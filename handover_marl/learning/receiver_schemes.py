@@ -10,8 +10,8 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
+from handover_marl.learning.grasp_selector import get_grasp_selector
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
 
 Array = npt.NDArray[np.float64]
 
@@ -87,10 +87,10 @@ class CartesianDeltaScheme(ActionScheme):
 
 
 class GraspServoScheme(CartesianDeltaScheme):
-    """Scheme that moves to the best known grasp, which the outputs correct, and then to the goal.
+    """Scheme that moves to the known grasp of lowest cost, which the outputs correct, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
-    `handover_marl.receivers.grasp_library` along the grasp's z axis: the farther the gripper is from
+    `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from
     this axis or from the grasp's orientation, the longer the standoff. After the release it moves the
     gripper to the goal. With zero outputs the gripper never closes, so that the policy has to learn
     when to close and how to correct the approach. The target is the grasp or its standoff pose.
@@ -124,7 +124,7 @@ class GraspServoScheme(CartesianDeltaScheme):
 
     def __init__(self, context: PolicyContext) -> None:
         super().__init__(context)
-        self._grasp_selector = get_nearest_grasp_selector(context)
+        self._grasp_selector = get_grasp_selector(context)
         self._goal = np.array(context.protocol.goal_center)
 
     def reset(self) -> None:

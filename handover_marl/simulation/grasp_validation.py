@@ -14,12 +14,11 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.geometry.panda import GRIPPER_FROM_HAND
+from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compute_rotation_angle, quaternion_from_matrix, transform_points
 
 Array = npt.NDArray[np.float64]
 
-_PAD_DEPTH = 0.1  # m, from the hand's frame to the middle between the finger pads
 # Grasp files rotate the hand by 90 degrees about its approach axis: the fingers close along the
 # gripper frame's x.
 _GRIPPER_FROM_HAND = np.rint(Rotation.from_quat(GRIPPER_FROM_HAND[3:]).as_matrix())
@@ -149,7 +148,7 @@ class GraspValidator(ABC):
         together and take the object along, which is no slip.
         """
         pose = self._read_object_pose()
-        gripped = transform_points(pose, grasp[:3, 3] + _PAD_DEPTH * grasp[:3, 2])
+        gripped = transform_points(pose, grasp[:3, 3] + PAD_DISTANCE * grasp[:3, 2])
         left, right = self._read_finger_joints()
         return np.concatenate([gripped - 0.5 * (left - right) * grasp[:3, 0], pose[3:]])
 

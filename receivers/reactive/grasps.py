@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord
+from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.clearance import (
     Spheres,
@@ -50,7 +51,7 @@ class GraspPreparationConfig:
     """
 
     tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
-    pad_distance: float = 0.1
+    pad_distance: float = PAD_DISTANCE
     min_distance: float = 0.035
     rotation_weight: float = 0.1
     max_copies: int = 150
@@ -117,7 +118,7 @@ class GraspOffsets:
     tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
     lateral: tuple[float, ...] = (0.0, -0.012, 0.012, -0.024, 0.024)
     backward: tuple[float, ...] = (0.0, 0.01)
-    pad_distance: float = 0.1
+    pad_distance: float = PAD_DISTANCE
     min_clearance: float = 0.003
     min_object_clearance: float = 0.001
     n_points: int = 1200

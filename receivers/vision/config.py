@@ -4,9 +4,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
-from handover_marl.receivers.vision.point_map import FilterGains
+from handover_marl.receivers.vision.object_tracking import FilterGains
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class GraspTrackerConfig:
     cost_scale: float = 3.0
     tilts: tuple[float, ...] = (-0.35, 0.35, -0.7, 0.7)
     tilt_cost: float = 1.5
-    pad_distance: float = 0.1
+    pad_distance: float = PAD_DISTANCE
     fingers: FingerGeometry = field(default_factory=FingerGeometry)
     n_finger_points: int = 400
     same_distance: float = 0.03

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.geometry.panda import PAD_DISTANCE
+
 Array = npt.NDArray[np.float64]
 
 
@@ -60,7 +62,7 @@ def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | Non
     # Imported here since PyTorch is optional, and slow to import.
     import torch
 
-    from handover_marl.learning.networks.grasp_network import PAD_DISTANCE, GraspNetwork, PointCloudBatch
+    from handover_marl.learning.networks.grasp_network import GraspNetwork, PointCloudBatch
     from handover_marl.learning.networks.weights import read_network_weights, single_threaded_inference
 
     trained, fingerprint = read_network_weights(weights, GraspNetwork)

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.learning.features import GraspFeatures, GraspProximityFeatures, count_features, make_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.receivers import make_policy_context
-from handover_marl.receivers.grasp_library import NearestGraspSelector
 from tests.givers.test_givers import seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -18,7 +18,7 @@ CONTEXT = make_policy_context(SyntheticDataset())
 def at_the_grasp(way: float = 0.0, turn: float = 0.0) -> np.ndarray:
     """Return features with the gripper `way` (m) behind the chosen grasp and turned by `turn` (rad)."""
     observation = seen(hand_keypoints=np.full((16, 3), 5.0, np.float32))
-    chosen = NearestGraspSelector(CONTEXT).select(observation)
+    chosen = LowestCostGraspSelector(CONTEXT).select(observation)
     assert chosen is not None
     turned = Rotation.from_quat(chosen[0][3:])
     place = chosen[0][:3] - turned.apply([0.0, 0.0, way])

@@ -10,13 +10,14 @@ from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, World
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import UnknownNameError
+from handover_marl.learning import grasp_selector
 from handover_marl.learning.features import handover_frame, make_features
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, get_grasp_selector
 from handover_marl.learning.receiver_schemes import GraspServoScheme
 from handover_marl.learning.schemes import available_schemes, make_scheme, scheme_size
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.receivers import WAITING_JOINTS, grasp_library, make_policy_context
-from handover_marl.receivers.grasp_library import MAX_CLEARANCE, NearestGraspSelector, get_nearest_grasp_selector
+from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -123,7 +124,7 @@ def test_grasp_servo_waits_then_approaches_a_grasp() -> None:
     assert scheme.needs_outputs(late)
     scheme.set_outputs(np.zeros(7))
     assert np.abs(scheme.compute_action(late)[:7] - START[:7]).max() > 0.02
-    chosen = NearestGraspSelector(CONTEXT).select(late)
+    chosen = LowestCostGraspSelector(CONTEXT).select(late)
     assert chosen is not None
     there = scheme.compute_action(late | {"gripper_pose": chosen[0].astype(np.float32)})
     np.testing.assert_allclose(there[:7], START[:7], atol=1e-5)
@@ -146,7 +147,11 @@ def test_grasp_servo_stays_closed() -> None:
 
 def test_grasp_servo_approaches_along_the_axis_of_the_grasp() -> None:
     """The target is the grasp if the gripper is on its axis, else a standoff on the axis."""
-    scheme, observation, choice = make_scheme("receiver", "grasp_servo", CONTEXT), seen(), NearestGraspSelector(CONTEXT)
+    scheme, observation, choice = (
+        make_scheme("receiver", "grasp_servo", CONTEXT),
+        seen(),
+        LowestCostGraspSelector(CONTEXT),
+    )
     first = choice.select(observation)
     assert first is not None
     backs = []
@@ -167,7 +172,7 @@ def test_grasp_servo_approaches_along_the_axis_of_the_grasp() -> None:
 
 def test_chosen_grasp_keeps_clear_of_the_hand() -> None:
     """The selector chooses another grasp if a hand is at the first; rotating the gripper by pi changes nothing."""
-    choice, observation = NearestGraspSelector(CONTEXT), seen()
+    choice, observation = LowestCostGraspSelector(CONTEXT), seen()
     away = observation | {"hand_keypoints": np.full((16, 3), 5.0, np.float32)}
     first = choice.select(away)
     assert first is not None
@@ -184,9 +189,9 @@ def test_chosen_grasp_keeps_clear_of_the_hand() -> None:
 
 
 def test_chosen_grasp_is_cached_while_observations_are_equal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grasp_library, "_CACHE_SIZE", 2)
-    assert get_nearest_grasp_selector(CONTEXT) is get_nearest_grasp_selector(CONTEXT)
-    observation, shared = seen(), NearestGraspSelector(CONTEXT)
+    monkeypatch.setattr(grasp_selector, "_CACHE_SIZE", 2)
+    assert get_grasp_selector(CONTEXT) is get_grasp_selector(CONTEXT)
+    observation, shared = seen(), LowestCostGraspSelector(CONTEXT)
     pose = observation["object_poses"].copy()
     pose[0, :3] += 0.1
     others = [
@@ -201,7 +206,7 @@ def test_chosen_grasp_is_cached_while_observations_are_equal(monkeypatch: pytest
     assert shared.select({key: value.copy() for key, value in observation.items()}) is first
     for other in others:
         for now in (observation | other, observation):
-            found, fresh = shared.select(now), NearestGraspSelector(CONTEXT).select(now)
+            found, fresh = shared.select(now), LowestCostGraspSelector(CONTEXT).select(now)
             assert (found is None) == (fresh is None)
             if found is not None and fresh is not None:
                 np.testing.assert_array_equal(found[0], fresh[0])

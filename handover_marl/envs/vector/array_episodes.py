@@ -22,11 +22,11 @@ from handover_marl.episode.spaces import STATE, check_giver_action, check_receiv
 from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
+from handover_marl.learning.grasp_selector import get_grasp_selector
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 from handover_marl.simulation.engines import BatchBackend
 
 Rows: TypeAlias = AnyArray
@@ -93,7 +93,7 @@ class ArrayEpisodes:
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context, arrays = self._base.policy_context, self.arrays
-        selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, arrays)
+        selection = LowestCostGraspSelectorBatch(get_grasp_selector(context), count, arrays)
         for agent, (features, scheme) in template.choices.items():
             self._features[agent] = make_feature_batch(agent, features, context, selection, count, arrays)
             self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count, arrays)

@@ -7,6 +7,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch, SequentialFeatureBatch
 from handover_marl.learning.batch.giver_schemes import DeviationBatch, HandoverPoseBatch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.receiver_schemes import (
     CartesianDeltaBatch,
     GraspServoBatch,
@@ -27,9 +28,10 @@ from handover_marl.learning.receiver_schemes import (
 )
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
-_SCHEME_BATCHES: dict[type[ActionScheme], Callable[[Any, GraspSelectionBatch, int, ArrayFactory], SchemeBatch]] = {
+_SCHEME_BATCHES: dict[
+    type[ActionScheme], Callable[[Any, LowestCostGraspSelectorBatch, int, ArrayFactory], SchemeBatch]
+] = {
     RawGiverScheme: RawSchemeBatch,
     RawReceiverScheme: RawSchemeBatch,
     JointPositionScheme: JointPositionBatch,
@@ -45,7 +47,7 @@ def make_feature_batch(
     agent: str,
     choice: FeaturesLike,
     context: PolicyContext,
-    selection: GraspSelectionBatch,
+    selection: LowestCostGraspSelectorBatch,
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> FeatureBatch:
@@ -66,7 +68,7 @@ def make_feature_batch(
 
 
 def find_scheme_batch(
-    scheme: ActionScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+    scheme: ActionScheme, selection: LowestCostGraspSelectorBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> SchemeBatch | None:
     """Return the batch of a built-in action scheme for n episodes; None for a user-defined one.
 
@@ -84,7 +86,7 @@ def make_scheme_batch(
     agent: str,
     choice: SchemeLike,
     context: PolicyContext,
-    selection: GraspSelectionBatch,
+    selection: LowestCostGraspSelectorBatch,
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> SchemeBatch:

@@ -31,10 +31,10 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.encodings.custom_features import AgentFeatures
 from handover_marl.learning.features import GRASP_SCALE, N_STACKED, SCALE, GraspProximityFeatures, count_features
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
 
 class FeatureBatch(ABC):
@@ -172,7 +172,7 @@ class GraspFeatureBatch(FeatureBatch):
     """
 
     def __init__(
-        self, context: PolicyContext, selection: GraspSelectionBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selection: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
         self._selection, self._receiver = selection, ReceiverFeatureBatch(context, arrays)
         self._identity = arrays.asarray(IDENTITY.copy())
@@ -206,7 +206,7 @@ class GraspProximityFeatureBatch(FeatureBatch):
     """
 
     def __init__(
-        self, context: PolicyContext, selection: GraspSelectionBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selection: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
         self._grasp = GraspFeatureBatch(context, selection, arrays)
 
@@ -298,7 +298,9 @@ class SequentialFeatureBatch(FeatureBatch):
 
 #: Batches of features by agent and name: functions of context, selector of grasps, number of episodes and creator of
 #: the arrays.
-FEATURE_BATCHES: dict[str, dict[str, Callable[[PolicyContext, GraspSelectionBatch, int, ArrayFactory], FeatureBatch]]]
+FEATURE_BATCHES: dict[
+    str, dict[str, Callable[[PolicyContext, LowestCostGraspSelectorBatch, int, ArrayFactory], FeatureBatch]]
+]
 FEATURE_BATCHES = {
     "giver": {
         "giver": lambda context, selection, count, arrays: GiverFeatureBatch(context, arrays),

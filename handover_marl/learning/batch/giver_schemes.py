@@ -8,16 +8,20 @@ from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.action_batch import make_giver_actions
 from handover_marl.givers.cooperative_batch import HandoverPoseVariationBatch
 from handover_marl.learning.batch.features import compute_handover_frames, rotate_to_world
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
 
 class DeviationBatch(SchemeBatch):
     """Batch of `DeviationScheme`."""
 
     def __init__(
-        self, scheme: DeviationScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+        self,
+        scheme: DeviationScheme,
+        selection: LowestCostGraspSelectorBatch,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
         space = giver_action_space(scheme.context.config.giver)
@@ -35,7 +39,7 @@ class HandoverPoseBatch(SchemeBatch):
     def __init__(
         self,
         scheme: HandoverPoseScheme,
-        selection: GraspSelectionBatch,
+        selection: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:

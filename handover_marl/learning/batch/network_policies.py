@@ -15,13 +15,13 @@ from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.batch.encodings import find_scheme_batch
 from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
+from handover_marl.learning.grasp_selector import get_grasp_selector
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch, Rows
 from handover_marl.policies.policy import Policy
-from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
 
 class TensorNetwork:
@@ -143,7 +143,7 @@ def make_network_policy_batch(
     if not isinstance(policy.function, DenseNetwork):
         return None
     context = policy.scheme.context
-    selection = GraspSelectionBatch(get_nearest_grasp_selector(context), count, arrays)
+    selection = LowestCostGraspSelectorBatch(get_grasp_selector(context), count, arrays)
     scheme = find_scheme_batch(policy.scheme, selection, count, arrays)
     known = FEATURE_BATCHES[policy.scheme.agent].get(policy.features) if isinstance(policy.features, str) else None
     if known is None or scheme is None:

@@ -22,16 +22,20 @@ from handover_marl.geometry.rotations import (
 )
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.batch.features import rotate_to_world
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.receiver_schemes import CartesianDeltaScheme, GraspServoScheme, JointDeltaScheme
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 
 
 class JointSchemeBatch(SchemeBatch):
     """Base class of batches whose actions are target joint positions within the limits."""
 
     def __init__(
-        self, scheme: ActionScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+        self,
+        scheme: ActionScheme,
+        selection: LowestCostGraspSelectorBatch,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
         self._low, self._high = arrays.asarray(LOWER_LIMITS), arrays.asarray(UPPER_LIMITS)
@@ -69,7 +73,7 @@ class CartesianDeltaBatch(JointSchemeBatch):
     def __init__(
         self,
         scheme: CartesianDeltaScheme,
-        selection: GraspSelectionBatch,
+        selection: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
@@ -100,7 +104,11 @@ class GraspServoBatch(CartesianDeltaBatch):
     """Batch of `GraspServoScheme`."""
 
     def __init__(
-        self, scheme: GraspServoScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+        self,
+        scheme: GraspServoScheme,
+        selection: LowestCostGraspSelectorBatch,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
         self._servo, self._goal = scheme, arrays.asarray(scheme.context.protocol.goal_center)

@@ -12,7 +12,7 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 
 
 class SchemeBatch(ABC):
@@ -29,7 +29,11 @@ class SchemeBatch(ABC):
     """
 
     def __init__(
-        self, scheme: ActionScheme, selection: GraspSelectionBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+        self,
+        scheme: ActionScheme,
+        selection: LowestCostGraspSelectorBatch,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         self.size, self.wait = scheme.size, scheme.wait
         self._selection, self._arrays = selection, arrays

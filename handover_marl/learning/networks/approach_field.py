@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 
 Array = npt.NDArray[np.float64]
@@ -68,7 +69,7 @@ class ApproachFieldConfig:
 
     standoff: float = 0.055
     standoff_band: float = 0.02
-    pad_distance: float = 0.1
+    pad_distance: float = PAD_DISTANCE
     min_error: float = 0.008
     max_error: float = 0.018
     rotation_weight: float = 0.05

@@ -6,7 +6,8 @@ import torch
 import torch.nn.functional as func
 from torch import Tensor
 
-from handover_marl.learning.networks.grasp_network import PAD_DISTANCE, GraspOutputs
+from handover_marl.geometry.panda import PAD_DISTANCE
+from handover_marl.learning.networks.grasp_network import GraspOutputs
 
 # Distance of two finger points from the point between the pads, which makes rotations count (m).
 _FINGER_OFFSET = 0.04

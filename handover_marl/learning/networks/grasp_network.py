@@ -16,8 +16,6 @@ from torch import Tensor, nn
 from handover_marl.learning.networks.point_encoders import max_pool_groups
 from handover_marl.learning.networks.weights import SavedNetwork
 
-#: Distance of the point between the pads from the hand link's origin, along its z axis (m).
-PAD_DISTANCE = 0.1
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
 _NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
 _N_ROTATION = 6

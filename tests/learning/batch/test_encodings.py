@@ -9,15 +9,15 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation, giver_observation_space
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.features import available_features, make_features
+from handover_marl.learning.grasp_selector import get_grasp_selector
 from handover_marl.learning.schemes import available_schemes, make_scheme
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.grasp_library import get_nearest_grasp_selector
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
-SELECTOR = get_nearest_grasp_selector(CONTEXT)
+SELECTOR = get_grasp_selector(CONTEXT)
 COUNT = 24
 ROWS = np.arange(COUNT)
 
@@ -59,7 +59,7 @@ SCHEMES = list(choices({agent: available_schemes(agent) for agent in AGENTS}))
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_equal_those_of_single_observations(agent: str, name: str) -> None:
     singles = [make_features(agent, name, CONTEXT) for _ in ROWS]
-    batch = make_feature_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
+    batch = make_feature_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
     for seed in range(5):
         observation = draw_observation(seed)
         found = batch(ROWS, observation)
@@ -73,8 +73,8 @@ def test_features_equal_those_of_single_observations(agent: str, name: str) -> N
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_equal_those_of_single_schemes(agent: str, name: str) -> None:
     singles = [make_scheme(agent, name, CONTEXT) for _ in ROWS]
-    batch = make_scheme_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
-    alone = make_scheme_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
+    batch = make_scheme_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
+    alone = make_scheme_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
     rng, some = np.random.default_rng(0), np.array([5])
     for episode in range(2):
         for row in ROWS.tolist():
@@ -101,7 +101,7 @@ def test_actions_equal_those_of_single_schemes(agent: str, name: str) -> None:
 
 
 def test_selections_are_those_of_the_selector_of_single_episodes() -> None:
-    selection = GraspSelectionBatch(SELECTOR, COUNT)
+    selection = LowestCostGraspSelectorBatch(SELECTOR, COUNT)
     n_grasps = 0
     for seed in range(20):
         observation = draw_observation(seed)

@@ -14,11 +14,11 @@ import handover_marl
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
+from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.encodings.choices import declare_size
 from handover_marl.learning.features import available_features
 from handover_marl.learning.receiver_schemes import JointDeltaScheme
 from handover_marl.learning.schemes import available_schemes
-from handover_marl.receivers.grasp_selection import GraspSelectionBatch
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, SELECTOR, choices, draw_observation, select
 from tests.tensors import make_device_tensors
 
@@ -48,7 +48,7 @@ def record_observations() -> list[Observation]:
     for seed in range(16):
         found.append(select(draw_observation(seed), np.arange(COUNT)))
         if seed % 2:
-            grasps, _, exists = GraspSelectionBatch(SELECTOR, COUNT).select(np.arange(COUNT), found[-1])
+            grasps, _, exists = LowestCostGraspSelectorBatch(SELECTOR, COUNT).select(np.arange(COUNT), found[-1])
             found[-1]["gripper_pose"][exists] = grasps[exists] + rng.normal(scale=0.03, size=(exists.sum(), 7))
     return found
 
@@ -88,16 +88,20 @@ def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> N
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
-    host = make_feature_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
-    batch = make_feature_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT, arrays), COUNT, arrays)
+    host = make_feature_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
+    batch = make_feature_batch(
+        agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays), COUNT, arrays
+    )
     for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
         assert_equal(batch(own_rows, tensors), host(rows, observation))
 
 
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
-    host = make_scheme_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT), COUNT)
-    batch = make_scheme_batch(agent, name, CONTEXT, GraspSelectionBatch(SELECTOR, COUNT, arrays), COUNT, arrays)
+    host = make_scheme_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
+    batch = make_scheme_batch(
+        agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays), COUNT, arrays
+    )
     rng, n_outputs = np.random.default_rng(2), 0
     for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
         needs, own_needs = host.needs_outputs(rows, observation), batch.needs_outputs(own_rows, tensors)
@@ -111,7 +115,7 @@ def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None
 
 
 def test_selections_of_tensors(arrays: ArrayFactory) -> None:
-    host, batch = GraspSelectionBatch(SELECTOR, COUNT), GraspSelectionBatch(SELECTOR, COUNT, arrays)
+    host, batch = LowestCostGraspSelectorBatch(SELECTOR, COUNT), LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays)
     n_grasps = 0
     for rows, observation, own_rows, tensors in iterate_steps(arrays):
         expected, found = host.select(rows, observation), batch.select(own_rows, tensors)

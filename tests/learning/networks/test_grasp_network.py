@@ -3,6 +3,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.learning.networks.grasp_losses import (
     GraspTargets,
     compute_grasp_distances,
@@ -11,7 +12,6 @@ from handover_marl.learning.networks.grasp_losses import (
     grasp_targets_from_poses,
 )
 from handover_marl.learning.networks.grasp_network import (
-    PAD_DISTANCE,
     GraspNetwork,
     GraspNetworkConfig,
     GraspOutputs,

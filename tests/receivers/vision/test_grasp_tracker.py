@@ -8,7 +8,7 @@ from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.receivers.vision.config import GraspTrackerConfig
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
-from handover_marl.receivers.vision.point_map import FilterGains
+from handover_marl.receivers.vision.object_tracking import FilterGains
 
 Array = NDArray[np.float64]
 

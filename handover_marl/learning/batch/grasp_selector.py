@@ -1,4 +1,4 @@
-"""Selection of the nearest known grasp in many episodes at once.
+"""Selection of the known grasp of lowest cost in many episodes at once.
 
 Poses are those of the hand link, position (m) and quaternion xyzw.
 """
@@ -8,16 +8,17 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose
-from handover_marl.receivers.grasp_library import BACK_Z, MAX_CLEARANCE, TIP_Z, GraspTable, NearestGraspSelector
+from handover_marl.learning.grasp_selector import BACK_Z, MAX_CLEARANCE, TIP_Z, LowestCostGraspSelector
+from handover_marl.receivers.grasp_library import GraspTable
 
 # Number of grasps per episode whose clearance is computed first: those of lowest cost without it.
 _FIRST_CANDIDATES = 24
 
 
-class GraspSelectionBatch:
-    """Selector of the grasp that is nearest to the gripper, for each of n episodes.
+class LowestCostGraspSelectorBatch:
+    """Selector of the known grasp of lowest cost, for each of n episodes.
 
-    It selects what `NearestGraspSelector` selects; selections are cached until the observation
+    It selects what `LowestCostGraspSelector` selects; selections are cached until the observation
     changes, since features and action schemes query the same ones.
 
     Args:
@@ -26,7 +27,7 @@ class GraspSelectionBatch:
         arrays: Creator of the arrays.
     """
 
-    def __init__(self, selector: NearestGraspSelector, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+    def __init__(self, selector: LowestCostGraspSelector, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._selector, self._count, self._arrays = selector, count, arrays
         self._inputs: AnyArray | None = None
         self._selected, self._clearances = arrays.zeros((count, 7)), arrays.zeros(count)
@@ -73,16 +74,16 @@ class GraspSelectionBatch:
         known = xp.nonzero(index >= 0)[0]
         if not len(known):
             return
-        item = xp.astype(observation["object_poses"][known, 0], xp.float64)
-        gripper = compose(invert_pose(item), xp.astype(observation["gripper_pose"][known], xp.float64))
+        object_poses = xp.astype(observation["object_poses"][known, 0], xp.float64)
+        gripper = compose(invert_pose(object_poses), xp.astype(observation["gripper_pose"][known], xp.float64))
         index = index[known]
         grasps = self._table.arrays[0][index]
         costs = self._compute_motion_costs(grasps, gripper)
         costs[~self._table.is_grasp[index]] = xp.inf
-        joints = inverse_transform_points(item[:, None], observation["hand_keypoints"][known])
+        joints = inverse_transform_points(object_poses[:, None], observation["hand_keypoints"][known])
         present = observation["hand_present"][known, 0] != 0.0
         best, clearances = self._find_best(costs, index, joints, present)
-        self._selected[rows[known]] = compose(item, grasps[self._arrays.arange(len(known)), best])
+        self._selected[rows[known]] = compose(object_poses, grasps[self._arrays.arange(len(known)), best])
         self._clearances[rows[known]] = clearances
 
     def _compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:

@@ -5,7 +5,7 @@ import numpy as np
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.policies.nudged import NudgedReceiver
+from handover_marl.policies.perturbed import PerturbedReceiver
 
 DATA = SyntheticDataset()
 
@@ -17,11 +17,11 @@ def test_offsets_of_the_arm() -> None:
     observation = episode.observe()
     episode.close()
     actions = []
-    for size, seed in ((0.0, 0), (0.001, 0), (0.001, (3, 4)), (0.001, (3, 4))):
-        nudged = NudgedReceiver(receiver, size, seed)
-        nudged.reset(0)
-        actions.append(nudged.act(observation))
-        assert nudged.hold_time == receiver.hold_time == 3.0
+    for offset, seed in ((0.0, 0), (0.001, 0), (0.001, (3, 4)), (0.001, (3, 4))):
+        perturbed = PerturbedReceiver(receiver, offset, seed)
+        perturbed.reset(0)
+        actions.append(perturbed.act(observation))
+        assert perturbed.hold_time == receiver.hold_time == 3.0
     receiver.reset(0)
     np.testing.assert_array_equal(actions[0], receiver.act(observation))
     np.testing.assert_array_equal(actions[2], actions[3])

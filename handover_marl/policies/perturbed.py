@@ -9,22 +9,22 @@ from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, Policy, Receiver
 
 
-class NudgedReceiver(Receiver):
+class PerturbedReceiver(Receiver):
     """Wrapper of a receiver that adds a constant offset to the arm's joint targets.
 
     Args:
         receiver: Receiver to wrap.
-        size: Size of the offset of each joint target (rad).
+        offset: Magnitude of the offset of each joint target (rad).
         seed: Seed of the signs of the offsets, an integer or several.
     """
 
-    name = "nudged"
+    name = "perturbed"
 
-    def __init__(self, receiver: Policy, size: float, seed: int | Sequence[int]) -> None:
+    def __init__(self, receiver: Policy, offset: float, seed: int | Sequence[int]) -> None:
         super().__init__()
         self._receiver = receiver
         self.obs_mode = receiver.obs_mode
-        self._offsets = size * np.random.default_rng(seed).choice([-1.0, 1.0], ARM_DOF)
+        self._offsets = offset * np.random.default_rng(seed).choice([-1.0, 1.0], ARM_DOF)
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Prepare the wrapped receiver."""
