@@ -12,14 +12,20 @@ import numpy as np
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
-from handover_marl.givers.action_batch import compute_gripper_object_distances, make_giver_actions
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.givers.cooperative_batch import CooperativeBatch
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.givers.replay import ReplayGiver
 from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver
 from handover_marl.givers.withdrawing import WithdrawingGiver
-from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch, Rows
+from handover_marl.policies.batch import (
+    Actions,
+    ArrayPolicy,
+    PolicyBatch,
+    Rows,
+    compute_gripper_object_distances,
+    make_giver_actions,
+)
 from handover_marl.policies.policy import Policy
 
 _PAUSE = -1.0  # playback rate minus 1

@@ -7,9 +7,14 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
-from handover_marl.givers.action_batch import compute_gripper_object_distances, make_giver_actions
 from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseVariation
-from handover_marl.policies.batch import Actions, ArrayPolicy, Rows
+from handover_marl.policies.batch import (
+    Actions,
+    ArrayPolicy,
+    Rows,
+    compute_gripper_object_distances,
+    make_giver_actions,
+)
 
 #: Flags (r,).
 Flags: TypeAlias = AnyArray

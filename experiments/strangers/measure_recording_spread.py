@@ -2,10 +2,11 @@
 
     python experiments/strangers/measure_recording_spread.py --data-dir DIR --out givers/recording_spread.json
 
-The giver `clone` draws its deviations from this table. For every object of a train split, recordings are grouped by
-the hand that gives it, because the poses of right and left hands differ. The table has the standard deviation,
-over the recordings of an object, of the deviation from the group's mean: of the wrist's last position, of the rotation
-of the hand's last orientation, and of the logarithm of the duration of the motion from pick-up to the handover pose.
+The giver `recording_spread` draws its deviations from this table. For every object of a train split, recordings are
+grouped by the hand that gives it, because the poses of right and left hands differ. The table has the standard
+deviation, over the recordings of an object, of the deviation from the group's mean: of the wrist's last position, of
+the rotation of the hand's last orientation, and of the logarithm of the duration of the motion from pick-up to the
+handover pose.
 """
 
 import json

@@ -36,7 +36,7 @@ def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.
         (["benchmark", "--setup", "s9"], "unknown setup 's9'; valid: s0, s1, s2, s3"),
         (["benchmark", "--workers", "0"], "workers must be an integer of at least 1, got 0"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
-        (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: clone, cooperative"),
+        (["pair", "--giver", "nobody"], "unknown giver 'nobody'; valid: cooperative, displaced"),
         (["crossplay", "--givers", "replay,nobody"], "unknown giver 'nobody'"),
         (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
         (["evaluate", "/nowhere"], "/nowhere does not exist"),

@@ -123,7 +123,7 @@ def test_the_frozen_receiver_moves_the_robot(fake_data: Path) -> None:
 
 
 def test_unknown_partners(fake_data: Path) -> None:
-    with pytest.raises(UnknownNameError, match="giver 'nobody'; valid: clone, cooperative, displaced"):
+    with pytest.raises(UnknownNameError, match="giver 'nobody'; valid: cooperative, displaced"):
         frozen(fake_data, "receiver", "nobody")
     with pytest.raises(UnknownNameError, match="receiver 'replay'; valid: gaddpg, hold, learned, omg"):
         frozen(fake_data, "giver", "replay")

@@ -71,7 +71,7 @@ def rollout(name: str, seed: int, steps: int = 40) -> list[np.ndarray]:
 @pytest.mark.parametrize("name", NAMES)
 def test_rollouts_repeat_from_their_seed(name: str) -> None:
     np.testing.assert_array_equal(rollout(name, 1), rollout(name, 1))
-    if name in ("hesitant", "hurried", "noisy", "displaced", "tired", "clone"):
+    if name in ("hesitant", "hurried", "noisy", "displaced", "tired", "recording_spread"):
         assert not np.array_equal(rollout(name, 1), rollout(name, 2))
 
 
@@ -83,7 +83,7 @@ def test_the_environment_takes_every_giver(name: str) -> None:
 
 
 def test_unknown_names() -> None:
-    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: clone, cooperative, displaced"):
+    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, displaced"):
         handover_marl.evaluate_pair("polite", dataset="synthetic")
 
 
@@ -168,7 +168,7 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
         "noisy:displacement=0.5",
         "withdrawing:withdrawal=0.4",
         "interrupting:longest=20",
-        "clone:rotation=4",
+        "recording_spread:rotation=4",
     ],
 )
 def test_options_out_of_range(text: str) -> None:
@@ -208,8 +208,8 @@ def test_interruptions_withdraw_the_hand_for_a_while() -> None:
         assert not any(giver.act(seen(time=np.float32([0.1 * n]), **state))[1:4].any() for n in range(300))
 
 
-def test_clones_deviate_as_recordings_of_the_object_do() -> None:
-    giver = givers.make("clone")
+def test_deviations_are_those_between_recordings_of_the_object() -> None:
+    giver = givers.make("recording_spread")
     actions = []
     for seed in range(1500):
         giver.reset(seed)
@@ -222,8 +222,8 @@ def test_clones_deviate_as_recordings_of_the_object_do() -> None:
     assert np.std(np.log1p(np.array(actions)[:, 0])) == pytest.approx(spread["log_pace"], rel=0.08)
 
 
-def test_clones_of_unknown_objects_and_factors() -> None:
-    giver = givers.make("clone:displacement=0,pace=0")
+def test_spread_of_unknown_objects_and_factors() -> None:
+    giver = givers.make("recording_spread:displacement=0,pace=0")
     giver.reset(3)
     action = giver.act(seen(object_classes=np.float32([99, 0, 0, 0, 0])))
     assert not action[:4].any()

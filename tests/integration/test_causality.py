@@ -83,7 +83,6 @@ class UndeviatingGiver(Giver):
 GIVERS: dict[str | type[Giver], float] = {
     UndeviatingGiver: 1.0,
     "replay": 1.0,
-    "clone": 2.0,
     "cooperative": 2.0,
     "displaced": 1.0,
     "early_release": 1.0,
@@ -93,6 +92,7 @@ GIVERS: dict[str | type[Giver], float] = {
     "learned": 2.0,
     "noisy": 2.0,
     "population": 2.0,
+    "recording_spread": 2.0,
     "stop_when_near": 2.0,
     "tired": 1.0,
     "withdrawing": 2.0,

@@ -5,12 +5,12 @@ from handover_marl.episode.spaces import giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
-from handover_marl.givers.action_batch import make_giver_actions
 from handover_marl.givers.cooperative_batch import HandoverPoseVariationBatch
 from handover_marl.learning.batch.features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
+from handover_marl.policies.batch import make_giver_actions
 
 
 class DeviationBatch(SchemeBatch):
