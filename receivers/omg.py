@@ -33,7 +33,7 @@ from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
 
 Array = npt.NDArray[np.float64]
 
-_REQUIRED_MODULES = ("igl", "trimesh", "platformdirs")
+_REQUIRED_MODULES = ("igl", "trimesh")
 # Resolution of the poses that the planner is given (m, and components of a quaternion), far below
 # the accuracy of a camera.
 _POSE_RESOLUTION = 1e-5
