@@ -215,7 +215,7 @@ def test_environments_run_and_say_what_they_cannot(elsewhere: dict[str, str]) ->
         (["benchmark", "--setup", "s3", "--receiver", "yang2021"], "take physics='mujoco' (--physics mujoco)"),
         (["benchmark", "--physics", "fast"], "take physics='mujoco' (--physics mujoco)"),
         (["agreement", "--receiver", "hold"], "take physics='mujoco'"),
-        (["render", "--scene", SCENE, "--physics", "mujoco", "--out", "film.gif"], "--out FILE.html"),
+        (["render", "--scene", SCENE, "--physics", "mujoco", "--out", "video.gif"], "--out FILE.html"),
         (["import", "--dexycb", "here", "--mano", "here", "--out", "there"], "import with Python 3.10 or 3.11"),
     ],
 )

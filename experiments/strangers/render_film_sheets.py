@@ -26,7 +26,7 @@ from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
-from handover_marl.visualization.film import FrameRecorder, Picture, draw_caption, format_caption
+from handover_marl.visualization.video import FrameRecorder, Picture, draw_caption, format_caption
 
 Array = npt.NDArray[np.float64]
 

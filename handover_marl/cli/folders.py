@@ -206,6 +206,6 @@ def _describe_page(path: Path | None) -> str:
 def _check_path(out: str | None, suffix: str) -> Path | None:
     if out is None:
         return None
-    from handover_marl.visualization.film import check_output_path
+    from handover_marl.visualization.video import check_output_path
 
     return check_output_path(out, (suffix,))

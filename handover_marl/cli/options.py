@@ -55,7 +55,7 @@ _HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
     ExecutionConfig: (),
     RenderExecutionArguments: MULTI_SCENE_FIELDS,
 }
-# The official protocol has no noise, and films show single scenes.
+# The official protocol has no noise, and videos show single scenes.
 _WITH_NOISE = (EvaluationConfig, CrossPlayArguments)
 
 

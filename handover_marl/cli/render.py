@@ -35,12 +35,12 @@ def run_render(
 
     Args:
         scene: Number of the scene, 0 to 999.
-        out: Output file: .png for a grid of key frames, .gif or .mp4 for a film, .html for a 3D replay.
+        out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
         plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, hand path.
         view: outside, or wrist for depth, segmentation and point cloud of the wrist camera beside it.
         key_frames: Number of key frames of a .png.
-        caption: Show the time and the state of the episode (released, contact, goal reached) in images and films.
+        caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
         width: Width of an image in pixels.
         height: Height of an image in pixels.
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.

@@ -150,7 +150,7 @@ def preview(
     out: Annotated[str, tyro.conf.arg(metavar="FILE")],
     progress: bool = True,
 ) -> None:
-    """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or film.
+    """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or video.
 
     Args:
         folder: Folder of custom scenes.

@@ -5,7 +5,7 @@
 | success | 1 in the step that completes the handover, else 0 | 1 |
 | gripper_path | distance of the hand link's positions before and after the step | m |
 | hand_path | distance of the person's wrist positions before and after the step; 0 without a hand | m |
-| gripper_jerk | norm of the third difference of the last four positions of the hand link, by T^2 | m/s^2 |
+| gripper_jerk | norm of the third difference of the last four positions of the hand link, divided by T^2 | m/s^2 |
 | hand_jerk | the same for the person's wrist; 0 without a hand | m/s^2 |
 | object_force | sum of the normal forces between robot and object at the end of the step, times T | N s |
 | hand_force | sum of the normal forces between robot and human hand at the end of the step, times T | N s |
@@ -108,7 +108,7 @@ class JerkTerm(BodyTerm):
         self._positions, self._period = ([] if first is None else [first]), transition.duration
 
     def compute(self, transition: Transition) -> float:
-        """Return the norm of the third difference of the last four positions by T^2 (m/s^2)."""
+        """Return the norm of the third difference of the last four positions, divided by T^2 (m/s^2)."""
         position = read_position(self._body, transition.next_state)
         if position is None or abs(transition.duration - self._period) > 1e-6:
             self._positions = []

@@ -1,1 +1,1 @@
-"""Images, films, figures and 3D replay pages of handovers, rendered without a screen."""
+"""Images, videos, figures and 3D replay pages of handovers, rendered without a screen."""

@@ -12,7 +12,7 @@ from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.simulation.camera.frames import EMPTY_DEPTH, FAR, SegmentationLabel
 from handover_marl.visualization.colors import LABEL_COLORS
-from handover_marl.visualization.film import format_caption
+from handover_marl.visualization.video import format_caption
 
 Picture = npt.NDArray[np.uint8]
 
@@ -77,7 +77,7 @@ class WristCameraFigure:
         self._draw_cloud(frame)
         self._canvas.draw()  # type: ignore[no-untyped-call]
         picture: Picture = np.asarray(self._canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
-        # H.264 films need an even number of pixels a side.
+        # H.264 videos need an even number of pixels a side.
         return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
 
     def _draw_cloud(self, frame: CameraFrame) -> None:

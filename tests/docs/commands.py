@@ -44,7 +44,7 @@ TARGETS = (
 #: Functions that would check or write files that a command names, and the values that their replacements return.
 NOT_WRITTEN = {
     "handover_marl.evaluation.reports.scene_tables.format_episodes_csv": "",
-    "handover_marl.visualization.film.check_output_path": Path("episodes.csv"),
+    "handover_marl.visualization.video.check_output_path": Path("episodes.csv"),
     "handover_marl.cli.folders.write_atomically": None,
 }
 _PYTHONS = ("python", ".venv/bin/python")

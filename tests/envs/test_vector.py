@@ -7,6 +7,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+import handover_marl
+from handover_marl.config import CameraConfig
+
 # The name includes the module, so that worker processes import it, whatever their start method.
 NAME = "handover_marl:HandoverMARL/Receiver-v0"
 OPTIONS: dict[str, Any] = {"setup": "s0", "dataset": "synthetic", "physics": "fast", "max_cycles": 6}
@@ -51,3 +54,17 @@ def test_runs_repeat_from_their_seed(rollout: Callable[[int, int, int], Rollout]
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0]["object_poses"][0], first[0]["object_poses"][1]), "seeds 5 and 6 differ"
     assert first[0]["object_poses"].shape == (2, 5, 7)
+
+
+def test_images_are_rendered_only_in_the_mode_for_images() -> None:
+    options: dict[str, Any] = {**OPTIONS, "camera": CameraConfig(width=64, height=48)}
+    without = handover_marl.vector_env(2, **options)
+    without.reset(seed=0)
+    assert without.render() is None
+    without.close()
+    envs = handover_marl.vector_env(2, render_mode="rgb_array", **options)
+    envs.reset(seed=0)
+    images = envs.render()
+    envs.close()
+    assert images is not None
+    assert [image.shape for image in images] == [(48, 64, 3)] * 2

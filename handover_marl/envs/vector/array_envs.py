@@ -141,7 +141,7 @@ class ArrayEnvs:
         return episodes.make_result(present)
 
     def render(self) -> None:
-        """Return None: without a camera there is nothing to render."""
+        """Return None, because these environments have no `render_mode`."""
 
     def close(self) -> None:
         """Free the simulation."""

@@ -42,7 +42,7 @@ class Envs(Protocol):
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
 
     def render(self) -> list[Any] | None:
-        """Return the image of each environment; None without camera."""
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
 
     def close(self) -> None:
         """Free the simulation."""
@@ -216,7 +216,7 @@ class EnvBatch:
         return BatchStep(self._latest, ended, final)
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return the images of all environments; None without camera."""
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
         images = [image for envs in self._thread_envs for image in envs.envs.render() or ()]
         return tuple(images) if images else None
 

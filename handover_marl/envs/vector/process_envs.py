@@ -60,7 +60,7 @@ class ProcessEnvs:
         return result
 
     def render(self) -> list[Any] | None:
-        """Return the image of each environment; None without camera."""
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
         images: list[Any] | None = self._call("render")
         return images
 

@@ -59,9 +59,9 @@ class SingleEnvs:
         )
         return EnvResult(self._stack(observations), rewards, terminated, truncated, _stack_infos(infos))
 
-    def render(self) -> list[Any]:
-        """Return the image of each environment, or None without images."""
-        return [env.render() for env in self.envs]
+    def render(self) -> list[Any] | None:
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
+        return [env.render() for env in self.envs] if self.envs[0].render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Free the simulations."""

@@ -117,7 +117,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return the images of all environments in the mode "rgb_array", else None."""
+        """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
         return self._batch.render()
 
     def close_extras(self, **kwargs: Any) -> None:

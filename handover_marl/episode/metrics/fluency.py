@@ -68,7 +68,7 @@ class FluencyMetrics:
         gripper_path: Length (m) of the path of the robot's hand link.
         gripper_max_speed: Largest speed of the robot's hand link (m/s), averaged over 60 ms.
         gripper_mean_speed: Mean speed of the robot's hand link in the whole episode (m/s): path length
-            by time.
+            divided by duration.
         exchange_time: Time from the robot's first contact with the object to the release (s); None
             without a release after such a contact.
         gripper_contact_speed: Speed of the robot's hand link at the first contact with the object (m/s),

@@ -1,1 +1,1 @@
-"""Rendering of one scene: images, films, replay pages, and plans."""
+"""Rendering of one scene: images, videos, replay pages, and plans."""

@@ -20,8 +20,8 @@ from handover_marl.execution.options import forward_signature
 from handover_marl.planning.planner import Plan
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.receivers.omg import OmgReceiver
-from handover_marl.visualization.film import check_output_path
 from handover_marl.visualization.plan_figure import draw_plan_figure
+from handover_marl.visualization.video import check_output_path
 from handover_marl.visualization.wrist_figure import require_matplotlib
 
 #: Camera whose width and height give the default size of the image.

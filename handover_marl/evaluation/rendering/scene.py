@@ -1,4 +1,4 @@
-"""Rendering of a scene or an episode as an image grid, a film or a replay page."""
+"""Rendering of a scene or an episode as an image grid, a video or a replay page."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -22,18 +22,18 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_boolean, forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
-from handover_marl.visualization.film import (
+from handover_marl.visualization.replay_scene import require_replay_extra
+from handover_marl.visualization.video import (
     FRAME_PERIOD_MS,
     SUFFIXES,
     FrameRecorder,
     Picture,
     check_output_path,
     draw_caption,
-    encode_film,
     encode_grid,
+    encode_video,
     format_caption,
 )
-from handover_marl.visualization.replay_scene import require_replay_extra
 from handover_marl.visualization.wrist_figure import WristCameraFigure
 
 #: Names of the views.
@@ -63,7 +63,7 @@ def render_scene(
 
     Args:
         scene_id: Number of the scene, 0 to 999 of official data.
-        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a film, `.html` for
+        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a video, `.html` for
             a page that replays the episode in 3D.
         receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
         giver: The person's policy, as in `evaluate_pair`.
@@ -71,7 +71,7 @@ def render_scene(
         camera: Pose and image size of the outside camera.
         view: "outside", or "wrist" for the outside image beside depth, segmentation and point cloud
             of the wrist camera.
-        caption: Whether images and films show the simulated time and the state of the episode:
+        caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
             `camera_noise`, `seed`, `progress` and `trust`, see `handover_marl.EvaluationConfig`
@@ -116,7 +116,7 @@ def render_scene(
         content = encode_grid(record_frames(steps, False), _GRID_COLUMNS[view])
     else:
         horizon = until or player.config.world_config.protocol.horizon_steps
-        content = encode_film(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
+        content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
     player.close()
     write_atomically(path, content)
     return path

@@ -48,7 +48,8 @@ def check_rendering(what: str = "rendering") -> None:
         OptionError: PyBullet is not installed.
     """
     require_pybullet(
-        what, "a film can be a page, --out FILE.html, and the wrist camera has a ray caster, renderer='rays'"
+        what,
+        "without PyBullet, render a 3D replay page with --out FILE.html, and wrist-camera images with renderer='rays'",
     )
 
 

@@ -22,7 +22,7 @@ from handover_marl.evaluation.rendering.scene import render_scene
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.hold import HoldReceiver
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.visualization import film as film_module
+from handover_marl.visualization import video as video_module
 
 CAMERA = CameraConfig(width=96, height=72)
 
@@ -125,20 +125,20 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
             *players,
             seed=0,
             until=2000,
-            callbacks=[joints, film_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
+            callbacks=[joints, video_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
         )
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
         episode.close()
     for number, (*end, rows) in enumerate(ends[1:], start=1):
         shorter = min(len(rows), len(ends[0][-1]))
         different = np.flatnonzero((rows[:shorter] != ends[0][-1][:shorter]).any(axis=1))
-        assert not len(different), f"film {number} shows another episode from step {different[0] + 1} on"
+        assert not len(different), f"video {number} shows another episode from step {different[0] + 1} on"
         assert end == list(ends[0][:-1])
 
 
-@pytest.mark.parametrize("name", ["sheet.Png", "film.GIF"])
+@pytest.mark.parametrize("name", ["sheet.Png", "video.GIF"])
 def test_suffixes_in_upper_case(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (film_module, scene_rendering):
+    for module in (video_module, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
     path = draw(tmp_path / name, key_frames=2)
     assert path.name == name
@@ -148,18 +148,18 @@ def test_suffixes_in_upper_case(tmp_path: Path, name: str, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
-def test_films(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
-    for module in (film_module, scene_rendering):
+    for module in (video_module, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
-    path = draw(tmp_path / f"film{suffix}")
+    path = draw(tmp_path / f"video{suffix}")
     head = path.read_bytes()[:12]
     assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
     if suffix == ".gif":
-        with Image.open(path) as film:
-            assert film.n_frames >= 3
-            assert film.size == (96, 72)
+        with Image.open(path) as video:
+            assert video.n_frames >= 3
+            assert video.size == (96, 72)
 
 
 @pytest.mark.slow
@@ -364,7 +364,7 @@ def test_captions_are_in_the_corner(tmp_path: Path) -> None:
 @pytest.mark.parametrize("height", [48, 480, 1080])
 def test_captions_fit_into_images_of_any_size(height: int) -> None:
     blank = np.full((height, 4 * height // 3, 3), 100, dtype=np.uint8)
-    shown = film_module.draw_caption(blank, "12.34 s, contact+drop")
+    shown = video_module.draw_caption(blank, "12.34 s, contact+drop")
     rows, columns = np.nonzero((shown != blank).any(axis=2))
     assert (blank == 100).all()
     assert 8 <= np.ptp(rows) + 1 <= max(20, height // 8)
@@ -393,7 +393,7 @@ class AtStep:
     ],
 )
 def test_caption_of_every_state(episode: Any, state: str) -> None:
-    assert film_module.format_caption(episode) == f"4.25 s{state}"
+    assert video_module.format_caption(episode) == f"4.25 s{state}"
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Recording of frames of an episode, their captions, and their encoding as an image grid or a film."""
+"""Recording of frames of an episode, their captions, and their encoding as an image grid or a video."""
 
 import io
 import os
@@ -30,7 +30,7 @@ _REQUIRED_MODULES: dict[str, tuple[str, ...]] = {
 }
 #: Suffixes of all kinds of output files.
 SUFFIXES = tuple(_REQUIRED_MODULES)
-#: Simulated time between two frames of a film (ms).
+#: Simulated time between two frames of a video (ms).
 FRAME_PERIOD_MS = 80
 # Height of a caption's letters as share of the image's height, and their smallest height (pixels).
 _CAPTION_SHARE, _MIN_CAPTION_HEIGHT = 1 / 22, 8
@@ -142,8 +142,8 @@ def encode_grid(frames: list[Picture], columns: int) -> bytes:
     return stream.getvalue()
 
 
-def encode_film(frames: list[Picture], suffix: str) -> bytes:
-    """Encode frames as a film in real time; return the content of a ".gif" or ".mp4" file."""
+def encode_video(frames: list[Picture], suffix: str) -> bytes:
+    """Encode frames as a video in real time; return the content of a ".gif" or ".mp4" file."""
     if suffix == ".gif":
         stream = io.BytesIO()
         first, *rest = [Image.fromarray(frame).quantize(64) for frame in frames]
