@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.givers.cooperative_batch import CooperativeBatch
@@ -22,7 +22,6 @@ from handover_marl.policies.batch import (
     Actions,
     ArrayPolicy,
     PolicyBatch,
-    Rows,
     compute_gripper_object_distances,
     make_giver_actions,
 )
@@ -34,7 +33,7 @@ _PAUSE = -1.0  # playback rate minus 1
 class ReplayBatch(ArrayPolicy[ReplayGiver]):
     """Batch of `ReplayGiver`."""
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that follow the recordings."""
         return make_giver_actions(len(rows), arrays=self._arrays)
 
@@ -51,7 +50,7 @@ class HurriedBatch(ArrayPolicy[HurriedGiver]):
         config = self._policy.config
         self._rate[row] = np.random.default_rng(seed).uniform(config.min_rate, config.max_rate)
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
         return make_giver_actions(len(rows), rate=self._rate[rows], arrays=self._arrays)
 
@@ -59,7 +58,7 @@ class HurriedBatch(ArrayPolicy[HurriedGiver]):
 class StopWhenNearBatch(ArrayPolicy[StopWhenNearGiver]):
     """Batch of `StopWhenNearGiver`."""
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause near the gripper."""
         is_near = compute_gripper_object_distances(observation) < self._policy.config.distance
         return make_giver_actions(len(rows), rate=self._arrays.xp.where(is_near, _PAUSE, 0.0), arrays=self._arrays)
@@ -78,7 +77,7 @@ class HesitantBatch(ArrayPolicy[HesitantGiver]):
         """Start an episode without a pause."""
         self._rngs[row], self._until[row] = np.random.default_rng(seed), 0.0
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
         giver, config = self._policy, self._policy.config
         now, numbers = to_numpy(observation["time"][:, 0]).astype(np.float64), to_numpy(rows)
@@ -104,7 +103,7 @@ class NoisyBatch(ArrayPolicy[NoisyGiver]):
         """Start an episode without deviation."""
         self._rngs[row], self._deviation[row] = np.random.default_rng(seed), 0.0
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the next random deviations."""
         noise = np.array([self._rngs[row].standard_normal(7) for row in rows.tolist()])
         deviation = self._decay * self._deviation[rows] + self._arrays.asarray(self._scale * noise)
@@ -124,7 +123,7 @@ class WithdrawingBatch(ArrayPolicy[WithdrawingGiver]):
         """Start an episode without deviation."""
         self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
         xp, giver, config = self._arrays.xp, self._policy, self._policy.config
         now = widen(observation["time"][:, 0])

@@ -4,14 +4,13 @@ import math
 from typing import TypeAlias
 
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseVariation
 from handover_marl.policies.batch import (
     Actions,
     ArrayPolicy,
-    Rows,
     compute_gripper_object_distances,
     make_giver_actions,
 )
@@ -42,7 +41,7 @@ class HandoverPoseVariationBatch:
         self.scale[row], self._timeouts[row] = HandoverPoseVariation.scales[0], 0
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
-    def update(self, rows: Rows, observation: Observation) -> None:
+    def update(self, rows: AnyIndices, observation: Observation) -> None:
         """Update `scale` of the episodes `rows`, whose hands are at their handover poses."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
@@ -72,7 +71,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         self._grasped_since[row] = math.nan
         self._pose_variation.reset(row)
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
         xp = self._arrays.xp
         released = observation["released"][:, 0] != 0.0
@@ -103,7 +102,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self._policy.arrival_tolerance)
 
-    def _choose_poses(self, rows: Rows, observation: Observation) -> None:
+    def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
         """Choose the deviations from the recorded poses half a second ahead."""
         xp, config = self._arrays.xp, self._policy.config
         gripper = widen(observation["gripper_pose"][:, :3])
@@ -128,7 +127,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         is_turned = size >= 1e-9
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
-    def _are_grasped(self, rows: Rows, held: Flags, near: Flags, observation: Observation) -> Flags:
+    def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
         """Return whether fingers have rested on each object for long enough."""
         xp, now = self._arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
@@ -138,7 +137,7 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         self._grasped_since[rows] = since
         return resting & (now - since >= self._policy.grasp_time)
 
-    def _withdraw(self, rows: Rows, begins: Flags, shift: AnyArray, observation: Observation) -> None:
+    def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
         """Set the displacement of the hands that begin to withdraw."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         withdrawal = shift + self._policy.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from handover_marl.envs.wrappers.flatten import flatten as flatten
     from handover_marl.envs.wrappers.freeze import freeze as freeze
     from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
-    from handover_marl.episode.camera_observations import CameraFrame as CameraFrame
+    from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
     from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
     from handover_marl.evaluation.agreement import compare_physics as compare_physics
     from handover_marl.evaluation.benchmark import benchmark as benchmark
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
 # Modules of the public names, imported at first use to keep the import fast.
 _MODULES = {
     "ActionScheme": "learning.action_scheme",
-    "CameraFrame": "episode.camera_observations",
+    "CameraCapture": "episode.camera_observations",
     "CameraNoise": "simulation.camera.noise",
     "Demonstrations": "evaluation.demonstrations.reader",
     "EnvConfig": "envs.config",

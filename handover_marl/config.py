@@ -234,7 +234,7 @@ class GiverConfig(CheckedConfig):
         rate_change: Largest slope of the playback rate (1/s); a stop takes 0.2 s at the default.
         opening: Share by which finger angles shrink when the hand opens.
         opening_time: Time in which the hand opens (s).
-        preview: Times (s) after the present frame at which the giver observes its recording.
+        preview: Times (s) after the current frame at which the giver observes its recording.
     """
 
     limits: ClassVar[Limits] = {

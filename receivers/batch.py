@@ -7,13 +7,13 @@ import numpy.typing as npt
 
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import Indices, IntArray
 from handover_marl.policies.batch import ArrayPolicy, PolicyBatch
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers.yang2021 import Yang2021Receiver
 from handover_marl.receivers.yang2021_controller import YangController
 
 Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
 
 
 class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
@@ -32,11 +32,11 @@ class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
         """Start an episode; the receiver is deterministic."""
         self._controller.reset(np.array([row]))
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: Indices, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m)."""
         return self._controller.act(rows, observation)
 
-    def count_hold_steps(self, rows: Rows) -> Rows:
+    def count_hold_steps(self, rows: Indices) -> IntArray:
         """Return the physics steps (r,) until the next decisions."""
         return np.array([steps_from_hold_time(time) for time in self._controller.get_hold_times(rows).tolist()])
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from handover_marl.config import ARM_DOF, CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry import panda
+from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.poses import (
     compose,
     compute_dot_products,
@@ -28,7 +29,6 @@ from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
 
 Array = npt.NDArray[np.float64]
 Actions = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 
 
@@ -123,7 +123,7 @@ class YangController:
         """Read the grasps of an object class."""
         self._library.get_gripper_poses(object_name)
 
-    def reset(self, rows: Rows) -> None:
+    def reset(self, rows: Indices) -> None:
         """Start episodes."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
@@ -131,13 +131,13 @@ class YangController:
         self.phase[rows] = YangPhase.WAIT
         self.selected[rows], self._references[rows] = np.nan, np.nan
 
-    def get_hold_times(self, rows: Rows) -> Array:
+    def get_hold_times(self, rows: Indices) -> Array:
         """Return the times (r,) until the next decisions (s), infinite during the retreat."""
         config = self._config
         times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
-    def act(self, rows: Rows, observation: Observation) -> Actions:
+    def act(self, rows: Indices, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m)."""
         time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
         waits = time < self._config.wait
@@ -161,7 +161,7 @@ class YangController:
         actions = np.concatenate([arms, fingers, fingers], axis=1)
         return np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32)
 
-    def _find_places(self, rows: Rows, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
+    def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
         """Return whether hands (r, 7) are in the region between standoff and grasp, and whether at the grasp, (r,)."""
         config = self._config
         in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
@@ -181,7 +181,7 @@ class YangController:
             at_grasp[some] = in_region[some] & is_near & (angle < config.angle_tolerance)
         return in_region, at_grasp
 
-    def _move_to_standoffs(self, rows: Rows, observation: Observation) -> Array:
+    def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
         """Select the cheapest reachable standoffs and return the arm joints (r, 7) there."""
         joints = observation["robot_joint_position"]
         arms = joints[:, :ARM_DOF].astype(np.float64)
@@ -213,14 +213,14 @@ class YangController:
             left = left[~is_solved]
         return arms
 
-    def _compute_costs(self, rows: Rows, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
+    def _compute_costs(self, rows: Indices, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
         """Return the costs (r, n) of standoffs (r, n, 7)."""
         references, weight = self._references[rows], self._config.rotation_weight
         references = np.where(np.isnan(references), hands, references)
         to_preferred = compute_pose_distances(self._config.preferred_pose, standoffs, weight)
         return compute_pose_distances(references, standoffs, weight) + to_preferred
 
-    def _move_to_grasps(self, rows: Rows, observation: Observation) -> Array:
+    def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
         """Return the arm joints (r, 7) after one step towards the grasps."""
         hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self._config.step_length
         offsets = grasps[:, :3] - hands
@@ -230,7 +230,7 @@ class YangController:
         positions = np.where(distances >= length, steps, grasps[:, :3])
         return self._solve_ik_or_stay(observation, positions, grasps[:, 3:])
 
-    def _move_to_goal(self, rows: Rows, observation: Observation) -> Array:
+    def _move_to_goal(self, rows: Indices, observation: Observation) -> Array:
         """Return the arm joints (r, 7) at the goal."""
         goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (len(rows), 1))
         return self._solve_ik_or_stay(observation, goals)
@@ -246,7 +246,7 @@ class YangController:
 
 
 def _fill(
-    move: Callable[[Rows, Observation], Array], flags: Flags, arms: Array, rows: Rows, observation: Observation
+    move: Callable[[Indices, Observation], Array], flags: Flags, arms: Array, rows: Indices, observation: Observation
 ) -> None:
     """Write the arm joints that a method of the controller computes into `arms` (r, 7), where a flag (r,) is set."""
     some = np.flatnonzero(flags)

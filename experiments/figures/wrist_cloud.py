@@ -41,7 +41,7 @@ class Args(DatasetArgs):
     out: str = "wrist.png"
 
 
-def capture_frame(args: Args) -> handover_marl.CameraFrame:
+def capture_frame(args: Args) -> handover_marl.CameraCapture:
     """Return the wrist camera's frame at the time and in the scene that the options choose."""
     env = handover_marl.parallel_env(
         split="test",
@@ -55,12 +55,12 @@ def capture_frame(args: Args) -> handover_marl.CameraFrame:
     start = np.array(env.config.world_config.physics.panda.start_joints, dtype=np.float32)
     for _ in range(round(args.time / env.config.control_period)):
         env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": start})
-    view: handover_marl.CameraFrame = env.capture_wrist_camera()
+    view: handover_marl.CameraCapture = env.capture_wrist_camera()
     env.close()
     return view
 
 
-def draw(view: handover_marl.CameraFrame) -> Figure:
+def draw(view: handover_marl.CameraCapture) -> Figure:
     """Return a figure of color image, depth image, segmentation mask and point cloud."""
     figure = Figure(figsize=(13.0, 4.2), dpi=110, layout="constrained")
     grid = figure.add_gridspec(1, 4, width_ratios=[1.0, 1.0, 1.0, 1.5])

@@ -1,16 +1,14 @@
-"""Built-in rewards of many episodes at once, on arrays with the episode as first axis."""
+"""Preset rewards of many episodes at once, on arrays with the episode as first axis."""
 
 from typing import Any, TypeAlias
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.rewards import RewardConfig
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.geometry.arrays import AnyArray
+from handover_marl.geometry.arrays import AnyArray, AnyIndices
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import compute_lengths, transform_points
 
-#: Indices (r,) of episodes.
-Rows: TypeAlias = AnyArray
 #: Values (r,) of terms by name.
 ArrayTerms: TypeAlias = dict[str, AnyArray]
 
@@ -44,13 +42,13 @@ class ArrayRewards:
         )
         self._last = episodes.arrays.zeros((count, _SIZE))
 
-    def start(self, rows: Rows) -> dict[str, tuple[str, ...]]:
+    def start(self, rows: AnyIndices) -> dict[str, tuple[str, ...]]:
         """Start episodes, whose first states have been observed; return the names of the terms by agent."""
         if self._reads_state:
             self._last[rows] = self._read_state(rows)
         return {agent: tuple(weights) for agent, weights in self._weights.items()}
 
-    def compute_terms(self, rows: Rows) -> dict[str, ArrayTerms]:
+    def compute_terms(self, rows: AnyIndices) -> dict[str, ArrayTerms]:
         """Return the weighted reward terms of a control step by agent, and store the states after it."""
         xp, status = self._xp, self._episodes.referees.status[rows]
         values = {name: xp.astype((status & int(bit)) != 0, xp.float64) for name, bit in _OUTCOMES.items()}
@@ -82,7 +80,7 @@ class ArrayRewards:
         shaping = self._config.gamma * new - before[:, _POTENTIALS]
         return {"distance": shaping[:, 0], "grasp": shaping[:, 1], "goal": shaping[:, 2]}
 
-    def _read_state(self, rows: Rows) -> AnyArray:
+    def _read_state(self, rows: AnyIndices) -> AnyArray:
         """Return the states (r, 11) at the episodes' last observation, float64."""
         xp, episodes = self._xp, self._episodes
         state, motion = episodes.state, episodes.motion

@@ -37,10 +37,12 @@ class EnvConfig:
         control_period: Time for which an action holds (s); a whole number of milliseconds.
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: Camera of the "rgb_array" images.
-        rewards: "sparse", 1 for a completed handover; "shaped", with potential-based shaping and
-            costs in addition; a `RewardConfig`; `TermWeights` of ready-made terms; a function of a
-            `Transition` that returns terms by agent; a combination (`combine_rewards`); or the text
-            `module:name` that names one of these.
+        rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based
+            shaping and costs in addition; a `RewardConfig`, weights of the terms of preset rewards;
+            `TermWeights`, weights of reward terms that can be combined freely and have no discount; a function
+            of a `Transition` that returns terms by agent; a combination (`combine_rewards`); or the text
+            `module:name` that names one of these. Success is the term `task` of preset rewards and the
+            reward term `success`, so that a combination can have both.
         scenes: Scene numbers to draw from; default: the whole split.
         max_cycles: Control steps after which an episode is truncated; default: never.
         world_config: Simulated world, protocol and limits of the giver.

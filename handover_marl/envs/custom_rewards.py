@@ -11,11 +11,17 @@ import numpy as np
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.reward_terms import TermRewardSource, TermWeights
-from handover_marl.envs.rewards import REWARDS, RewardConfig, RewardFunction, RewardState, Terms, make_reward_config
+from handover_marl.envs.rewards import (
+    REWARDS,
+    RewardConfig,
+    RewardFunction,
+    RewardState,
+    Terms,
+    make_reward_config,
+    make_reward_state,
+)
 from handover_marl.envs.transition import Transition
 from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError, UnknownNameError
-from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import transform_points
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Position: TypeAlias = tuple[float, ...]
@@ -128,7 +134,7 @@ def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
     """
     found = resolve_rewards(rewards)
     if isinstance(found, RewardConfig):
-        return BuiltinRewardSource(found, goal)
+        return PresetRewardSource(found, goal)
     if isinstance(found, CombinedRewards):
         return SummedRewardSource([(weight, make_reward_source(part, goal)) for weight, part in found.parts])
     if isinstance(found, TermWeights):
@@ -136,8 +142,8 @@ def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
     return CustomRewardSource(found() if isinstance(found, type) else copy.deepcopy(found))
 
 
-class BuiltinRewardSource:
-    """Source of the terms of built-in rewards: "sparse", "shaped" or a `RewardConfig`.
+class PresetRewardSource:
+    """Source of the terms of preset rewards: "sparse", "shaped" or a `RewardConfig`.
 
     Args:
         config: Weights of the terms.
@@ -149,11 +155,11 @@ class BuiltinRewardSource:
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent."""
-        return self._function.reset(read_reward_state(transition))
+        return self._function.reset(_read_reward_state(transition))
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the reward terms of a control step, by agent."""
-        return self._function.compute_terms(transition.status, lambda: read_reward_state(transition))
+        return self._function.compute_terms(transition.status, lambda: _read_reward_state(transition))
 
 
 class SummedRewardSource:
@@ -308,18 +314,8 @@ class CustomRewardSource:
         return float(number)
 
 
-def read_reward_state(transition: Transition) -> RewardState:
-    """Return the quantities, after a transition, from which the built-in reward terms are computed."""
-    state = transition.next_state
-    return RewardState(
-        time=float(state["time"][0]),
-        gripper=tuple(state["gripper_pose"][:3].tolist()),
-        fingertip_center=tuple(transform_points(state["gripper_pose"], FINGERTIPS).tolist()),
-        object_position=tuple(state["object_poses"][0, :3].tolist()),
-        grasped=transition.contacts.both_fingers_touch,
-        deviation=tuple(state["deviation"][1:].tolist()),
-        object_offered=bool(state["holding"][0]) and not bool(state["released"][0]),
-    )
+def _read_reward_state(transition: Transition) -> RewardState:
+    return make_reward_state(transition.next_state, transition.contacts.both_fingers_touch)
 
 
 def _import_rewards(text: str) -> Any:

@@ -15,10 +15,10 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
 from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
-from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
-from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
+from handover_marl.envs.custom_rewards import make_reward_source
+from handover_marl.envs.rewards import Terms
 from handover_marl.envs.transition import TransitionRecorder
-from handover_marl.episode.camera_observations import CameraFrame
+from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import (
     Observation,
@@ -31,8 +31,6 @@ from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import ResetNeededError
 from handover_marl.execution.options import forward_signature
-from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import PolicyContext, make_policy_context
 
 #: Release reasons; the value `release` of infos is an index into this tuple.
@@ -54,7 +52,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     Observation: a dictionary of arrays for each agent; world frame, m, rad, s, quaternions xyzw.
         - receiver: joints, gripper, objects and human hand in the mode "state", wrist camera data in
           others; keys and shapes: `handover_marl.episode.observations.receiver_observation_space`.
-        - giver: the state, the recording's next half second and the present deviation; keys and
+        - giver: the state, the recording's next half second and the current deviation; keys and
           shapes: `handover_marl.episode.observations.giver_observation_space`.
 
     Action: a float32 array for each agent.
@@ -119,12 +117,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self.render_mode = config.render_mode
         world_config = config.world_config
         self._episode = Episode(config.physics, world_config, config.render_mode == "human", config.wrist_camera)
-        goal, rewards = world_config.protocol.goal_center, resolve_rewards(config.rewards)
-        self._reward_source: RewardSource | None = None
-        if isinstance(rewards, RewardConfig):
-            self._rewards = RewardFunction(rewards, goal)
-        else:
-            self._reward_source = make_reward_source(rewards, goal)
+        self._rewards = make_reward_source(config.rewards, world_config.protocol.goal_center)
         self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
@@ -202,10 +195,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._cycles = 0
         observations = self._observe()
         infos = self._make_infos()
-        if self._reward_source is None:
-            terms = self._rewards.reset(self._read_reward_state())
-        else:
-            terms = self._reward_source.start(self._recorder.start(observations, infos))
+        terms = self._rewards.start(self._recorder.start(observations, infos))
         self.agents = list(AGENTS)
         return observations, _add_terms(infos, terms)
 
@@ -239,19 +229,16 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         cut_off = self.config.max_cycles is not None and self._cycles >= self.config.max_cycles
         truncated = bool(status & EpisodeStatus.TIMEOUT) or (cut_off and not terminated)
         infos = self._make_infos()
-        if self._reward_source is None:
-            terms = self._rewards.compute_terms(status, self._read_reward_state)
-        else:
-            transition = self._recorder.record(
-                observations,
-                {GIVER: giver_action, RECEIVER: robot_target},
-                infos=infos,
-                contacts=self._episode.contacts,
-                status=status,
-                terminated=terminated,
-                truncated=truncated,
-            )
-            terms = self._reward_source.compute(transition)
+        transition = self._recorder.record(
+            observations,
+            {GIVER: giver_action, RECEIVER: robot_target},
+            infos=infos,
+            contacts=self._episode.contacts,
+            status=status,
+            terminated=terminated,
+            truncated=truncated,
+        )
+        terms = self._rewards.compute(transition)
         if not (terminated or truncated):
             self.agents = list(AGENTS)
         return (
@@ -284,7 +271,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._episode.close()
         self._stop()
 
-    def capture_wrist_camera(self) -> CameraFrame:
+    def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera.
 
         Raises:
@@ -333,18 +320,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         if self._observation is None:
             raise ResetNeededError("no observation yet; call reset() first")
         return self._observation
-
-    def _read_reward_state(self) -> RewardState:
-        state, episode = self._require_observation(), self._episode
-        return RewardState(
-            time=float(state["time"][0]),
-            gripper=tuple(state["gripper_pose"][:3].tolist()),
-            fingertip_center=tuple(transform_points(state["gripper_pose"], FINGERTIPS).tolist()),
-            object_position=tuple(state["object_poses"][0, :3].tolist()),
-            grasped=episode.grasped,
-            deviation=tuple(episode.deviation[1:].tolist()),
-            object_offered=episode.object_offered,
-        )
 
     def _make_infos(self) -> dict[str, Info]:
         episode = self._episode

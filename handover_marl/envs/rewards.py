@@ -1,4 +1,4 @@
-"""Rewards of both agents: named terms, weighted by a frozen configuration and summed.
+"""Preset rewards of both agents: named terms, weighted by a frozen configuration and summed.
 
 The default is a sparse reward: 1 to both agents in the step that completes the handover. `SHAPED`
 adds potential-based shaping for the receiver and costs for the giver. A shaping term (Ng et al.,
@@ -14,10 +14,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import numpy as np
+import numpy.typing as npt
+
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, check_name
+from handover_marl.geometry.panda import FINGERTIPS
+from handover_marl.geometry.poses import transform_points
 
 Terms = dict[str, float]
 
@@ -73,7 +78,7 @@ class GiverWeights(CheckedConfig):
 
 @dataclass(frozen=True)
 class RewardConfig(CheckedConfig):
-    """Weights of both agents' reward terms.
+    """Weights of the terms of both agents' preset rewards.
 
     Attributes:
         receiver: Weights of the receiver's terms.
@@ -135,6 +140,25 @@ class RewardState:
     object_offered: bool
 
 
+def make_reward_state(state: Mapping[str, npt.NDArray[np.floating]], grasped: bool) -> RewardState:
+    """Make the part of an episode's state that the reward terms depend on.
+
+    Args:
+        state: `time`, `gripper_pose`, `object_poses`, `deviation`, `holding` and `released` of the giver's observation.
+        grasped: Whether both fingers of the robot touch the object.
+    """
+    gripper = state["gripper_pose"]
+    return RewardState(
+        time=float(state["time"][0]),
+        gripper=tuple(gripper[:3].tolist()),
+        fingertip_center=tuple(transform_points(gripper, FINGERTIPS).tolist()),
+        object_position=tuple(state["object_poses"][0, :3].tolist()),
+        grasped=grasped,
+        deviation=tuple(state["deviation"][1:].tolist()),
+        object_offered=bool(state["holding"][0]) and not bool(state["released"][0]),
+    )
+
+
 class RewardFunction:
     """Reward function of both agents: weighted terms of each control step.
 
@@ -173,7 +197,7 @@ class RewardFunction:
         if self._last is None:
             raise ResetNeededError("no episode is running; call reset() before step()")
         giver, receiver = self._config.giver, self._config.receiver
-        outcome = _outcome_terms(status)
+        outcome = _compute_outcome_terms(status)
         if self._only_outcomes:
             return {
                 agent: _weigh(weights, {**dict.fromkeys(vars(weights), 0.0), **outcome})
@@ -182,11 +206,11 @@ class RewardFunction:
         before, now = self._last, read_state()
         self._last = now
         return {
-            GIVER: _weigh(giver, {**_giver_costs(before, now), **outcome}),
-            RECEIVER: _weigh(receiver, {**self._guidance(before, now, status), **outcome}),
+            GIVER: _weigh(giver, {**_compute_giver_costs(before, now), **outcome}),
+            RECEIVER: _weigh(receiver, {**self._compute_guidance(before, now, status), **outcome}),
         }
 
-    def _guidance(self, before: RewardState, now: RewardState, status: EpisodeStatus) -> Terms:
+    def _compute_guidance(self, before: RewardState, now: RewardState, status: EpisodeStatus) -> Terms:
         old, new = compute_potentials(before, self._goal), compute_potentials(now, self._goal)
         # A timeout truncates an episode; only termination ends its potential.
         if status & ~EpisodeStatus.TIMEOUT:
@@ -208,7 +232,7 @@ def compute_potentials(state: RewardState, goal: tuple[float, ...]) -> Terms:
     }
 
 
-def _giver_costs(before: RewardState, now: RewardState) -> Terms:
+def _compute_giver_costs(before: RewardState, now: RewardState) -> Terms:
     period = now.time - before.time
     path = math.dist(now.deviation[:3], before.deviation[:3])
     offset = math.hypot(*now.deviation[:3]) + math.hypot(*now.deviation[3:]) / 3.0
@@ -220,7 +244,7 @@ def _giver_costs(before: RewardState, now: RewardState) -> Terms:
 
 
 @functools.cache
-def _outcome_terms(status: EpisodeStatus) -> Mapping[str, float]:
+def _compute_outcome_terms(status: EpisodeStatus) -> Mapping[str, float]:
     return {
         "task": float(bool(status & EpisodeStatus.SUCCESS)),
         "contact": float(bool(status & EpisodeStatus.HUMAN_CONTACT)),

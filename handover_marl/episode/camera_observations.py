@@ -75,7 +75,7 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
 
     "scene_pointcloud" has the clouds of "pointcloud", too. Clouds of more than 1024 points are subsampled without
     replacement, shorter ones padded with zeros; full clouds are padded, too. A camera with latency shows earlier
-    images; their points are in the hand link's present frame.
+    images; their points are in the hand link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
     scripts for GA-DDPG do.
 
@@ -150,10 +150,10 @@ BENCHMARK_CAMERA = WristCameraConfig()
 
 
 @dataclass(frozen=True, eq=False)
-class CameraFrame:
+class CameraCapture:
     """Images and point clouds of the wrist camera at one step.
 
-    A camera with latency shows an earlier step; its points are in the hand link's present frame.
+    A camera with latency shows an earlier step; its points are in the hand link's current frame.
 
     Attributes:
         depth: (224, 224) float32 depth along the viewing axis (m); just under 2 m for background.
@@ -213,15 +213,15 @@ class WristCamera:
         self._images.clear()
 
     def record_snapshot(self, world: World) -> None:
-        """Record the present joint positions for images that arrive later (latency)."""
+        """Record the current joint positions for images that arrive later (latency)."""
         self._history.append(world.read_joint_snapshot())
 
-    def capture(self, world: World, steps: int) -> CameraFrame:
+    def capture(self, world: World, steps: int) -> CameraCapture:
         """Return images and point clouds that are available after `steps` physics steps."""
         image = self._get_image(world, steps, _WHOLE)
         # Whole images have colours.
         rgb = np.array(image.rgb, dtype=np.uint8)
-        return CameraFrame(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
+        return CameraCapture(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of an observation mode; see `camera_observation_space`."""

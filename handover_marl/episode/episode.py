@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraFrame, WristCamera, WristCameraConfig
+from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import (
@@ -161,7 +161,7 @@ class Episode:
         return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
 
     def observe_giver(self, state: Observation) -> Observation:
-        """Return the giver's observation: full state, preview of the recording, present deviation.
+        """Return the giver's observation: full state, preview of the recording, current deviation.
 
         Args:
             state: The full state as `observe` returns it now.
@@ -177,7 +177,7 @@ class Episode:
         if self._wrist_camera is not None:
             self._wrist_camera.seed(seed)
 
-    def capture_wrist_camera(self) -> CameraFrame:
+    def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera."""
         return self._get_wrist_camera().capture(self.world, self.steps)
 
@@ -193,7 +193,7 @@ class Episode:
         return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the present state of the simulation as an RGB image (height, width, 3)."""
+        """Render the current state of the simulation as an RGB image (height, width, 3)."""
         return self.world.render(camera)
 
     @property

@@ -13,7 +13,7 @@ from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.kinematic_paths import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
-Frames = npt.NDArray[np.int_]
+FrameIndices = npt.NDArray[np.int_]
 
 _BASE_LINK = 5
 #: Action of the giver that replays the recording.
@@ -27,7 +27,7 @@ class _PlaybackState(NamedTuple):
     Attributes:
         motion: Last reference motion; Euler angles continue from its last row without a jump.
         clock: Playback time in frames.
-        frame: Present frame of the recording.
+        frame: Current frame of the recording.
         rate: Playback rate minus 1.
         displacement: Displacement of the wrist (m).
         rotation: Rotation vector of the wrist (rad).
@@ -90,7 +90,7 @@ class Playback:
 
     @property
     def frame(self) -> int:
-        """Present frame of the recording, 0 at the start."""
+        """Current frame of the recording, 0 at the start."""
         return self._now.frame
 
     @property
@@ -105,7 +105,7 @@ class Playback:
 
     @property
     def deviation(self) -> npt.NDArray[np.float32]:
-        """(7,) playback rate minus 1, wrist displacement (m) and rotation vector (rad) at present."""
+        """(7,) current playback rate minus 1, wrist displacement (m) and rotation vector (rad)."""
         now = self._now
         return np.array([now.rate, *now.displacement.value, *now.rotation.value], dtype=np.float32)
 
@@ -164,7 +164,7 @@ class Playback:
         state = _PlaybackState(motion, clock, int(frames[-1]), rate, displacement, rotation, has_deviated, opened)
         return motion, state
 
-    def _advance_clock(self, target_rate: float, steps: int) -> tuple[Frames, float, float]:
+    def _advance_clock(self, target_rate: float, steps: int) -> tuple[FrameIndices, float, float]:
         """Return the frames played in the next steps, and playback time and rate after them."""
         now, last = self._now, self._last_frame
         if target_rate == 0.0 == now.rate and now.clock.is_integer():
@@ -217,7 +217,7 @@ class Playback:
         hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
         return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])
 
-    def _read_frames(self, frames: Frames, consecutive: bool = False) -> ReferenceMotion:
+    def _read_frames(self, frames: FrameIndices, consecutive: bool = False) -> ReferenceMotion:
         scene, first, last = self.scene, int(frames[0]), int(frames[-1])
         # A slice needs no copy; at the recording's end, frames repeat and are not consecutive.
         rows = slice(first, last + 1) if consecutive and last - first == len(frames) - 1 else frames

@@ -137,7 +137,7 @@ def judge_steps(
     xp = get_namespace(before.steps)
     n_steps = len(contacts.robot_touches_hand)
     # Reading tensors of a GPU takes more time than the rules.
-    if not is_tensor(before.steps) and _nothing_happens(before, contacts, config):
+    if not is_tensor(before.steps) and _is_uneventful(before, contacts, config):
         return _judge_time_limit(before, n_steps, config)
     indices = xp.cumsum(xp.ones_like(contacts.robot_touches_hand, dtype=xp.int64), axis=0) - 1
     left, right = contacts.in_grasp_region[..., 0], contacts.in_grasp_region[..., 1]
@@ -175,7 +175,7 @@ def judge_steps(
     )
 
 
-def _nothing_happens(before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig) -> bool:
+def _is_uneventful(before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
         (before.release >= 0).any()

@@ -91,7 +91,7 @@ def giver_observation_space(
     |---|---|---|
     | replay_wrist_poses | (5, 7) | recorded wrist poses 0.1 to 0.5 s ahead; zeros without a hand |
     | replay_object_poses | (5, 7) | recorded poses of the object to be handed over at these times |
-    | deviation | (7,) | present playback rate minus 1, wrist displacement and rotation vector |
+    | deviation | (7,) | current playback rate minus 1, wrist displacement and rotation vector |
     | holding | (1,) | 1 after the object has been picked up, when displacements take effect |
     """
     ahead = len(config.preview)
@@ -124,7 +124,7 @@ class MotionPreview:
         """Return recorded poses of wrist and object at the k preview times after a frame.
 
         Args:
-            frame: Present frame of the recording.
+            frame: Current frame of the recording.
 
         Returns:
             (k, 7) poses of the wrist, zeros without a hand, and (k, 7) poses of the object to be handed
@@ -190,11 +190,11 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
 
 def observe_giver(state: Observation, playback: Playback, preview: MotionPreview) -> Observation:
-    """Return the giver's observation: full state, preview of the recording and present deviation.
+    """Return the giver's observation: full state, preview of the recording and current deviation.
 
     Args:
         state: The full state as `observe` returns it.
-        playback: Playback of the scene, with the present deviation.
+        playback: Playback of the scene, with the current deviation.
         preview: Preview of the recording.
     """
     wrist_poses, object_poses = preview.read_poses(playback.frame)

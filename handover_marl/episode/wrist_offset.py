@@ -73,8 +73,8 @@ class TrackedVector(NamedTuple):
     """Vector (3,) that follows set-points, with its velocity.
 
     Attributes:
-        value: (3,) present value of the vector.
-        velocity: (3,) present rate of change of the vector (units/s).
+        value: (3,) current value of the vector.
+        velocity: (3,) current rate of change of the vector (units/s).
     """
 
     value: Vector3 = (0.0, 0.0, 0.0)

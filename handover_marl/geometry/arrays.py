@@ -17,6 +17,12 @@ import numpy.typing as npt
 
 #: NumPy array or PyTorch tensor.
 AnyArray: TypeAlias = Any
+#: NumPy array or PyTorch tensor of indices.
+AnyIndices: TypeAlias = AnyArray
+#: NumPy array or PyTorch tensor of integers that are not indices.
+IntArray: TypeAlias = AnyArray
+#: NumPy array of indices.
+Indices: TypeAlias = npt.NDArray[np.int_]
 
 
 def is_tensor(array: object) -> bool:

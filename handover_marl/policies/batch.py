@@ -14,17 +14,15 @@ from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, IntArray, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.policies.policy import Giver, Policy
 
 PolicyType = TypeVar("PolicyType", bound=Policy)
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
-#: Indices (r,) of episodes.
-Rows: TypeAlias = AnyArray
 #: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
-ObserveFunction = Callable[[Rows], Observation]
+ObserveFunction = Callable[[AnyIndices], Observation]
 
 
 class PolicyBatch(ABC):
@@ -44,7 +42,7 @@ class PolicyBatch(ABC):
         """
 
     @abstractmethod
-    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
         """Return the actions (r, ...): new ones at decisions, otherwise those of the last decision.
 
         Args:
@@ -73,7 +71,7 @@ class SequentialPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._schedulers[row].reset(seed, object_names)
 
-    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         schedulers = [self._schedulers[row] for row in rows.tolist()]
         is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
@@ -107,10 +105,10 @@ class HostPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._batch.reset(row, seed, object_names)
 
-    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
 
-        def observe_on_host(some: Rows) -> Observation:
+        def observe_on_host(some: AnyIndices) -> Observation:
             return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
 
         return self._arrays.asarray(self._batch.act(to_numpy(rows), observe_on_host, to_numpy(steps)))
@@ -142,7 +140,7 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
         self._due[row] = 0
         self.start(row, seed)
 
-    def act(self, rows: Rows, observe: ObserveFunction, steps: Rows) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
@@ -159,12 +157,12 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
             seed: Seed of the policy.
         """
 
-    def count_hold_steps(self, rows: Rows) -> int | AnyArray:
+    def count_hold_steps(self, rows: AnyIndices) -> int | AnyArray:
         """Return the physics steps, (r,) or one for all, for which actions are held; default: as the policy."""
         return self._hold_steps
 
     @abstractmethod
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Decide on the actions (r, ...) of episodes whose last action has expired.
 
         Args:

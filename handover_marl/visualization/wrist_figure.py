@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import CameraConfig
-from handover_marl.episode.camera_observations import CameraFrame
+from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
@@ -80,7 +80,7 @@ class WristCameraFigure:
         # H.264 videos need an even number of pixels a side.
         return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
 
-    def _draw_cloud(self, frame: CameraFrame) -> None:
+    def _draw_cloud(self, frame: CameraCapture) -> None:
         axes = self._cloud_axes
         axes.clear()
         for label, points in (

@@ -98,7 +98,7 @@ def test_the_goal_is_that_of_the_protocol() -> None:
     assert near - far == pytest.approx(SHAPED.receiver.goal * SHAPED.gamma * 1.0)
     config = WorldConfig(protocol=ProtocolConfig(goal_center=here))
     env = handover_marl.parallel_env(dataset="synthetic", physics="fast", rewards="shaped", world_config=config)
-    assert env._rewards._goal == here
+    assert env._rewards._function._goal == here
 
 
 def test_costs_of_the_giver() -> None:

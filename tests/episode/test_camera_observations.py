@@ -13,7 +13,7 @@ from handover_marl.config import OFFICIAL_CONFIG, PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import (
-    CameraFrame,
+    CameraCapture,
     WristCamera,
     WristCameraConfig,
     camera_observation_space,
@@ -82,7 +82,7 @@ def assert_same(first: Observation, second: Observation) -> None:
         np.testing.assert_array_equal(value, second[key], err_msg=key)
 
 
-def as_dict(view: CameraFrame) -> Observation:
+def as_dict(view: CameraCapture) -> Observation:
     return dict(vars(view))
 
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.utils import seeding
 
 from handover_marl.datasets.dataset import Scene
@@ -16,11 +15,9 @@ from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import to_numpy
+from handover_marl.geometry.arrays import Indices, to_numpy
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import BatchBackend
-
-Rows = npt.NDArray[np.int_]
 
 # Episodes in a row that may end before an action scheme needs outputs.
 _MAX_EPISODES = 100
@@ -43,8 +40,8 @@ class ArrayEnvs:
         count: Number n of environments.
         partner: Policy of the agent that is not controlled from outside.
         trust: Whether a policy file may run code.
-        resets: Whether `reset` gets no seed and no options after the end of an episode, so that the
-            next episode can be simulated in advance.
+        prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
+            seed and no options after the end of an episode.
         load_scene: Function that loads a scene by its number.
         backend: Engine and device of the simulation.
 
@@ -58,23 +55,23 @@ class ArrayEnvs:
         count: int,
         partner: PolicyLike | None,
         trust: bool,
-        resets: bool,
+        prefetch_episodes: bool,
         load_scene: Callable[[int], Scene],
         backend: BatchBackend,
     ) -> None:
         self._load_scene = load_scene
         self._base, self._agents = template.unwrapped, list(template.possible_agents)
-        self._prepares = resets and isinstance(template, EncodedEnv) and len(self._agents) == 1
-        self._episodes = ArrayEpisodes(template, count * (1 + self._prepares), partner, trust, backend)
+        self._prefetches = prefetch_episodes and isinstance(template, EncodedEnv) and len(self._agents) == 1
+        self._episodes = ArrayEpisodes(template, count * (1 + self._prefetches), partner, trust, backend)
         self.arrays = self._episodes.arrays
         self._rngs, self._partner_rngs = ([seeding.np_random(None)[0] for _ in range(count)] for _ in range(2))
-        # Number of the present episode of each environment, and of its next one, which has started.
-        self._present, self._next = np.arange(count), np.full(count, _NONE)
+        # Number of the current episode of each environment, and of its next one, which has started.
+        self._current, self._next = np.arange(count), np.full(count, _NONE)
         self._free = np.arange(count, 2 * count)
         # Copies of the random generators from before the next episode was drawn.
         self._rngs_before: list[tuple[np.random.Generator, np.random.Generator] | None] = [None] * count
 
-    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes, and simulate them until an action scheme needs outputs.
 
         Args:
@@ -94,14 +91,14 @@ class ArrayEnvs:
         for _ in range(_MAX_EPISODES):
             for row in left.tolist():
                 if self._next[row] == _NONE:
-                    self._start(row, int(self._present[row]), options)
+                    self._start(row, int(self._current[row]), options)
                 else:
-                    self._present[row], self._free[row], self._next[row] = self._next[row], self._present[row], _NONE
-            present = self.arrays.asarray(self._present[left])
-            while len(waiting := episodes.find_waiting(present)):
+                    self._current[row], self._free[row], self._next[row] = self._next[row], self._current[row], _NONE
+            current = self.arrays.asarray(self._current[left])
+            while len(waiting := episodes.find_waiting(current)):
                 episodes.clear_rewards(waiting)
                 episodes.advance(waiting, {})
-            left = left[to_numpy(episodes.have_ended(present))]
+            left = left[to_numpy(episodes.have_ended(current))]
             if not len(left):
                 break
         else:
@@ -109,7 +106,7 @@ class ArrayEnvs:
                 f"no outputs of the {self._agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
                 "another partner or action scheme"
             )
-        result = episodes.make_result(self.arrays.asarray(self._present[rows]))
+        result = episodes.make_result(self.arrays.asarray(self._current[rows]))
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
@@ -120,25 +117,25 @@ class ArrayEnvs:
         """
         return self._episodes.check_actions(actions)
 
-    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+    def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Let the agents act for one control period, or until an action scheme needs outputs again.
 
         Args:
             rows: Indices (r,) of environments with running episodes.
             actions: Checked actions or outputs (r, ...) by agent.
         """
-        episodes, present = self._episodes, self.arrays.asarray(self._present[rows])
-        if self._prepares:
+        episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
+        if self._prefetches:
             self._start_next(rows)
-        given = episodes.set_actions(present, actions)
-        episodes.clear_rewards(present)
-        active = present
+        given = episodes.set_actions(current, actions)
+        episodes.clear_rewards(current)
+        active = current
         while len(active):
             coming = episodes.find_waiting(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
             episodes.advance(self.arrays.xp.concat([active, coming]), given)
             active = episodes.find_waiting(active)
-        return episodes.make_result(present)
+        return episodes.make_result(current)
 
     def render(self) -> None:
         """Return None, because these environments have no `render_mode`."""
@@ -158,7 +155,7 @@ class ArrayEnvs:
         partner_seed = int(self._partner_rngs[row].integers(2**32))
         self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
 
-    def _start_next(self, rows: Rows) -> None:
+    def _start_next(self, rows: Indices) -> None:
         """Start the next episode of environments that have none."""
         for row in rows[self._next[rows] == _NONE].tolist():
             self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))

@@ -19,7 +19,7 @@ from handover_marl.episode.batch.make_episodes import make_episode_batch
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
-from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
@@ -29,7 +29,6 @@ from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.engines import BatchBackend
 
-Rows: TypeAlias = AnyArray
 Flags: TypeAlias = AnyArray
 
 
@@ -151,15 +150,15 @@ class ArrayEpisodes:
         self._terminated[row] = self._truncated[row] = False
         self._rewards.start(row)
 
-    def clear_rewards(self, rows: Rows) -> None:
+    def clear_rewards(self, rows: AnyIndices) -> None:
         """Set the rewards of episodes and their terms to zero; they add up until the next call."""
         self._rewards.clear(rows)
 
-    def have_ended(self, rows: Rows) -> Flags:
+    def have_ended(self, rows: AnyIndices) -> Flags:
         """Return whether each episode has ended, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
-    def find_waiting(self, rows: Rows) -> Rows:
+    def find_waiting(self, rows: AnyIndices) -> AnyIndices:
         """Return the indices of the running episodes whose action scheme needs no outputs now."""
         if not self.can_wait:
             return rows[:0]
@@ -167,7 +166,7 @@ class ArrayEpisodes:
         running = rows[~self.have_ended(rows)]
         return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
 
-    def set_actions(self, rows: Rows, actions: ByAgent) -> ByAgent:
+    def set_actions(self, rows: AnyIndices, actions: ByAgent) -> ByAgent:
         """Pass outputs (r, ...) to the agents' action schemes; return the actions of agents without a scheme."""
         given: ByAgent = {}
         for agent, values in actions.items():
@@ -179,7 +178,7 @@ class ArrayEpisodes:
                 given[agent] = values
         return given
 
-    def advance(self, rows: Rows, given: ByAgent) -> None:
+    def advance(self, rows: AnyIndices, given: ByAgent) -> None:
         """Simulate one control period.
 
         Args:
@@ -206,7 +205,7 @@ class ArrayEpisodes:
         self._terminated[rows], self._truncated[rows] = terminated, truncated
         self._rewards.add(rows, actions, terminated, truncated)
 
-    def make_result(self, rows: Rows) -> EnvResult:
+    def make_result(self, rows: AnyIndices) -> EnvResult:
         """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""
         result = EnvResult({}, {}, {}, {}, {})
         for agent in self._agents:
@@ -228,7 +227,7 @@ class ArrayEpisodes:
         if self._camera is not None:
             self._camera.close()
 
-    def _select_observation(self, agent: str, rows: Rows) -> Observation:
+    def _select_observation(self, agent: str, rows: AnyIndices) -> Observation:
         if agent == GIVER:
             return self._episodes.select_giver_observation(rows)
         return self._episodes.select_state(rows)

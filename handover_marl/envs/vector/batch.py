@@ -15,9 +15,8 @@ from gymnasium.vector import AutoresetMode
 from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, disable_gradients, is_tensor
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, Indices, disable_gradients, is_tensor
 
-Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 
 _BUSY = "another thread is using the vector environment; call reset() and step() in turn"
@@ -32,13 +31,13 @@ class Envs(Protocol):
 
     arrays: ArrayFactory
 
-    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
         """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
 
-    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+    def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
 
     def render(self) -> list[Any] | None:
@@ -59,7 +58,7 @@ class BatchStep(NamedTuple):
     """
 
     result: EnvResult
-    ended: Rows
+    ended: Indices
     final: EnvResult | None
 
 
@@ -72,11 +71,11 @@ class _ThreadEnvs:
         autoreset: Mode of the resets.
     """
 
-    def __init__(self, envs: Envs, rows: Rows, autoreset: AutoresetMode) -> None:
+    def __init__(self, envs: Envs, rows: Indices, autoreset: AutoresetMode) -> None:
         self.envs, self.rows, self._autoreset = envs, rows, autoreset
         self._ended = np.zeros(len(rows), dtype=bool)
 
-    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in some of the environments."""
         result = self.envs.reset(rows, seeds, options)
         self._ended[rows] = False
@@ -166,7 +165,7 @@ class EnvBatch:
         with self._exclude_other_threads():
             is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
 
-            def reset(envs: _ThreadEnvs) -> tuple[Rows, EnvResult] | None:
+            def reset(envs: _ThreadEnvs) -> tuple[Indices, EnvResult] | None:
                 own = envs.rows[np.isin(envs.rows, rows)]
                 if not len(own):
                     return None

@@ -45,7 +45,7 @@ class EnvFactory:
         schemes: Action schemes whose outputs replace actions.
         wrappers: Functions or classes that wrap each environment, the innermost first.
         trust: Whether a policy file may run code.
-        prepares_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
+        prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             options after the end of an episode.
         backend: Engine and device of environments that are simulated together.
     """
@@ -57,7 +57,7 @@ class EnvFactory:
     schemes: SchemeLike | Mapping[str, SchemeLike] | None
     wrappers: Sequence[WrapperFunction]
     trust: bool
-    prepares_episodes: bool
+    prefetch_episodes: bool
     backend: BatchBackend
 
     @functools.cached_property
@@ -66,7 +66,7 @@ class EnvFactory:
         return self._make_single()
 
     @property
-    def has_arrays(self) -> bool:
+    def uses_arrays(self) -> bool:
         """Whether the environments are simulated together as arrays."""
         return _can_use_arrays(self.template, self.backend)
 
@@ -77,7 +77,7 @@ class EnvFactory:
             OptionError: They must be simulated with "threads".
         """
         _check_device_camera(self.template)
-        if not self.has_arrays:
+        if not self.uses_arrays:
             raise OptionError(
                 "with backend='warp', environments must have physics='mujoco', render_mode=None and no wrappers but "
                 "EpisodeReturns; use backend='threads'"
@@ -85,10 +85,10 @@ class EnvFactory:
 
     def make(self, count: int) -> Envs:
         """Make a number of environments, which are simulated by one thread."""
-        if not self.has_arrays:
+        if not self.uses_arrays:
             return SingleEnvs(self._make_single, count)
         return ArrayEnvs(
-            self.template, count, self.partner, self.trust, self.prepares_episodes, self._load_scene, self.backend
+            self.template, count, self.partner, self.trust, self.prefetch_episodes, self._load_scene, self.backend
         )
 
     @functools.cached_property

@@ -6,8 +6,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import cloudpickle
-import numpy as np
-import numpy.typing as npt
 from loky.backend import get_context
 
 from handover_marl.envs.vector.batch import Envs
@@ -16,9 +14,7 @@ from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.execution.worker import make_picklable
-from handover_marl.geometry.arrays import NUMPY_ARRAYS
-
-Rows = npt.NDArray[np.int_]
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
 class ProcessEnvs:
@@ -44,7 +40,7 @@ class ProcessEnvs:
         child.close()
         self._is_ready = self._is_closed = False
 
-    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
@@ -54,7 +50,7 @@ class ProcessEnvs:
         checked: ByAgent = self._call("check_actions", actions)
         return checked
 
-    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+    def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
         result: EnvResult = self._call("step", rows, actions)
         return result

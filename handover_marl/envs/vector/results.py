@@ -11,9 +11,8 @@ import numpy.typing as npt
 from array_api_compat import device as get_device
 
 from handover_marl.envs.wrappers.wrapper import ByAgent
-from handover_marl.geometry.arrays import AnyArray, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, Indices, get_namespace, to_numpy
 
-Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 
 
@@ -42,7 +41,7 @@ class EnvResult(NamedTuple):
         return to_numpy(xp.any(xp.stack(parts), axis=0))
 
 
-def merge_results(count: int, parts: Sequence[tuple[Rows, EnvResult]]) -> EnvResult:
+def merge_results(count: int, parts: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
     """Join results of different rows to one result of `count` rows; a later part replaces earlier parts."""
     if len(parts) == 1 and len(parts[0][0]) == count:
         return parts[0][1]
@@ -50,7 +49,7 @@ def merge_results(count: int, parts: Sequence[tuple[Rows, EnvResult]]) -> EnvRes
     return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
-def select_rows(values: Any, rows: Rows | int) -> Any:
+def select_rows(values: Any, rows: Indices | int) -> Any:
     """Return some rows, or one, of the arrays in dictionaries and tuples."""
     return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))
 
@@ -64,7 +63,7 @@ def _select(values: Any, rows: AnyArray) -> Any:
     return values[rows]
 
 
-def replace_rows(values: Any, rows: Rows, others: Any) -> Any:
+def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
     """Return copies of the arrays in dictionaries and tuples, with some rows replaced."""
     count = len(_first_array(values))
     everything, some = (move_to_device(own, values) for own in (np.arange(count), rows))

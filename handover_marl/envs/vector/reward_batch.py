@@ -1,6 +1,6 @@
 """Rewards of episodes that are simulated together.
 
-Each episode has a reward function of its own; built-in rewards of episodes whose arrays are tensors are computed for
+Each episode has a reward function of its own; preset rewards of episodes whose arrays are tensors are computed for
 all of them at once.
 """
 
@@ -14,20 +14,16 @@ from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.array_rewards import ArrayRewards
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
-from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms
+from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms, make_reward_state
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.batch.make_episodes import AnyEpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, to_numpy
-from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, to_numpy
 
 #: Name of the sum of rewards in infos; the sum of a term is `return/NAME`.
 RETURN = "return"
 
-#: Indices (r,) of episodes.
-Rows: TypeAlias = AnyArray
 #: Flags (r,).
 Flags: TypeAlias = AnyArray
 #: Actions (r, ...), float32, by agent.
@@ -94,7 +90,7 @@ class RewardBatch:
                 self._sums[agent] = self._arrays.xp.concat([self._sums[agent], zeros], axis=2)
             self._sums[agent][row] = 0.0
 
-    def make_infos(self, agent: str, rows: Rows, has_returns: bool) -> dict[str, AnyArray]:
+    def make_infos(self, agent: str, rows: AnyIndices, has_returns: bool) -> dict[str, AnyArray]:
         """Return the infos of an agent in episodes: arrays (r,) of the reward terms.
 
         Args:
@@ -109,12 +105,12 @@ class RewardBatch:
             infos |= {f"{RETURN}/{name}": sums[:, _SINCE_START, 1 + number] for number, name in enumerate(names)}
         return infos
 
-    def clear(self, rows: Rows) -> None:
+    def clear(self, rows: AnyIndices) -> None:
         """Set the rewards of episodes to zero."""
         for sums in self._sums.values():
             sums[rows, _SINCE_CLEAR] = 0.0
 
-    def add(self, rows: Rows, actions: Actions, terminated: Flags, truncated: Flags) -> None:
+    def add(self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags) -> None:
         """Add the rewards of a control step.
 
         Args:
@@ -143,7 +139,7 @@ class RewardBatch:
             sums[rows] += values[agent][:, None]
 
     def _compute_terms(
-        self, rows: Rows, actions: Actions, terminated: Flags, truncated: Flags
+        self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags
     ) -> list[dict[str, Terms]]:
         """Return the terms of each episode by agent."""
         found, numbers = [], rows.tolist()
@@ -168,7 +164,7 @@ class RewardBatch:
             found.append(self._sources[row].compute(transition))
         return found
 
-    def _observe(self, rows: Rows) -> list[dict[str, Observation]]:
+    def _observe(self, rows: AnyIndices) -> list[dict[str, Observation]]:
         """Return the observations of both agents in each episode."""
         found = {RECEIVER: self._episodes.select_state(rows), GIVER: self._episodes.select_giver_observation(rows)}
         own = {agent: {key: to_numpy(values) for key, values in one.items()} for agent, one in found.items()}
@@ -177,7 +173,7 @@ class RewardBatch:
             for number in range(len(rows))
         ]
 
-    def _make_infos(self, rows: Rows) -> list[dict[str, dict[str, float]]]:
+    def _make_infos(self, rows: AnyIndices) -> list[dict[str, dict[str, float]]]:
         """Return the infos of both agents in each episode."""
         columns = {key: values.tolist() for key, values in self._episodes.make_infos(rows).items()}
         own = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
@@ -185,14 +181,7 @@ class RewardBatch:
 
     def _read_state(self, row: int) -> RewardState:
         episodes = self._episodes
-        state, motion = episodes.state, episodes.motion
-        gripper = state["gripper_pose"][row]
-        return RewardState(
-            time=float(state["time"][row, 0]),
-            gripper=tuple(gripper[:3].tolist()),
-            fingertip_center=tuple(transform_points(gripper, FINGERTIPS).tolist()),
-            object_position=tuple(state["object_poses"][row, 0, :3].tolist()),
-            grasped=episodes.read_contacts(row).both_fingers_touch,
-            deviation=tuple(motion.deviation[row, 1:].tolist()),
-            object_offered=bool(motion.holding[row] and not episodes.released[row]),
-        )
+        state = {key: episodes.state[key][row] for key in ("time", "gripper_pose", "object_poses")}
+        state |= {"deviation": episodes.motion.deviation[row], "holding": episodes.motion.holding[row, None]}
+        state["released"] = episodes.released[row, None]
+        return make_reward_state(state, episodes.read_contacts(row).both_fingers_touch)

@@ -4,15 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.vector.utils import concatenate, create_empty_array
 
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, check_env
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
-Rows = npt.NDArray[np.int_]
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
 WrapperFunction: TypeAlias = Callable[[WrappableEnv], WrappableEnv]
 
@@ -33,7 +31,7 @@ class SingleEnvs:
     def __init__(self, make: Callable[[], WrappableEnv], count: int) -> None:
         self.envs = [make() for _ in range(count)]
 
-    def reset(self, rows: Rows, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
+    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
         own = None if options is None else dict(options)
         found = [self.envs[row].reset(seed=seed, options=own) for row, seed in zip(rows.tolist(), seeds, strict=True)]
@@ -47,7 +45,7 @@ class SingleEnvs:
         """Return the actions unchanged; each environment checks its own."""
         return actions
 
-    def step(self, rows: Rows, actions: ByAgent) -> EnvResult:
+    def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with actions (r, ...) by agent."""
         found = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})

@@ -284,7 +284,7 @@ def vector_env(
         # The copy has no environment, which would be pickled with it.
         make = functools.partial(ProcessEnvs, replace(factory).make)
     else:
-        parts = (threads or count_available_cores()) if factory.has_arrays and backend == THREADS else 1
+        parts = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
     batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], parts)
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 

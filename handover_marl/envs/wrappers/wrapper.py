@@ -8,7 +8,7 @@ from gymnasium.utils import EzPickle
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.episode.camera_observations import CameraFrame
+from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.errors import OptionError, check_name
 
 ByAgent = dict[str, Any]
@@ -135,7 +135,7 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None."""
         return self.env.render()
 
-    def capture_wrist_camera(self) -> CameraFrame:
+    def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera."""
         return self.env.unwrapped.capture_wrist_camera()
 

@@ -9,12 +9,11 @@ from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMo
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
 from handover_marl.episode.referee import Referee, ReleaseReason
-from handover_marl.geometry.arrays import NUMPY_ARRAYS
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices, IntArray
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_batch_worlds
 
-Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 
@@ -87,7 +86,7 @@ class EpisodeBatch:
             self.state[key][row, : len(ids)] = values
         self.state["object_poses"][row] = 0.0
 
-    def advance(self, rows: Rows, robot_targets: Float32, steps: int, giver_actions: Float32) -> None:
+    def advance(self, rows: Indices, robot_targets: Float32, steps: int, giver_actions: Float32) -> None:
         """Simulate up to `steps` physics steps with constant actions, or to each episode's end.
 
         Args:
@@ -109,7 +108,7 @@ class EpisodeBatch:
             running = self.referees.status[rows] == 0
             rows, robot_targets, giver_actions = rows[running], robot_targets[running], giver_actions[running]
 
-    def observe(self, rows: Rows) -> None:
+    def observe(self, rows: Indices) -> None:
         """Read the full state of episodes from the simulation into `state`."""
         state = self.state
         for row in rows.tolist():
@@ -125,11 +124,11 @@ class EpisodeBatch:
         state["released"][rows, 0] = self.released[rows]
         state["time"][rows, 0] = self.referees.steps[rows] * TIME_STEP
 
-    def select_state(self, rows: Rows) -> Observation:
+    def select_state(self, rows: Indices) -> Observation:
         """Return copies (r, ...) of the full state of episodes at their last `observe`."""
         return {key: values[rows] for key, values in self.state.items()}
 
-    def select_giver_observation(self, rows: Rows) -> Observation:
+    def select_giver_observation(self, rows: Indices) -> Observation:
         """Return the givers' observations (r, ...): state, preview of the recording, deviation."""
         shapes = {key: (len(rows), *(self._preview_space[key].shape or ())) for key in _GIVER_KEYS}
         own = {key: np.empty(shape, dtype=np.float32) for key, shape in shapes.items()}
@@ -149,7 +148,7 @@ class EpisodeBatch:
             return Contacts()
         return self._worlds[row].read_contacts(bool(self.released[row]))
 
-    def make_infos(self, rows: Rows) -> dict[str, Rows]:
+    def make_infos(self, rows: Indices) -> dict[str, IntArray]:
         """Return arrays (r,) of scene numbers, status bits, physics steps, and steps and reasons of release."""
         referees = self.referees
         return {
@@ -165,7 +164,7 @@ class EpisodeBatch:
         for world in self._worlds:
             world.close()
 
-    def _release_voluntarily(self, rows: Rows) -> None:
+    def _release_voluntarily(self, rows: Indices) -> None:
         """Release the objects that are still held, by the givers' choice."""
         rows = rows[self.referees.release[rows] < 0]
         self.referees.release[rows], self.referees.release_step[rows] = _VOLUNTARY, self.referees.steps[rows]

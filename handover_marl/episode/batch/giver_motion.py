@@ -14,12 +14,11 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.recordings import NEVER
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
 from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
-from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
+from handover_marl.geometry.arrays import AnyArray, Indices, IntArray, get_namespace, make_constant
 from handover_marl.simulation.kinematic_paths import BASE_JOINTS, ReferenceMotion
 
 Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
-Rows = npt.NDArray[np.int_]
 Flags = npt.NDArray[np.bool_]
 
 
@@ -39,12 +38,12 @@ class PlannedMotion:
         opening: Progress of the hands' opening (r, k), 0 to 1.
     """
 
-    rows: Rows
+    rows: Indices
     references: list[ReferenceMotion]
     clocks: Array
-    frames: Rows
+    frames: Indices
     rates: Array
-    moving: Rows
+    moving: Indices
     offsets: Array
     velocities: Array
     opening: Array
@@ -61,7 +60,7 @@ class GiverMotionBatch:
         config: Limits of the deviation from the recordings.
 
     Attributes:
-        frame: Present frame (n,) of each recording.
+        frame: Current frame (n,) of each recording.
         rate: Playback rates minus 1 (n,).
         offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
         opened: Progress (n,) of each hand's opening, 0 to 1.
@@ -70,7 +69,7 @@ class GiverMotionBatch:
     def __init__(self, count: int, config: GiverConfig) -> None:
         self._config = config
         self._scenes: list[Scene | None] = [None] * count
-        self._present: list[Flags] = [np.zeros(0, dtype=bool)] * count
+        self._hand_present: list[Flags] = [np.zeros(0, dtype=bool)] * count
         self._base_from_wrist = np.zeros((count, 3))
         self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
         self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
@@ -87,7 +86,7 @@ class GiverMotionBatch:
             scene: Scene to play.
         """
         self._scenes[row] = scene
-        self._present[row] = scene.is_hand_present(np.arange(scene.n_frames))
+        self._hand_present[row] = scene.is_hand_present(np.arange(scene.n_frames))
         self._base_from_wrist[row] = find_wrist_offset(scene)
         pick_up = find_pick_up_frame(scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
@@ -106,7 +105,7 @@ class GiverMotionBatch:
         """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad)."""
         return np.concatenate([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1).astype(np.float32)
 
-    def plan(self, rows: Rows, steps: int, actions: Float32, released: Flags, opening: Flags) -> PlannedMotion:
+    def plan(self, rows: Indices, steps: int, actions: Float32, released: Flags, opening: Flags) -> PlannedMotion:
         """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
@@ -137,7 +136,7 @@ class GiverMotionBatch:
             self._open_hands(opening, references, opened)
         return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, opened)
 
-    def commit(self, motion: PlannedMotion, steps: Rows) -> None:
+    def commit(self, motion: PlannedMotion, steps: IntArray) -> None:
         """Advance the playback by the planned steps that were simulated.
 
         Args:
@@ -158,7 +157,7 @@ class GiverMotionBatch:
         self._has_deviated[who] = True
 
     def _apply_offsets(
-        self, who: Rows, moving: Rows, references: list[ReferenceMotion], offsets: Array, released: Flags
+        self, who: Indices, moving: Indices, references: list[ReferenceMotion], offsets: Array, released: Flags
     ) -> None:
         """Move hands and held objects with their wrists' offsets, in the reference motions.
 
@@ -203,21 +202,21 @@ class GiverMotionBatch:
             hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * opened[index, :, None]).astype(np.float32)
             references[index] = ReferenceMotion(before.objects, hand, before.hand_present)
 
-    def _read_frames(self, row: int, frames: Rows) -> ReferenceMotion:
+    def _read_frames(self, row: int, frames: Indices) -> ReferenceMotion:
         scene, first, last = self._scenes[row], int(frames[0]), int(frames[-1])
         if scene is None:
             raise ValueError(f"giver {row} has no scene; call reset() first")
         # A slice needs no copy. At the recording's end, and at other speeds, frames are not consecutive.
         is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
         part = slice(first, last + 1) if is_consecutive else frames
-        return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._present[row][part])
+        return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._hand_present[row][part])
 
 
 def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:
     """Return playback rates minus 1 (r, k) after each of k steps that approach targets with limited slope.
 
     Args:
-        rates: Present rates minus 1 (r,).
+        rates: Current rates minus 1 (r,).
         targets: Rates minus 1 (r,) to reach.
         max_slope: Largest change of a rate (1/s).
         steps: Number k of physics steps.

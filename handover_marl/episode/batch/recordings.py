@@ -14,7 +14,7 @@ from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
 NEVER = np.iinfo(np.int64).max
 
 
-class Frames(NamedTuple):
+class RecordedFrames(NamedTuple):
     """Recorded frames in any batch (...).
 
     Attributes:
@@ -39,7 +39,7 @@ class RecordingBank:
     def __init__(self, config: GiverConfig, arrays: ArrayFactory) -> None:
         self._arrays = arrays
         self._numbers: dict[int, int] = {}
-        self._frames = Frames(
+        self._frames = RecordedFrames(
             RowBank(arrays, (HAND_DOF,), "float32"),
             RowBank(arrays, (), "bool"),
             RowBank(arrays, (MAX_OBJECTS, OBJECT_DOF), "float32"),
@@ -73,10 +73,10 @@ class RecordingBank:
         """Return the positions (n, 3) of the wrists in the frames of the hands' bases (m)."""
         return self._wrists.rows[recordings]
 
-    def read_frames(self, recordings: AnyArray, frames: AnyArray) -> Frames:
+    def read_frames(self, recordings: AnyArray, frames: AnyArray) -> RecordedFrames:
         """Return frames (n, k) of recordings with numbers (n,)."""
         rows = self._bounds.rows[recordings, 0][:, None] + frames
-        return Frames(*(bank.rows[rows] for bank in self._frames))
+        return RecordedFrames(*(bank.rows[rows] for bank in self._frames))
 
     def read_previews(self, recordings: AnyArray, frames: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Return recorded poses at the k preview times after frames (n,); see `observations.MotionPreview`.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from handover_marl.config import TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.giver_motion import ramp_rates
-from handover_marl.episode.batch.recordings import Frames, RecordingBank
+from handover_marl.episode.batch.recordings import RecordedFrames, RecordingBank
 from handover_marl.episode.batch.wrist_offset import track_set_points
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask
 from handover_marl.geometry.poses import (
@@ -49,7 +49,7 @@ class TensorGiverMotion:
         arrays: Creator of tensors on the device.
 
     Attributes:
-        frame: Present frame (n,) of each recording.
+        frame: Current frame (n,) of each recording.
         rate: Playback rates minus 1 (n,).
         offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
         opened: Progress (n,) of each hand's opening, 0 to 1.
@@ -147,7 +147,7 @@ class TensorGiverMotion:
     def _make_reference(
         self,
         rows: AnyArray,
-        recorded: Frames,
+        recorded: RecordedFrames,
         offsets: AnyArray | None,
         moving: AnyArray,
         moves_object: AnyArray,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy
 from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.batch.encodings import find_scheme_batch
@@ -20,7 +20,7 @@ from handover_marl.learning.batch.schemes import SchemeBatch
 from handover_marl.learning.grasp_selector import get_grasp_selector
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
-from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch, Rows
+from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
 from handover_marl.policies.policy import Policy
 
 
@@ -94,7 +94,7 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
         self._features.reset(row)
         self._scheme.reset(row)
 
-    def decide(self, rows: Rows, observation: Observation) -> Actions:
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, ...); evaluate the network for episodes whose action scheme needs outputs.
 
         Raises:

@@ -68,7 +68,7 @@ class ArticulatedBody:
     """PyBullet body from a URDF file, with a fixed base and a position motor in each moving joint.
 
     The order of loading is HandoverSim's: base pose, joint states, collision masks, contact
-    parameters. A change of masks adds a body to the broad phase with its present bounding box;
+    parameters. A change of masks adds a body to the broad phase with its current bounding box;
     another order would shift the step at which colliding pairs are found, and with it all later
     states by 1e-7.
 

@@ -186,7 +186,7 @@ class WarpGroup:
             return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Store the present states of the running worlds (r,) of a rollout; the others have their last states."""
+        """Store the current states of the running worlds (r,) of a rollout; the others have their last states."""
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.states.items():
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
