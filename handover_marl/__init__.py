@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from handover_marl.learning.adapters.export import export_policy as export_policy
     from handover_marl.learning.encodings.choices import declare_size as declare_size
     from handover_marl.learning.encodings.custom_features import FeatureExtractor as FeatureExtractor
-    from handover_marl.simulation.camera.frames import SegmentationLabel as SegmentationLabel
+    from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
     from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
 # Modules of the public names, imported at first use to keep the import fast.
@@ -84,7 +84,7 @@ _MODULES = {
     "FeatureExtractor": "learning.encodings.custom_features",
     "HandoverEnv": "envs.handover_env",
     "Report": "evaluation.reports.report",
-    "SegmentationLabel": "simulation.camera.frames",
+    "SegmentationLabel": "simulation.camera.images",
     "TermWeights": "envs.reward_terms",
     "Transition": "envs.transition",
     "WorldConfig": "config",

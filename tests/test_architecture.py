@@ -80,7 +80,7 @@ def users_of(package: str) -> set[str]:
     ("engine", "packages"),
     [
         ("pybullet", {"simulation.bullet"}),
-        ("mujoco", {"simulation.mujoco", "simulation.mujoco.batches"}),
+        ("mujoco", {f"simulation.mujoco{name}" for name in ("", ".batches", ".models")}),
         ("mujoco_warp", {"simulation.mujoco.batches"}),
         ("warp", {"simulation", "simulation.camera", "simulation.mujoco.batches"}),
     ],

@@ -26,7 +26,7 @@ from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory, to_numpy
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.reference import parse_policy
-from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import ImageBatch, WarpCamera
 from handover_marl.simulation.engines import CUDA, MUJOCO, WARP, BatchBackend, check_backend

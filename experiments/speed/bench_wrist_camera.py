@@ -26,7 +26,7 @@ from handover_marl.episode.loop import play
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.reference import parse_policy
-from handover_marl.simulation.camera.frames import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
 
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -112,7 +112,7 @@ class RendererComparison(EpisodeCallback):
         stamps.append(time.process_time())
         rays = self._camera.render_wrist_camera(now, color=False)
         stamps.append(time.process_time())
-        bullet = world.render_wrist_camera(color=False)
+        bullet = world.render_wrist_camera(None, color=False)
         stamps.append(time.process_time())
         self.pairs.append((bullet, rays))
         self.times.append(tuple(np.diff(stamps).tolist()))

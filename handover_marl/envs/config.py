@@ -12,8 +12,8 @@ from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.panda import PANDA
-from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.simulation.engines import check_physics
 

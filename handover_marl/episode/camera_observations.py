@@ -21,16 +21,9 @@ from handover_marl.episode.spaces import (
 from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.camera.frames import (
-    CAMERA_MODELS,
-    HANDOVERSIM_MODEL,
-    IMAGE_SIZE,
-    N_PIXELS,
-    CameraImage,
-    SegmentationLabel,
-    deproject,
-)
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
+from handover_marl.simulation.camera.optics import CAMERA_MODELS, HANDOVERSIM_MODEL, IMAGE_SIZE, N_PIXELS, deproject
 from handover_marl.simulation.camera.renderers import BULLET, RENDERERS, resolve_renderer
 from handover_marl.simulation.world import JointSnapshot, World
 
@@ -286,18 +279,18 @@ class WristCamera:
             raise ResetNeededError("the episode has not started; call reset() first")
         if self._renderer is None:
             self._renderer = resolve_renderer(self._config.renderer, self._physics)
-        at = self._history[0] if self.has_latency else None
+        earlier = self._history[0] if self.has_latency else None
         if self._renderer == BULLET:
-            return world.render_wrist_camera(color, at)
+            return world.render_wrist_camera(earlier, color)
         if self._ray_camera is None:
             # Imported here: ray casting needs an extra.
             from handover_marl.simulation.camera.ray_camera import RayCamera
 
             self._ray_camera = RayCamera(self._scene.assets, self._world_config)
-        now = at or world.read_joint_snapshot()
+        snapshot = earlier or world.read_joint_snapshot()
         if content == _WHOLE:
-            return self._ray_camera.render_wrist_camera(now, color)
-        return self._ray_camera.render_targets(now, with_others=content == _OBJECTS)
+            return self._ray_camera.render_wrist_camera(snapshot, color)
+        return self._ray_camera.render_targets(snapshot, with_others=content == _OBJECTS)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""

@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
 from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset, track_set_point
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.simulation.kinematic_paths import BASE_JOINTS, WRIST_LINK, ReferenceMotion
+from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
 FrameIndices = npt.NDArray[np.int_]
 

@@ -4,10 +4,8 @@ import math
 from enum import Enum, IntFlag
 from typing import NamedTuple
 
-import numpy as np
-
 from handover_marl.config import ProtocolConfig
-from handover_marl.simulation.contacts import Contacts, Points
+from handover_marl.simulation.contacts import Contacts, find_points_in_grasp_region
 
 
 class ReleaseReason(Enum):
@@ -85,7 +83,6 @@ class Referee:
         self.release_step: int | None = None
         self.released = False
         self._config = config
-        self._lower, self._upper = np.array(config.region_lower), np.array(config.region_upper)
         # Consecutive steps in which the condition of an active or a passive release, or of success, has held.
         self._active_steps = self._passive_steps = self._goal_steps = 0
 
@@ -129,15 +126,12 @@ class Referee:
         if not contacts.robot_touches_object:
             self._active_steps = self._passive_steps = 0
             return None
-        left, right = (self._is_in_grasp_region(points) for points in contacts.finger_points)
+        left, right = (find_points_in_grasp_region(points, self._config).any() for points in contacts.finger_points)
         self._active_steps = self._active_steps + 1 if left and right else 0
         self._passive_steps = self._passive_steps + 1 if not (left or right) else 0
         if self._active_steps >= self._config.release_steps:
             return ReleaseReason.ACTIVE
         return ReleaseReason.PASSIVE if self._passive_steps >= self._config.release_steps else None
-
-    def _is_in_grasp_region(self, points: Points) -> bool:
-        return bool(((points > self._lower) & (points < self._upper)).all(axis=1).any())
 
     def _judge_status(self, contacts: Contacts) -> EpisodeStatus:
         status = EpisodeStatus.HUMAN_CONTACT if contacts.robot_touches_hand else EpisodeStatus.RUNNING

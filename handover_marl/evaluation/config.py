@@ -23,8 +23,8 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import LOCAL, PoolConfig, check_boolean, check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
-from handover_marl.simulation.camera.frames import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.engines import check_physics
 

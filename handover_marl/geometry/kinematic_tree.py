@@ -82,6 +82,7 @@ class KinematicTree:
     Attributes:
         joints: Joints by link number; joint i connects link i to its parent link.
         n_dof: Number of moving joints.
+        moving_links: Child links of the moving joints, in the order of the joint positions.
         constants: Constants of the joints.
         columns: Index (L,) in the joint positions of each link's joint; `n_dof` for fixed joints.
         levels: Links and their parents, level by level from the children of the base's children on.
@@ -91,6 +92,7 @@ class KinematicTree:
         self.joints = tuple(joints)
         is_moving = [joint.kind in (*_REVOLUTE, *_PRISMATIC) for joint in joints]
         self.n_dof = sum(is_moving)
+        self.moving_links: list[int] = np.flatnonzero(is_moving).tolist()
         # Fixed joints read the zero that is appended to the joint positions.
         self.columns = np.where(is_moving, np.cumsum(is_moving) - 1, self.n_dof).astype(np.int64)
         # Reshaped for models without joints.
@@ -135,6 +137,14 @@ class KinematicTree:
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
         return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
+
+    def get_link(self, name: str) -> int:
+        """Return the number of the link with a name.
+
+        Raises:
+            ValueError: There is no such link.
+        """
+        return [joint.link for joint in self.joints].index(name)
 
     def list_revolute_joints(self, link: int) -> list[int]:
         """List the child links of the revolute joints from the base to a link, in this order.

@@ -212,7 +212,7 @@ class PandaIkSolver(IkSolver):
         self._arm = IndependentArmKinematics(tree)
         self._base = np.array([*config.base_position, *config.base_orientation])
         self._base_from_world = invert_pose(self._base)
-        hand = [joint.link for joint in tree.joints].index(HAND_LINK)
+        hand = tree.get_link(HAND_LINK)
         self._reach = ReachabilityBound(tree, hand, self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compute_rotation_angle, quaternion_from_matrix, transform_points
+from handover_marl.simulation.contacts import find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
 
@@ -134,10 +135,7 @@ class GraspValidator(ABC):
     def _is_gripped(self) -> bool:
         """Return whether both fingers press on the object inside HandoverSim's grasp region."""
         rule = ProtocolConfig()
-        for local in self._read_finger_points():
-            if not ((local > rule.region_lower) & (local < rule.region_upper)).all(axis=1).any():
-                return False
-        return True
+        return all(find_points_in_grasp_region(points, rule).any() for points in self._read_finger_points())
 
     def _read_gripped_pose(self, grasp: Array) -> Array:
         """Return the pose (7,) of the gripped object point relative to the fingers.

@@ -11,9 +11,9 @@ from typing_extensions import Self
 
 from handover_marl.config import CameraConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.simulation.camera.frames import CameraImage
+from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.contacts import ContactBatch, Contacts
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +131,12 @@ class World(ABC):
         """Render the current world state as an RGB image (height, width, 3), uint8."""
 
     @abstractmethod
-    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera with the engine's renderer.
 
         Args:
+            snapshot: Earlier state of the same scene to render; None is the current state.
             color: Whether to render colors.
-            at: Earlier state of the same scene to render; None is the current state.
         """
 
     @abstractmethod

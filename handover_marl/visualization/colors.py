@@ -1,6 +1,6 @@
 """Colors of the segmentation labels in figures and replays."""
 
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 
 #: Colors as HTML and matplotlib write them, "#rrggbb".
 LABEL_COLORS = {

@@ -12,7 +12,7 @@ from handover_marl.config import TIME_STEP, CameraConfig
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
 from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.visualization.colors import LABEL_COLORS
 from handover_marl.visualization.replay_bodies import (
     LinkTrajectory,

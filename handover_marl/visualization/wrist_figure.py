@@ -10,7 +10,8 @@ from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
-from handover_marl.simulation.camera.frames import EMPTY_DEPTH, FAR, SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, FAR
 from handover_marl.visualization.colors import LABEL_COLORS
 from handover_marl.visualization.video import format_caption
 

@@ -33,15 +33,9 @@ from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import Policy
 from handover_marl.simulation.bullet.fast_world import FastWorld
-from handover_marl.simulation.camera.frames import (
-    EMPTY_DEPTH,
-    HANDOVERSIM_MODEL,
-    PINHOLE_MODEL,
-    CameraImage,
-    SegmentationLabel,
-    deproject,
-)
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, HANDOVERSIM_MODEL, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import World
 

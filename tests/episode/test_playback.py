@@ -17,7 +17,7 @@ from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
-from handover_marl.simulation.kinematic_paths import ReferenceMotion, select_keypoint_links
+from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links
 
 SCENE = SyntheticDataset().load_scene(209)
 CONFIG = GiverConfig()

@@ -13,7 +13,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import JointSnapshot
 from tests.conftest import RECORDINGS
@@ -87,7 +87,7 @@ def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: Official
     alike, either, apart = 0, 0, []
     for _ in range(5):
         episode.advance(start, 600)
-        drawn = episode.world.render_wrist_camera(color=False)
+        drawn = episode.world.render_wrist_camera(None, color=False)
         cast = camera.render_wrist_camera(episode.world.read_joint_snapshot(), color=False)
         for seen in (SegmentationLabel.TARGET, SegmentationLabel.HAND):
             both = drawn.compute_mask(seen) & cast.compute_mask(seen)

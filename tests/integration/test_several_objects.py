@@ -19,7 +19,7 @@ from handover_marl.geometry.poses import transform_points
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.bullet.fast_world import FastWorld
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from tests.integration.test_reference import SEVERAL
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)

@@ -21,7 +21,7 @@ from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import Receiver, make
-from handover_marl.simulation.camera.frames import SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.visualization.replay_bodies import (
     compute_link_trajectories,
     compute_robot_link_poses,

@@ -12,7 +12,7 @@ from handover_marl.episode.camera_observations import (
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import POINTCLOUD, RGBD, SCENE_POINTCLOUD, get_camera_data_kind
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
-from handover_marl.simulation.camera.frames import N_PIXELS, compute_points
+from handover_marl.simulation.camera.optics import N_PIXELS, compute_points
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
 
 #: Kinds of camera data that are rendered on a device.

@@ -15,7 +15,7 @@ from handover_marl.episode.batch.recordings import NEVER
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
 from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
 from handover_marl.geometry.arrays import AnyArray, Indices, IntArray, get_namespace, make_constant
-from handover_marl.simulation.kinematic_paths import BASE_JOINTS, ReferenceMotion
+from handover_marl.simulation.reference_tracking import BASE_JOINTS, ReferenceMotion
 
 Array = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]

@@ -12,7 +12,7 @@ from handover_marl.geometry.arrays import AnyArray, expand_mask, make_tensor_fac
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.engines import make_device_worlds
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 # Physics steps for which the givers' motion is planned at a time.
 _PLANNED_STEPS = 200

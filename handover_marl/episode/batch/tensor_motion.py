@@ -19,7 +19,7 @@ from handover_marl.geometry.poses import (
     rotate_points,
 )
 from handover_marl.geometry.rotations import euler_from_quaternions, quaternions_from_rotation_vectors
-from handover_marl.simulation.kinematic_paths import BASE_JOINTS
+from handover_marl.simulation.reference_tracking import BASE_JOINTS
 from handover_marl.simulation.tensor_state import ReferenceBatch
 
 _HALF = BASE_JOINTS // 2

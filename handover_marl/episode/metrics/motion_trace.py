@@ -14,7 +14,7 @@ from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query
-from handover_marl.simulation.kinematic_paths import WRIST_LINK
+from handover_marl.simulation.reference_tracking import WRIST_LINK
 
 if TYPE_CHECKING:
     from handover_marl.episode.episode import Episode

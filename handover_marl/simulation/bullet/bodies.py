@@ -17,7 +17,7 @@ from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import SCENE_CLASSES
 from handover_marl.simulation.bullet.body import ArticulatedBody, ContactParameters, InitialState
 from handover_marl.simulation.bullet.client import BulletClient, to_float32_list
-from handover_marl.simulation.kinematic_paths import list_hand_motors, list_object_motors, select_keypoint_links
+from handover_marl.simulation.reference_tracking import list_hand_motors, list_object_motors, select_keypoint_links
 
 #: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
 #: the hand. Before its release an object collides with the Panda only, see `compute_object_masks`.

@@ -46,6 +46,9 @@ require_pybullet("this", "take physics='mujoco'")
 with _silence_stderr():
     import pybullet
 
+#: Fields of a PyBullet contact point or closest point.
+CONTACT_BODY_B, CONTACT_LINK_A, CONTACT_POSITION_ON_A, CONTACT_DISTANCE, CONTACT_NORMAL_FORCE = 2, 3, 5, 8, 9
+
 # Straight up or down PyBullet's window has no upward direction and stays empty (degrees).
 _MAX_PITCH = 89.9
 

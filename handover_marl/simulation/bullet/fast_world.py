@@ -17,7 +17,6 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.exact_world import BulletWorld
 from handover_marl.simulation.bullet.shapes import VisualBodies, read_bounding_spheres
 from handover_marl.simulation.bullet.sleepable_bodies import (
     HandCollisionModel,
@@ -26,10 +25,11 @@ from handover_marl.simulation.bullet.sleepable_bodies import (
     SleepableObject,
     load_hand_collision_model,
 )
-from handover_marl.simulation.camera.frames import CameraImage
-from handover_marl.simulation.contact_horizon import RobotMotionBounds
+from handover_marl.simulation.bullet.world import BulletWorld
+from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.motion_bounds import RobotMotionBounds
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import JointSnapshot
 
 _NO_CONTACTS = Contacts()
@@ -133,9 +133,9 @@ class FastWorld(BulletWorld):
             return super().render(camera)
         return self._scene_renderer.render_overview(self.read_joint_snapshot(), camera)
 
-    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""
-        return self._scene_renderer.render_wrist_camera(at or self.read_joint_snapshot(), color)
+        return self._scene_renderer.render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
 
     def _remove_scene_bodies(self) -> None:
         if self._visual_bodies is not None:

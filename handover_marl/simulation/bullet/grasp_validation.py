@@ -14,14 +14,19 @@ from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, ObjectConfi
 from handover_marl.geometry.kinematic_tree import parse_urdf
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points
-from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
+from handover_marl.simulation.bullet.client import (
+    CONTACT_LINK_A,
+    CONTACT_NORMAL_FORCE,
+    CONTACT_POSITION_ON_A,
+    BulletClient,
+    connect,
+    load_urdf,
+)
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
-from handover_marl.simulation.kinematic_paths import list_object_motors
+from handover_marl.simulation.reference_tracking import list_object_motors
 
 Array = npt.NDArray[np.float64]
 
-# Fields of a PyBullet contact point.
-_LINK_A, _POSITION_ON_A, _NORMAL_FORCE = 3, 5, 9
 _HAND_LINKS = (HAND_LINK, *FINGER_LINKS)
 
 
@@ -99,11 +104,11 @@ class BulletGraspValidator(GraspValidator):
         return left, right
 
     def _select_finger_points(self, finger: int, points: Sequence[Any]) -> Array:
-        pressing = [point for point in points if point[_LINK_A] == finger and point[_NORMAL_FORCE] > 0.0]
+        pressing = [point for point in points if point[CONTACT_LINK_A] == finger and point[CONTACT_NORMAL_FORCE] > 0.0]
         if not pressing:
             return np.zeros((0, 3))
         state = self._client.getLinkState(self._hand, finger, computeForwardKinematics=1)
-        positions = np.array([point[_POSITION_ON_A] for point in pressing])
+        positions = np.array([point[CONTACT_POSITION_ON_A] for point in pressing])
         return np.asarray(inverse_transform_points(state[4] + state[5], positions))
 
     def _read_object_pose(self) -> Array:

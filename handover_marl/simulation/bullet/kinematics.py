@@ -17,7 +17,7 @@ from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import compute_rotation_angle, invert_pose, multiply_quaternions, transform_points
 from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
 from handover_marl.simulation.bullet.body import INERTIAL_POSE, reset_base
-from handover_marl.simulation.bullet.client import connect, load_urdf
+from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
 from handover_marl.simulation.bullet.shapes import read_bounding_spheres
 from handover_marl.simulation.clearance import DistanceQuery
 
@@ -29,8 +29,6 @@ _ANGLE_TOLERANCE = 0.1
 _MAX_ROUNDS = 1000
 _ARM_JOINTS = tuple(range(ARM_DOF))
 _HAND_CONFIG = HandConfig()
-# Field of a PyBullet closest point.
-_DISTANCE = 8
 
 
 class BulletIKStep:
@@ -98,7 +96,7 @@ class BulletIKSolver:
         world_from_base = np.array([*config.base_position, *config.base_orientation])
         reset_base(self._client, self._body, world_from_base)
         tree = read_tree(urdf)
-        self._hand_link = [joint.link for joint in tree.joints].index(HAND_LINK)
+        self._hand_link = tree.get_link(HAND_LINK)
         # Bullet reports link states at the centre of mass.
         hand_from_mass = np.concatenate(self._client.getDynamicsInfo(self._body, self._hand_link)[INERTIAL_POSE])
         self._mass_from_hand = invert_pose(hand_from_mass)
@@ -194,7 +192,7 @@ class BulletDistanceQuery(DistanceQuery):
         body = self._hands[hand_urdf]
         body.reset_joints_at_rest(hand)
         points = self._client.getClosestPoints(self._panda.id, body.id, max_distance)
-        return min((float(point[_DISTANCE]) for point in points), default=max_distance)
+        return min((float(point[CONTACT_DISTANCE]) for point in points), default=max_distance)
 
     def close(self) -> None:
         """Disconnect from the PyBullet physics server."""

@@ -15,15 +15,8 @@ from handover_marl.geometry.poses import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient, connect
-from handover_marl.simulation.camera.frames import (
-    FAR,
-    FIELD_OF_VIEW,
-    IMAGE_SIZE,
-    NEAR,
-    CameraImage,
-    SegmentationLabel,
-    depth_from_buffer,
-)
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZE, NEAR, depth_from_buffer
 from handover_marl.simulation.world import JointSnapshot
 
 # Rotation from the renderer's view (along negative z, y up) to the camera's URDF link, with HandoverSim's rounding.
@@ -136,29 +129,29 @@ class SceneRenderer:
         ]
         self._hand: HandBody | None = None
 
-    def render_overview(self, now: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+    def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render an RGB image (height, width, 3) of the scene at given joint positions."""
-        self._set_joints(now)
+        self._set_joints(snapshot)
         return render_overview(self._client, camera)
 
-    def render_wrist_camera(self, now: JointSnapshot, color: bool) -> CameraImage:
+    def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render an image of the wrist camera at given joint positions of all bodies."""
-        self._set_joints(now)
+        self._set_joints(snapshot)
         objects = [body.id for body in self._objects]
         hand = None if self._hand is None else self._hand.id
         labels = label_bodies(self._workcell.table_id, self._workcell.panda.id, objects, hand)
         return render_wrist_camera(self._client, self._workcell.panda, labels, color)
 
-    def _set_joints(self, now: JointSnapshot) -> None:
-        self._workcell.panda.reset_joints(now.robot.tolist())
-        for body, dof in zip(self._objects, now.objects.tolist(), strict=True):
+    def _set_joints(self, snapshot: JointSnapshot) -> None:
+        self._workcell.panda.reset_joints(snapshot.robot.tolist())
+        for body, dof in zip(self._objects, snapshot.objects.tolist(), strict=True):
             body.reset_joints(dof)
-        if now.hand is None:
+        if snapshot.hand is None:
             if self._hand is not None:
                 self._hand.remove()
                 self._hand = None
             return
-        dof = now.hand.tolist()
+        dof = snapshot.hand.tolist()
         if self._hand is None:
             self._hand = HandBody(self._client, self.scene.assets.hand, dof, self._config.hand)
         self._hand.reset_joints(dof)

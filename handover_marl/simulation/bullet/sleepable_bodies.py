@@ -19,7 +19,7 @@ from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.body import InitialState
 from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.bullet.shapes import create_collision_shape, read_bounding_spheres
-from handover_marl.simulation.kinematic_paths import (
+from handover_marl.simulation.reference_tracking import (
     BASE_JOINTS,
     HandTrajectory,
     ObjectTrajectory,
@@ -227,7 +227,7 @@ class KinematicHand(HandTrajectory):
         if not self._present[row + 1]:
             self.remove()
             return
-        joints = self._path[row + 1]
+        joints = self._joints[row + 1]
         if self._bodies_at is not None and np.abs(joints - self._bodies_at).max() < _REST_TOLERANCE:
             return
         self._bodies_at = joints
@@ -253,7 +253,7 @@ class KinematicHand(HandTrajectory):
         The poses are those before the first and after each of n steps.
         """
         shapes = self.model.shapes
-        links = self.model.tree.compute_link_poses(self._path, [shape.link for shape in shapes])
+        links = self.model.tree.compute_link_poses(self._joints, [shape.link for shape in shapes])
         poses = [compose(links[:, number], shape.link_from_shape) for number, shape in enumerate(shapes)]
         return np.stack(poses, axis=1)
 

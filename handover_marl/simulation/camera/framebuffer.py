@@ -3,7 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.simulation.camera.frames import (
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import (
     EMPTY_DEPTH,
     FAR,
     GROUND,
@@ -15,8 +16,6 @@ from handover_marl.simulation.camera.frames import (
     SAMPLE_OFFSET_PX,
     SHADE,
     SKY,
-    CameraImage,
-    SegmentationLabel,
 )
 from handover_marl.simulation.camera.ray_body import PosedMeshes
 from handover_marl.simulation.camera.screen_bounds import Pixels, find_candidate_pixels, split_pixels_by_part

@@ -10,7 +10,8 @@ from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_fil
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.errors import OptionError, check_name
-from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH
 
 
 @dataclass(frozen=True)

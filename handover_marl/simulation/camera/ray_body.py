@@ -15,12 +15,8 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
-from handover_marl.simulation.camera.frames import (
-    BACK_FACE_OFFSET,
-    INVISIBLE_LINKS,
-    MAX_BACK_FACES,
-    SegmentationLabel,
-)
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import BACK_FACE_OFFSET, INVISIBLE_LINKS, MAX_BACK_FACES
 
 Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]

@@ -11,12 +11,8 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.framebuffer import Framebuffer
-from handover_marl.simulation.camera.frames import (
-    CAMERA_POSITION_IN_HAND,
-    HAND_FROM_CAMERA,
-    CameraImage,
-    SegmentationLabel,
-)
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
 from handover_marl.simulation.camera.ray_body import PosedMeshes, load_ray_body
 from handover_marl.simulation.world import JointSnapshot
 
@@ -44,47 +40,47 @@ class RayCamera:
         self._others = [load_ray_body(urdf, SegmentationLabel.OTHER_OBJECT) for urdf in assets.objects[1:]]
         self._hand = load_ray_body(assets.hand, SegmentationLabel.HAND)
 
-    def render_wrist_camera(self, now: JointSnapshot, color: bool) -> CameraImage:
+    def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render the wrist-camera image with all bodies of the scene.
 
         Args:
-            now: Joint positions of all bodies.
+            snapshot: Joint positions of all bodies.
             color: Whether to render the colours of the models' materials; textures are ignored.
         """
-        buffer = Framebuffer(*self._compute_camera_frame(now), color)
+        buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
         buffer.add_ground()
-        for meshes in [*self._pose_targets(now), *self._pose_occluders(now)]:
+        for meshes in [*self._pose_targets(snapshot), *self._pose_occluders(snapshot)]:
             buffer.add(meshes)
         return buffer.to_image()
 
-    def render_targets(self, now: JointSnapshot, with_others: bool = False) -> CameraImage:
+    def render_targets(self, snapshot: JointSnapshot, with_others: bool = False) -> CameraImage:
         """Render the visible pixels of target object and human hand; all others are background.
 
         Args:
-            now: Joint positions of all bodies.
+            snapshot: Joint positions of all bodies.
             with_others: Whether to render the other objects, too.
         """
-        buffer = Framebuffer(*self._compute_camera_frame(now))
-        drawn = [*self._pose_targets(now), *(self._pose_others(now) if with_others else [])]
+        buffer = Framebuffer(*self._compute_camera_frame(snapshot))
+        drawn = [*self._pose_targets(snapshot), *(self._pose_others(snapshot) if with_others else [])]
         # Pixels of the object that the hand occludes appear twice, which does no harm.
         pixels = np.concatenate([buffer.add(meshes) for meshes in drawn])
         pixels = buffer.remove_below_ground(pixels)
         corners = buffer.compute_frustum_corners(pixels)
-        for meshes in self._pose_occluders(now, with_others=not with_others):
+        for meshes in self._pose_occluders(snapshot, with_others=not with_others):
             pixels = buffer.remove_occluded_by(meshes, pixels, corners)
         return buffer.to_image()
 
-    def _compute_camera_frame(self, now: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        rotation, origin = self._panda.compute_link_frame(self._hand_link, now.robot)
+    def _compute_camera_frame(self, snapshot: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        rotation, origin = self._panda.compute_link_frame(self._hand_link, snapshot.robot)
         return rotation @ np.array(HAND_FROM_CAMERA), origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
 
-    def _pose_targets(self, now: JointSnapshot) -> list[PosedMeshes]:
-        hand = [] if now.hand is None else [self._hand.pose_meshes(now.hand)]
-        return [self._target.pose_meshes(now.objects[0]), *hand]
+    def _pose_targets(self, snapshot: JointSnapshot) -> list[PosedMeshes]:
+        hand = [] if snapshot.hand is None else [self._hand.pose_meshes(snapshot.hand)]
+        return [self._target.pose_meshes(snapshot.objects[0]), *hand]
 
-    def _pose_others(self, now: JointSnapshot) -> list[PosedMeshes]:
-        return [body.pose_meshes(joints) for body, joints in zip(self._others, now.objects[1:], strict=True)]
+    def _pose_others(self, snapshot: JointSnapshot) -> list[PosedMeshes]:
+        return [body.pose_meshes(joints) for body, joints in zip(self._others, snapshot.objects[1:], strict=True)]
 
-    def _pose_occluders(self, now: JointSnapshot, with_others: bool = True) -> list[PosedMeshes]:
-        others = self._pose_others(now) if with_others else []
-        return [self._panda.pose_meshes(now.robot), *others, self._table.pose_meshes(_NO_JOINTS)]
+    def _pose_occluders(self, snapshot: JointSnapshot, with_others: bool = True) -> list[PosedMeshes]:
+        others = self._pose_others(snapshot) if with_others else []
+        return [self._panda.pose_meshes(snapshot.robot), *others, self._table.pose_meshes(_NO_JOINTS)]

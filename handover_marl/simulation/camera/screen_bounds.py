@@ -6,7 +6,7 @@ Triangle vertices are in the camera's frame: x right, y down, z ahead (m). Pixel
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.simulation.camera.frames import HALF_SIZE_PX, IMAGE_SIZE, NEAR, SAMPLE_OFFSET_PX
+from handover_marl.simulation.camera.optics import HALF_SIZE_PX, IMAGE_SIZE, NEAR, SAMPLE_OFFSET_PX
 
 Array = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]

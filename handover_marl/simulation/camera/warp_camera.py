@@ -18,13 +18,8 @@ from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.geometry.tree_bank import TreeBank
-from handover_marl.simulation.camera.frames import (
-    CAMERA_POSITION_IN_HAND,
-    HAND_FROM_CAMERA,
-    INVISIBLE_LINKS,
-    N_PIXELS,
-    SegmentationLabel,
-)
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
 from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
 from handover_marl.simulation.camera.warp_meshes import WORLD, DeviceMesh, MeshBank
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
@@ -119,25 +114,25 @@ class WarpCamera:
         self._slots[row] = 0
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
-    def render_wrist_camera(self, rows: AnyArray, now: JointSnapshotBatch, color: bool) -> ImageBatch:
+    def render_wrist_camera(self, rows: AnyArray, snapshots: JointSnapshotBatch, color: bool) -> ImageBatch:
         """Render wrist-camera images with all bodies of the scenes.
 
         Args:
             rows: Numbers (r,) of the worlds.
-            now: Joint positions and poses of their bodies.
+            snapshots: Joint positions and poses of their bodies.
             color: Whether to render the colours of the models' materials; textures are ignored.
         """
-        return self._render(rows, now, tuple(SegmentationLabel), color)
+        return self._render(rows, snapshots, tuple(SegmentationLabel), color)
 
-    def render_targets(self, rows: AnyArray, now: JointSnapshotBatch, with_others: bool = False) -> ImageBatch:
+    def render_targets(self, rows: AnyArray, snapshots: JointSnapshotBatch, with_others: bool = False) -> ImageBatch:
         """Render the visible pixels of target objects and human hands; all others are background.
 
         Args:
             rows: Numbers (r,) of the worlds.
-            now: Joint positions and poses of their bodies.
+            snapshots: Joint positions and poses of their bodies.
             with_others: Whether to render the other objects, too.
         """
-        return self._render(rows, now, _OBJECTS if with_others else _TARGETS, False)
+        return self._render(rows, snapshots, _OBJECTS if with_others else _TARGETS, False)
 
     def sample_pixels(
         self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream: int
@@ -173,36 +168,13 @@ class WarpCamera:
         self._slots = self._slots[:, :0]
 
     def _render(
-        self, rows: AnyArray, now: JointSnapshotBatch, wanted: tuple[SegmentationLabel, ...], color: bool
+        self, rows: AnyArray, snapshots: JointSnapshotBatch, wanted: tuple[SegmentationLabel, ...], color: bool
     ) -> ImageBatch:
         if self._bank is None:
             raise ResetNeededError("no world has a scene; call reset() first")
-        arrays, xp, bank = self._arrays, self._arrays.xp, self._bank
+        arrays, xp = self._arrays, self._arrays.xp
         with self._device.use():
-            origins, rotations = self._compute_frames(rows, now)
-            hand_origin, hand_rotation = origins[:, self._hand_link], rotations[:, self._hand_link]
-            camera = hand_rotation @ self._hand_from_camera
-            pinhole = hand_origin + (hand_rotation @ self._camera_position[:, None])[..., 0]
-            slots = self._slots[rows]
-            meshes, frames, labels = slots[..., _MESH], slots[..., _FRAME], slots[..., _LABEL]
-            is_absent = (labels == int(SegmentationLabel.HAND)) & ~now.hand_present[:, None]
-            meshes = xp.where(is_absent, 0, meshes)
-            worlds = arrays.arange(len(rows))[:, None]
-            turns = camera[:, None].mT @ rotations[worlds, frames]
-            places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ camera[:, None])[..., 0, :]
-            spheres = widen(bank.spheres.rows[meshes])
-            centers = places + (turns @ spheres[..., :3, None])[..., 0]
-            inputs = (
-                (bank.identifiers.rows[meshes], warp.int64),
-                (labels, warp.int64),
-                (turns, warp.mat33),
-                (places, warp.vec3),
-                (xp.concat([centers, spheres[..., 3:]], axis=-1), warp.vec4),
-                (bank.first_colors.rows[meshes], warp.int64),
-                (bank.colors.rows, warp.vec3),
-                (camera, warp.mat33),
-                (pinhole[:, 2], warp.float32),
-            )
+            inputs = self._make_kernel_inputs(self._bank, rows, snapshots)
             shape = (len(rows), N_PIXELS)
             depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
             segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
@@ -210,14 +182,39 @@ class WarpCamera:
             warp.launch(
                 render_images,
                 shape,
-                [
-                    *(self._convert(tensor, dtype) for tensor, dtype in inputs),
-                    sum(1 << label for label in wanted),
-                    SegmentationLabel.BACKGROUND in wanted,
-                ],
+                [*inputs, sum(1 << label for label in wanted), SegmentationLabel.BACKGROUND in wanted],
                 [warp.from_torch(tensor) for tensor in (depth, segmentation, rgb)],
             )
         return ImageBatch(depth, segmentation, rgb if color else None)
+
+    def _make_kernel_inputs(self, bank: MeshBank, rows: AnyArray, snapshots: JointSnapshotBatch) -> "list[warp.array]":
+        """Make the first inputs of `render_images`: meshes of the worlds in the frame of the camera, and the camera."""
+        xp = self._arrays.xp
+        origins, rotations = self._compute_frames(rows, snapshots)
+        hand_origin, hand_rotation = origins[:, self._hand_link], rotations[:, self._hand_link]
+        camera = hand_rotation @ self._hand_from_camera
+        pinhole = hand_origin + (hand_rotation @ self._camera_position[:, None])[..., 0]
+        slots = self._slots[rows]
+        meshes, frames, labels = slots[..., _MESH], slots[..., _FRAME], slots[..., _LABEL]
+        is_absent = (labels == int(SegmentationLabel.HAND)) & ~snapshots.hand_present[:, None]
+        meshes = xp.where(is_absent, 0, meshes)
+        worlds = self._arrays.arange(len(rows))[:, None]
+        turns = camera[:, None].mT @ rotations[worlds, frames]
+        places = ((origins[worlds, frames] - pinhole[:, None])[..., None, :] @ camera[:, None])[..., 0, :]
+        spheres = widen(bank.spheres.rows[meshes])
+        centers = places + (turns @ spheres[..., :3, None])[..., 0]
+        inputs = (
+            (bank.identifiers.rows[meshes], warp.int64),
+            (labels, warp.int64),
+            (turns, warp.mat33),
+            (places, warp.vec3),
+            (xp.concat([centers, spheres[..., 3:]], axis=-1), warp.vec4),
+            (bank.first_colors.rows[meshes], warp.int64),
+            (bank.colors.rows, warp.vec3),
+            (camera, warp.mat33),
+            (pinhole[:, 2], warp.float32),
+        )
+        return [self._convert(tensor, dtype) for tensor, dtype in inputs]
 
     def _convert(self, tensor: AnyArray, dtype: type) -> "warp.array":
         """Return a tensor as an array of Warp, with float64 numbers rounded to float32."""
@@ -225,13 +222,13 @@ class WarpCamera:
         own = xp.astype(tensor, xp.float32) if tensor.dtype == xp.float64 else tensor
         return warp.from_torch(own.contiguous(), dtype)
 
-    def _compute_frames(self, rows: AnyArray, now: JointSnapshotBatch) -> tuple[AnyArray, AnyArray]:
+    def _compute_frames(self, rows: AnyArray, snapshots: JointSnapshotBatch) -> tuple[AnyArray, AnyArray]:
         """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames that mesh slots refer to."""
         xp = self._arrays.xp
-        origins, rotations = self._robots.compute_link_frames(self._robot[rows], widen(now.robot)[:, None])
+        origins, rotations = self._robots.compute_link_frames(self._robot[rows], widen(snapshots.robot)[:, None])
         robots = origins[:, 0] @ self._base_rotation.mT + self._base_position, self._base_rotation @ rotations[:, 0]
-        origins, rotations = self._hands.compute_link_frames(self._hand[rows], widen(now.hand)[:, None])
-        objects = widen(now.objects)
+        origins, rotations = self._hands.compute_link_frames(self._hand[rows], widen(snapshots.hand)[:, None])
+        objects = widen(snapshots.objects)
         world = xp.zeros_like(objects[:, :1, :3]), xp.zeros_like(rotations[:, 0, :1])
         world[1].diagonal(dim1=-2, dim2=-1)[:] = 1.0
         parts = (

@@ -5,7 +5,8 @@ Pixels are numbered row by row. All frames are in the camera's frame: x right, y
 
 import warp
 
-from handover_marl.simulation.camera.frames import (
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import (
     BACK_FACE_OFFSET,
     EMPTY_DEPTH,
     GROUND,
@@ -17,7 +18,6 @@ from handover_marl.simulation.camera.frames import (
     SAMPLE_OFFSET_PX,
     SHADE,
     SKY,
-    SegmentationLabel,
 )
 
 _IMAGE_SIZE, _HALF_SIZE = warp.constant(IMAGE_SIZE), warp.constant(HALF_SIZE_PX)

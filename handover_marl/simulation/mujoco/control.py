@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.kinematic_paths import (
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+from handover_marl.simulation.mujoco.batches.world_data import WorldData
+from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
+from handover_marl.simulation.mujoco.sleep import SleepState
+from handover_marl.simulation.reference_tracking import (
     HandTrajectory,
     ReferenceMotion,
     select_keypoint_links,
     set_hand_references,
     set_object_references,
 )
-from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-from handover_marl.simulation.mujoco.batches.world_data import WorldData
-from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_euler
-from handover_marl.simulation.mujoco.sleep import SleepState
 
 Array = npt.NDArray[np.float64]
 
@@ -75,8 +75,7 @@ class WorldController:
         self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
         self._gravity = config.gravity
         self._hand_kinematics = simulation.get_hand_kinematics(hand_urdf, scene.hand_links.tolist())
-        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
-        self._keypoint_kinematics = simulation.get_hand_kinematics(hand_urdf, select_keypoint_links(moving))
+        self._keypoint_kinematics = simulation.get_hand_kinematics(hand_urdf, select_keypoint_links(tree.moving_links))
         data.mocap_pos[scene.hand] = ABSENT
         self._is_state_set = False
 
@@ -168,7 +167,7 @@ class WorldController:
         self.hand_free_steps = free_steps
         if free_steps >= len(positions):
             return
-        joints, present, changes = self.hand.get_path(self.row + 1)
+        joints, present, changes = self.hand.get_trajectory(self.row + 1)
         # Steps before the hand appears are free of contact, too.
         coming = np.flatnonzero(present[free_steps:])
         self.hand_free_steps = free_steps + (int(coming[0]) if len(coming) else len(present) - free_steps)
@@ -178,7 +177,7 @@ class WorldController:
         changes[self.hand_free_steps] = True
         new = np.flatnonzero(present & changes)
         new = new[new >= self.hand_free_steps]
-        poses = self._hand_kinematics.compute_path(joints[new])
+        poses = self._hand_kinematics.compute_trajectory(joints[new])
         # Each step has the poses of the last change before it.
         steps = free_steps + coming
         source = np.searchsorted(new, steps, side="right") - 1

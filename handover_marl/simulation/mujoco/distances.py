@@ -13,12 +13,12 @@ from handover_marl.config import PandaConfig
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree, read_tree
 from handover_marl.geometry.poses import IDENTITY, compose, poses_from_rotations
 from handover_marl.simulation.clearance import DistanceQuery
-from handover_marl.simulation.mujoco.collision_shapes import (
+from handover_marl.simulation.mujoco.models.collision_shapes import (
     add_collision_geom,
     compute_bounding_spheres,
     load_link_parts,
 )
-from handover_marl.simulation.mujoco.engine import TUNING
+from handover_marl.simulation.mujoco.models.tuning import TUNING
 
 Array = npt.NDArray[np.float64]
 

@@ -14,14 +14,15 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points, quaternion_from_matrix
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
-from handover_marl.simulation.mujoco.collision_shapes import load_link_parts, set_inertia
-from handover_marl.simulation.mujoco.engine import TUNING, XYZW, MujocoTuning, wxyz_from_xyzw
-from handover_marl.simulation.mujoco.scene_spec import (
+from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
+from handover_marl.simulation.mujoco.models.scene_spec import (
     SceneModelBuilder,
     format_object_name,
     format_rotation_reference_name,
     read_object_friction,
 )
+from handover_marl.simulation.mujoco.models.tuning import TUNING, MujocoTuning
+from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_xyzw
 
 Array = npt.NDArray[np.float64]
 

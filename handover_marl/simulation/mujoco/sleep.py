@@ -16,9 +16,10 @@ from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig
-from handover_marl.simulation.kinematic_paths import HandTrajectory, ObjectTrajectory, ReferenceMotion
-from handover_marl.simulation.mujoco.engine import XYZW, check_warnings, wxyz_from_euler
-from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.engine import check_warnings
+from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
+from handover_marl.simulation.reference_tracking import HandTrajectory, ObjectTrajectory, ReferenceMotion
 
 Array = npt.NDArray[np.float64]
 

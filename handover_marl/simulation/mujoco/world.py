@@ -9,14 +9,14 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.simulation.camera.frames import CameraImage
+from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.camera.renderers import SceneRendererCache
 from handover_marl.simulation.contacts import ContactBatch, Contacts
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
-from handover_marl.simulation.mujoco.engine import bullet_xyzw_from_wxyz, chain_joints_from_poses
-from handover_marl.simulation.mujoco.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.quaternions import bullet_xyzw_from_wxyz, chain_joints_from_poses
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import (
     AgentJoints,
     BatchWorld,
@@ -197,9 +197,9 @@ class MujocoWorld(BatchWorld):
         """Render the current state as an RGB image (height, width, 3), by PyBullet."""
         return self._scene_renderers.get(self._scene).render_overview(self.read_joint_snapshot(), camera)
 
-    def render_wrist_camera(self, color: bool, at: JointSnapshot | None = None) -> CameraImage:
+    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera by PyBullet; see `World.render_wrist_camera`."""
-        return self._scene_renderers.get(self._scene).render_wrist_camera(at or self.read_joint_snapshot(), color)
+        return self._scene_renderers.get(self._scene).render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
 
     def close(self) -> None:
         """Free the memory of the simulation."""

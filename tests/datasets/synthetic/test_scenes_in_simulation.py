@@ -7,7 +7,7 @@ from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.simulation.bullet.exact_world import ExactWorld
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 SCENES = range(3, 1000, 71)
 

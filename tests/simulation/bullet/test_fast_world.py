@@ -21,7 +21,7 @@ from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, load_hand_collision_model
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)

@@ -10,7 +10,8 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.bullet.rendering import label_bodies
-from handover_marl.simulation.camera.frames import EMPTY_DEPTH, NEAR, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, NEAR
 from handover_marl.simulation.world import JointSnapshot
 
 DATA = open_dataset("synthetic", robot="panda_camera")
@@ -38,9 +39,9 @@ def played(request: pytest.FixtureRequest) -> Iterator[tuple[Episode, list[Joint
     moments, photos = [], []
     for steps in STEPS:
         episode.advance(GOAL, steps)
-        photos.append(episode.world.render_wrist_camera(color=True))
+        photos.append(episode.world.render_wrist_camera(None, color=True))
         for moment in moments:
-            episode.world.render_wrist_camera(False, moment)
+            episode.world.render_wrist_camera(moment, False)
         moments.append(episode.world.read_joint_snapshot())
     yield episode, moments, photos
     episode.close()
@@ -71,7 +72,7 @@ def test_all_labels_occur(played: FinishedEpisode) -> None:
 
 def test_colours_are_rendered_on_request(played: FinishedEpisode) -> None:
     episode, _, photos = played
-    plain = episode.world.render_wrist_camera(color=False)
+    plain = episode.world.render_wrist_camera(None, color=False)
     assert plain.rgb is None
     np.testing.assert_array_equal(plain.depth, photos[-1].depth)
     np.testing.assert_array_equal(plain.segmentation, photos[-1].segmentation)
@@ -81,15 +82,15 @@ def test_earlier_steps_can_be_rendered(played: FinishedEpisode) -> None:
     """Snapshots can be rendered in any order, with and without a hand, and do not change the current image."""
     episode, moments, photos = played
     for number in (0, 2, 1, 0, 1, 2):
-        assert_close(episode.world.render_wrist_camera(True, moments[number]), photos[number])
-    np.testing.assert_array_equal(episode.world.render_wrist_camera(False).depth, photos[-1].depth)
+        assert_close(episode.world.render_wrist_camera(moments[number], True), photos[number])
+    np.testing.assert_array_equal(episode.world.render_wrist_camera(None, False).depth, photos[-1].depth)
     assert not np.array_equal(photos[0].depth, photos[-1].depth)
 
 
 def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpisode) -> None:
     episode, moments, _ = played
-    first = [episode.world.render_wrist_camera(False, moment) for moment in moments]
-    again = [episode.world.render_wrist_camera(False, moment) for moment in moments[::-1]][::-1]
+    first = [episode.world.render_wrist_camera(moment, False) for moment in moments]
+    again = [episode.world.render_wrist_camera(moment, False) for moment in moments[::-1]][::-1]
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.depth, other.depth)
         np.testing.assert_array_equal(one.segmentation, other.segmentation)
@@ -117,11 +118,11 @@ def test_bodies_of_the_previous_scene_are_removed(physics: str) -> None:
     episode, fresh, scenes = Episode(physics), Episode(physics), (SCENE, DATA.load_scene(209))
     for scene in scenes:
         episode.reset(scene)
-        episode.world.render_wrist_camera(False, JointSnapshot(GOAL, scene.hand_dof[-1], scene.object_dof[-1]))
+        episode.world.render_wrist_camera(JointSnapshot(GOAL, scene.hand_dof[-1], scene.object_dof[-1]), False)
     fresh.reset(scenes[1])
-    photo = fresh.world.render_wrist_camera(False)
+    photo = fresh.world.render_wrist_camera(None, False)
     for at in (None, episode.world.read_joint_snapshot()):
-        assert_close(episode.world.render_wrist_camera(False, at), photo)
+        assert_close(episode.world.render_wrist_camera(at, False), photo)
     episode.close()
     fresh.close()
 
@@ -148,7 +149,7 @@ def test_table_points_are_on_the_table() -> None:
     episode = Episode("fast")
     episode.reset(DATA.load_scene(209))
     photo, gripper = (
-        episode.world.render_wrist_camera(False),
+        episode.world.render_wrist_camera(None, False),
         episode.world.read_state().gripper_pose.astype(np.float64),
     )
     rows, columns = np.nonzero(photo.compute_mask(SegmentationLabel.TABLE))

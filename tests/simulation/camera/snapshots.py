@@ -10,7 +10,7 @@ from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import quaternions_from_euler
-from handover_marl.simulation.camera.frames import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
+from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
 from handover_marl.simulation.tensor_state import JointSnapshotBatch
 from handover_marl.simulation.world import JointSnapshot
 
@@ -35,7 +35,7 @@ def place_in_view(
     """Return world positions (n, 3) of points given right, down and ahead of the camera (m)."""
     tree = read_tree(scene.assets.panda)
     origins, turns = (value[0] for value in tree.compute_link_frames(robot[None]))
-    link = [joint.link for joint in tree.joints].index(HAND_LINK)
+    link = tree.get_link(HAND_LINK)
     base = Rotation.from_quat(config.panda.base_orientation)
     points = np.asarray(places) @ np.array(HAND_FROM_CAMERA).T + CAMERA_POSITION_IN_HAND
     return np.asarray(base.apply(points @ turns[link].T + origins[link]) + config.panda.base_position)

@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.simulation.camera.frames import EMPTY_DEPTH, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import (
     CAMERA_NOISE_MODELS,
     CameraNoise,
     apply_camera_noise,
     resolve_camera_noise,
 )
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH
 
 SHAPE = (224, 224)
 NONE = CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0)

@@ -22,14 +22,8 @@ from handover_marl.errors import DataFormatError, HandoverError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGERTIPS, HAND_LINK, LOWER_LIMITS, PANDA, PANDA_CAMERA, UPPER_LIMITS
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.camera.frames import (
-    EMPTY_DEPTH,
-    NEAR,
-    PINHOLE_MODEL,
-    CameraImage,
-    SegmentationLabel,
-    deproject,
-)
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, NEAR, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import JointSnapshot
 
@@ -50,7 +44,7 @@ def hand_frame(robot: npt.NDArray[np.float32], urdf: Path, config: PhysicsConfig
     """Return the rotation and position (m) of the Panda's hand link in the world."""
     tree = read_tree(urdf)
     origins, turns = (value[0] for value in tree.compute_link_frames(robot[None]))
-    link = [joint.link for joint in tree.joints].index(HAND_LINK)
+    link = tree.get_link(HAND_LINK)
     base = Rotation.from_quat(config.panda.base_orientation)
     return base * Rotation.from_matrix(turns[link]), base.apply(origins[link]) + config.panda.base_position
 
@@ -161,7 +155,7 @@ def test_rays_match_the_engine_during_motion(physics: str) -> None:
     for steps in (1, 499, 200, 200, 200, 100):
         episode.advance(goal, steps)
         agreement.add(
-            episode.world.render_wrist_camera(False),
+            episode.world.render_wrist_camera(None, False),
             camera.render_wrist_camera(episode.world.read_joint_snapshot(), False),
         )
     agreement.check(*TARGET_LABELS)

@@ -17,7 +17,8 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.simulation.camera.frames import N_PIXELS, CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.optics import N_PIXELS
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import ImageBatch, WarpCamera
 from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_snapshots

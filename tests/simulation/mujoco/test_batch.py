@@ -1,4 +1,4 @@
-"""Tests of the simulation of many worlds: their engines, models and memory."""
+"""Tests of the simulation of many worlds: their batches, models and memory."""
 
 import gc
 import weakref
@@ -13,7 +13,7 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.simulation.mujoco.batches import simulation as batch_simulation
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 
 CONFIG = PhysicsConfig()
 DATA = SyntheticDataset()
@@ -31,36 +31,36 @@ def models(count: int) -> list[SceneModel]:
     return list(found.values())
 
 
-def test_worlds_of_one_layout_share_an_engine() -> None:
+def test_worlds_of_one_layout_share_a_batch() -> None:
     simulation = BatchSimulation()
     worlds = [simulation.load_scene(model) for model in models(6) * 2]
-    engines = {id(world.engine) for world in worlds}
-    assert len(engines) <= 6
+    batches = {id(world.batch) for world in worlds}
+    assert len(batches) <= 6
     for first, second in zip(worlds[:6], worlds[6:], strict=True):
-        assert first.engine is second.engine
+        assert first.batch is second.batch
 
 
 def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch_simulation, "_MAX_ENGINES", 2)
-    simulation, engines = BatchSimulation(), []
+    monkeypatch.setattr(batch_simulation, "_MAX_BATCHES", 2)
+    simulation, batches = BatchSimulation(), []
     for model in models(6) * 2:
-        engines.append(weakref.ref(simulation.load_scene(model).engine))
+        batches.append(weakref.ref(simulation.load_scene(model).batch))
     gc.collect()
-    assert len({id(engine()) for engine in engines if engine() is not None}) <= 2
+    assert len({id(batch()) for batch in batches if batch() is not None}) <= 2
 
 
-def test_an_engine_of_another_layout_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_of_another_layout_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_simulation, "_get_layout", lambda model: (0,))
     simulation = BatchSimulation()
     found = models(6)
     first, *others = (simulation.load_scene(model) for model in found)
-    assert any(world.engine is not first.engine for world in others)
+    assert any(world.batch is not first.batch for world in others)
     for model, world in zip(found, (first, *others), strict=True):
         assert world.qpos.shape == (model.model.nq,)
         np.testing.assert_array_equal(world.qpos, model.model.qpos0)
 
 
-def test_worlds_that_share_an_engine_keep_their_own_state() -> None:
+def test_worlds_that_share_a_batch_keep_their_own_state() -> None:
     (model,) = models(1)
     simulation = BatchSimulation()
     together, alone = [simulation.load_scene(model) for _ in range(2)], BatchSimulation().load_scene(model)

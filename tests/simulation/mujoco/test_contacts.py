@@ -10,7 +10,7 @@ import mujoco
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 
 NOWHERE = (0.0, 0.0, -10.0)
 

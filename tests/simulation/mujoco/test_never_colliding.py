@@ -14,9 +14,9 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
-from handover_marl.simulation.mujoco.engine import TUNING
-from handover_marl.simulation.mujoco.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.scene_spec import SceneModelBuilder
+from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
+from handover_marl.simulation.mujoco.models.tuning import TUNING
 
 CONFIG = PhysicsConfig()
 

@@ -15,7 +15,7 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.mujoco import sleep
-from handover_marl.simulation.mujoco.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from tests.simulation.mujoco.test_world import INTO_THE_HAND

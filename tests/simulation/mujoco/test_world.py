@@ -21,9 +21,9 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_world
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
-from handover_marl.simulation.mujoco.engine import ModelVariants
+from handover_marl.simulation.mujoco.models.model_variants import ModelVariants
 from handover_marl.simulation.mujoco.world import MujocoWorld
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World
 from tests.playing import play
 
@@ -176,7 +176,7 @@ def test_rendering_does_not_change_the_simulation() -> None:
         episode.reset(SCENE)
         episode.advance(START, 800)
     assert looked.render(CameraConfig(width=80, height=60)).std() > 10.0
-    photo = looked.world.render_wrist_camera(True)
+    photo = looked.world.render_wrist_camera(None, True)
     assert photo.depth.shape == (224, 224)
     for episode in (plain, looked):
         episode.advance(WAITING, 200)

@@ -22,7 +22,8 @@ from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpe
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario, find_occluded_points
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, concatenate_states, make_state
 from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
-from handover_marl.simulation.camera.frames import CAMERA_POSITION_IN_HAND, SegmentationLabel, deproject
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import JointSnapshot
 

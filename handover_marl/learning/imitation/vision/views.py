@@ -23,9 +23,10 @@ from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, IK_SEEDS
-from handover_marl.simulation.camera.frames import SegmentationLabel, deproject
+from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.optics import deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
-from handover_marl.simulation.kinematic_paths import select_keypoint_links
+from handover_marl.simulation.reference_tracking import select_keypoint_links
 from handover_marl.simulation.world import JointSnapshot
 
 Array = npt.NDArray[np.float64]
@@ -278,7 +279,6 @@ def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
     if not scene.is_hand_present(np.array([frame]))[0]:
         return None
     tree = read_tree(scene.assets.hand)
-    moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
     dof = scene.hand_dof[frame]
     origins, _ = tree.compute_link_frames(dof[None])
     tracker = HandTracker()
@@ -286,7 +286,7 @@ def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:
         0.0,
         {
             "hand_present": np.ones(1, dtype=np.int8),
-            "hand_keypoints": origins[0, select_keypoint_links(moving)].astype(np.float32),
+            "hand_keypoints": origins[0, select_keypoint_links(tree.moving_links)].astype(np.float32),
             "hand_dof_position": dof,
         },
     )

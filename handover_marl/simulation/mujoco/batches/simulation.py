@@ -13,14 +13,15 @@ from mujoco.batch import Batch
 
 from handover_marl.simulation.mujoco.batches.world_data import WorldData
 from handover_marl.simulation.mujoco.contacts import SensorReadings
-from handover_marl.simulation.mujoco.engine import HandKinematics, configure_engine
-from handover_marl.simulation.mujoco.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.engine import configure_engine
+from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
+from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 
 Array = npt.NDArray[np.float64]
 
-# Number of engines that are kept. An engine takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
-_MAX_ENGINES = 64
+# Number of batches that are kept. A batch takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
+_MAX_BATCHES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,28 +64,30 @@ class BatchSimulation:
         configure_engine()
         # Memory of rollouts by name.
         self._buffers: dict[str, Array] = {}
-        self._engines: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
+        self._batches: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
         self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
 
     def load_scene(self, scene: SceneModel) -> WorldData:
         """Return a world of a scene in the initial state of its model."""
         layout = _get_layout(scene.model)
-        engine = self._engines.pop(layout, None)
-        if engine is None or not _accepts(engine, scene.model):
+        batch = self._batches.pop(layout, None)
+        if batch is None or not _accepts(batch, scene.model):
             # One thread: further cores have simulations of their own.
-            engine = Batch(scene.model, 1, nthread=1)
-        self._engines[layout] = engine
-        if len(self._engines) > _MAX_ENGINES:
-            self._engines.popitem(last=False)
-        return WorldData(scene, engine)
+            batch = Batch(scene.model, 1, nthread=1)
+        self._batches[layout] = batch
+        if len(self._batches) > _MAX_BATCHES:
+            self._batches.popitem(last=False)
+        return WorldData(scene, batch)
 
-    def simulate(self, worlds: Sequence[WorldData], hands: Sequence[bool], controls: Sequence[Array]) -> MujocoRollout:
+    def simulate(
+        self, worlds: Sequence[WorldData], hands_collide: Sequence[bool], controls: Sequence[Array]
+    ) -> MujocoRollout:
         """Simulate k physics steps of worlds whose states have equal sizes.
 
         Args:
             worlds: The worlds, which are set to their states after the last step.
-            hands: Whether the hand can collide in these steps, for each world.
+            hands_collide: Whether the hand can collide in these steps, for each world.
             controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap
                 quaternions wxyz.
 
@@ -96,8 +99,8 @@ class BatchSimulation:
         sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
         step_states = self._get_buffer("step_states", (*shape, first.step_state_size))
         rollout = MujocoRollout(worlds, stacked, sensordata, step_states)
-        for number, (world, hand) in enumerate(zip(worlds, hands, strict=True)):
-            world.simulate(hand, stacked[number], sensordata[number], step_states[number])
+        for number, (world, hand_collides) in enumerate(zip(worlds, hands_collide, strict=True)):
+            world.simulate(hand_collides, stacked[number], sensordata[number], step_states[number])
             rollout.set_world(number, shape[1])
         return rollout
 
@@ -132,10 +135,10 @@ def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 
-def _accepts(engine: Batch, model: "mujoco.MjModel") -> bool:
-    """Return whether a model has the layout of an engine."""
+def _accepts(batch: Batch, model: "mujoco.MjModel") -> bool:
+    """Return whether a model has the layout of a batch."""
     try:
-        engine.set_models(model)
+        batch.set_models(model)
     except (ValueError, mujoco.FatalError):
         return False
     return True

@@ -17,8 +17,8 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.contacts import SensorReadings
-from handover_marl.simulation.mujoco.engine import wxyz_from_euler
-from handover_marl.simulation.mujoco.scene_model import SceneModel
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel
+from handover_marl.simulation.mujoco.quaternions import wxyz_from_euler
 from handover_marl.simulation.warp_device import WarpDevice
 
 # Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.

@@ -11,10 +11,10 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.geometry.tree_bank import TreeBank
-from handover_marl.simulation.kinematic_paths import list_hand_motors, select_keypoint_links
+from handover_marl.simulation.reference_tracking import list_hand_motors, select_keypoint_links
 
 
-class HandPath(NamedTuple):
+class HandTrajectoryBatch(NamedTuple):
     """Motion of n hands in k physics steps.
 
     Attributes:
@@ -27,7 +27,7 @@ class HandPath(NamedTuple):
 
 
 class HandBatch:
-    """Hands of n worlds without contact; see `kinematic_paths.HandTrajectory` for one hand.
+    """Hands of n worlds without contact; see `reference_tracking.HandTrajectory` for one hand.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
     the worlds to which a method applies.
@@ -62,12 +62,11 @@ class HandBatch:
         """
         self._hands[row], self.present[row] = self._trees.add(urdf), joints is not None
         if self._keypoint_links is None:
-            moving = [link for link, joint in enumerate(read_tree(urdf).joints) if joint.kind != "fixed"]
-            self._keypoint_links = self._arrays.asarray(select_keypoint_links(moving))
+            self._keypoint_links = self._arrays.asarray(select_keypoint_links(read_tree(urdf).moving_links))
         if joints is not None:
             self.joints[row] = self._arrays.asarray(joints, "float64")
 
-    def track(self, rows: AnyArray, targets: AnyArray, present: AnyArray) -> HandPath:
+    def track(self, rows: AnyArray, targets: AnyArray, present: AnyArray) -> HandTrajectoryBatch:
         """Compute the motion of hands whose joints track targets, without changing the hands.
 
         Args:
@@ -77,27 +76,27 @@ class HandBatch:
         """
         xp = self._arrays.xp
         wanted = xp.astype(targets, xp.float64)
-        before, was_present, path = self.joints[rows], self.present[rows], []
+        before, was_present, joints = self.joints[rows], self.present[rows], []
         for step in range(wanted.shape[1]):
             # A hand appears at its target.
             appears = (present[:, step] & ~was_present)[:, None]
             before = xp.where(appears, wanted[:, step], before + self._gains * (wanted[:, step] - before))
             was_present = present[:, step]
-            path.append(before)
-        return HandPath(xp.stack(path, axis=1), present)
+            joints.append(before)
+        return HandTrajectoryBatch(xp.stack(joints, axis=1), present)
 
-    def store(self, rows: AnyArray, path: HandPath, steps: AnyArray) -> None:
-        """Set hands to their state after some steps of a path.
+    def store(self, rows: AnyArray, trajectory: HandTrajectoryBatch, steps: AnyArray) -> None:
+        """Set hands to their state after some steps of a trajectory.
 
         Args:
             rows: Indices (r,) of the worlds.
-            path: Motion of the hands.
+            trajectory: Motion of the hands.
             steps: Number (r,) of steps; with 0 steps, a hand stays as it is.
         """
         xp, places = self._arrays.xp, self._arrays.arange(len(rows))
         moved, last = steps > 0, xp.clip(steps - 1, 0)
-        self.joints[rows] = xp.where(moved[:, None], path.joints[places, last], self.joints[rows])
-        self.present[rows] = xp.where(moved, path.present[places, last], self.present[rows])
+        self.joints[rows] = xp.where(moved[:, None], trajectory.joints[places, last], self.joints[rows])
+        self.present[rows] = xp.where(moved, trajectory.present[places, last], self.present[rows])
 
     def compute_link_poses(self, rows: AnyArray, joints: AnyArray, links: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute positions (r, k, l, 3) (m) and quaternions xyzw (r, k, l, 4) of some links.

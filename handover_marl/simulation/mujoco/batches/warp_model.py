@@ -21,8 +21,8 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, expand_mask, get_namespace
 from handover_marl.simulation.mujoco.batches.mesh_pool import MeshPool
-from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.models.scene_spec import ABSENT_PREFIX, ModelPadding, load_object_parts
 
 # Hulls of an object and objects besides the target are filled up to a multiple of these numbers. All scenes of DexYCB
 # with the grasped object only have one layout, and so have those with all objects.

@@ -10,12 +10,13 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, make_constant
 from handover_marl.simulation.contacts import ContactBatch, Contacts
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
-from handover_marl.simulation.mujoco.batches.warp_hands import HandBatch, HandPath
+from handover_marl.simulation.mujoco.batches.warp_hands import HandBatch, HandTrajectoryBatch
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
-from handover_marl.simulation.mujoco.engine import WXYZ, bullet_xyzw_from_wxyz, configure_engine
+from handover_marl.simulation.mujoco.engine import configure_engine
+from handover_marl.simulation.mujoco.quaternions import WXYZ, bullet_xyzw_from_wxyz
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.tensor_state import ReferenceBatch, WorldStateBatch
 
 # Physics steps whose controls are computed at a time: those of more steps take much memory.
@@ -111,11 +112,11 @@ class WarpWorlds:
             SimulationError: The engine failed; the states of these worlds are invalid.
         """
         xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
-        path = self._hands.track(index, reference.hand, reference.hand_present)
+        hands = self._hands.track(index, reference.hand, reference.hand_present)
         rollout, simulated = group.start_rollout(index), self._arrays.zeros(len(rows), "int64")
         steps = reference.hand.shape[1]
         for first in range(0, steps, _CHUNK_STEPS):
-            controls = self._make_controls(group, index, reference, path, slice(first, first + _CHUNK_STEPS))
+            controls = self._make_controls(group, index, reference, hands, slice(first, first + _CHUNK_STEPS))
             controls.targets[..., group.scene.robot_ctrl] = robot_targets[:, None]
             for step in range(controls.targets.shape[1]):
                 contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
@@ -132,7 +133,7 @@ class WarpWorlds:
                 f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
                 "backend='threads', and report this."
             )
-        self._hands.store(index, path, simulated)
+        self._hands.store(index, hands, simulated)
         self._steps[index] += simulated
         return simulated
 
@@ -174,11 +175,11 @@ class WarpWorlds:
         return group
 
     def _make_controls(
-        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, path: HandPath, steps: slice
+        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, hands: HandTrajectoryBatch, steps: slice
     ) -> StepControls:
         """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
         xp, scene = self._arrays.xp, group.scene
-        wanted, present = reference.object_positions[:, steps], path.present[:, steps, None, None]
+        wanted, present = reference.object_positions[:, steps], hands.present[:, steps, None, None]
         shape = wanted.shape[:2]
         n_objects = (scene.model.nu - scene.object_ctrl.start) // OBJECT_DOF
         targets = self._arrays.zeros((*shape, scene.model.nu), "float32")
@@ -193,7 +194,7 @@ class WarpWorlds:
         turns = reference.object_orientations[:, steps, :n_objects]
         quaternions[..., start : start + n_objects, :] = turns[..., WXYZ]
         links = self._arrays.asarray(scene.hand_links, "int64")
-        origins, rotations = self._hands.compute_link_poses(rows, path.joints[:, steps], links)
+        origins, rotations = self._hands.compute_link_poses(rows, hands.joints[:, steps], links)
         positions[..., scene.hand, :] = xp.where(present, origins, make_constant(ABSENT, origins))
         quaternions[..., scene.hand, :] = xp.astype(rotations[..., WXYZ], xp.float32)
         return StepControls(targets, positions, quaternions)

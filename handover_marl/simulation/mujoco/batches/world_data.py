@@ -7,7 +7,7 @@ from mujoco.batch import Batch
 
 from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.engine import check_warnings
-from handover_marl.simulation.mujoco.scene_model import SceneModel
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel
 
 Array = npt.NDArray[np.float64]
 
@@ -23,12 +23,12 @@ class WorldData:
 
     Args:
         scene: Model of the scene.
-        engine: MuJoCo batch of one world whose model has the layout of the scene's model. Worlds may share an engine:
-            each rollout starts with setting its state.
+        batch: Batch of one world of MuJoCo whose model has the layout of the scene's model. Worlds may share a
+            batch: each rollout starts with setting its state.
 
     Attributes:
         scene: Model of the scene.
-        engine: MuJoCo batch that simulates the world.
+        batch: Batch of MuJoCo that simulates the world.
         released: Whether the human has released the target object.
         qpos: Writable view of the joint positions (q,), like the following arrays.
         qvel: Joint velocities (v,).
@@ -39,13 +39,13 @@ class WorldData:
         sensordata: Data (s,) of the sensors in the last step.
     """
 
-    def __init__(self, scene: SceneModel, engine: Batch) -> None:
-        self.scene, self.engine, self.released = scene, engine, False
+    def __init__(self, scene: SceneModel, batch: Batch) -> None:
+        self.scene, self.batch, self.released = scene, batch, False
         # Variants that were used in this episode are held, since they are likely to be used again.
         self._variants: dict[tuple[bool, bool], mujoco.MjModel] = {}
-        engine.set_models(scene.model)
-        engine.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._state = engine.state[0].copy()
+        batch.set_models(scene.model)
+        batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._state = batch.state[0].copy()
         self.time, self.qpos, self.qvel = (
             self._view(part) for part in (_STATE.mjSTATE_TIME, _STATE.mjSTATE_QPOS, _STATE.mjSTATE_QVEL)
         )
@@ -59,13 +59,13 @@ class WorldData:
         """Number p of the values of the state that a step changes: time, positions, velocities and warm start."""
         return int(mujoco.mj_stateSize(self.scene.model, _STEP_STATE))
 
-    def select_model(self, hand: bool) -> "mujoco.MjModel":
+    def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
         """Return the variant of the scene model for the coming steps.
 
         Args:
-            hand: Whether the hand can collide in these steps.
+            hand_collides: Whether the hand can collide in these steps.
         """
-        key = self.released, hand
+        key = self.released, hand_collides
         if key not in self._variants:
             self._variants[key] = self.scene.variants.select(*key)
         return self._variants[key]
@@ -80,11 +80,11 @@ class WorldData:
         body = self.scene.objects[0]
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
 
-    def simulate(self, hand: bool, controls: Array, sensordata: Array, step_states: Array) -> None:
+    def simulate(self, hand_collides: bool, controls: Array, sensordata: Array, step_states: Array) -> None:
         """Simulate k physics steps from this state, which is not changed; see `set_step`.
 
         Args:
-            hand: Whether the hand can collide in these steps.
+            hand_collides: Whether the hand can collide in these steps.
             controls: Controls (k, c): actuator targets, mocap positions, mocap quaternions wxyz.
             sensordata: Array (k, s) to write the sensor data of each step to.
             step_states: Array (k, p) to write the changed part of the state after each step to.
@@ -92,13 +92,13 @@ class WorldData:
         Raises:
             SimulationError: The engine failed; the written values are invalid.
         """
-        engine, model = self.engine, self.select_model(hand)
-        if engine.models is not model:
-            engine.set_models(model)
-        engine.state[0], engine.warning[0] = self._state, 0
+        batch, model = self.batch, self.select_model(hand_collides)
+        if batch.models is not model:
+            batch.set_models(model)
+        batch.state[0], batch.warning[0] = self._state, 0
         records = {"sensordata": sensordata[None], _STEP_STATE: step_states[None]}
-        engine.rollout(len(controls), controls[None], _CONTROLS, tuple(records), out=records)
-        check_warnings(engine)
+        batch.rollout(len(controls), controls[None], _CONTROLS, tuple(records), out=records)
+        check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
         """Set the state to that after a simulated step.

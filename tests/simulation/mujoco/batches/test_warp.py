@@ -21,10 +21,10 @@ from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_nump
 from handover_marl.geometry.poses import quaternions_from_euler
 from handover_marl.simulation.contacts import ContactBatch
 from handover_marl.simulation.engines import make_batch_worlds
-from handover_marl.simulation.kinematic_paths import ReferenceMotion
 from handover_marl.simulation.mujoco.batches import warp_group
 from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 from handover_marl.simulation.mujoco.world import MujocoWorld
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.tensor_state import ReferenceBatch
 from handover_marl.simulation.world import BatchWorld
 

@@ -10,11 +10,12 @@ from handover_marl.config import HandConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.kinematic_paths import HandTrajectory, ReferenceMotion
 from handover_marl.simulation.mujoco.batches.warp_hands import HandBatch
 from handover_marl.simulation.mujoco.contacts import SensorReadings
-from handover_marl.simulation.mujoco.engine import WXYZ, HandKinematics
-from handover_marl.simulation.mujoco.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
+from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.quaternions import WXYZ
+from handover_marl.simulation.reference_tracking import HandTrajectory, ReferenceMotion
 
 SCENES = [SyntheticDataset().load_scene(number) for number in (209, 5, 31)]
 COUNT = len(SCENES)
@@ -38,8 +39,8 @@ def test_hands_move_as_alone() -> None:
             for scene, own in zip(SCENES, present, strict=True)
         ]
         targets = TENSORS.asarray([motion.hand for motion in motions])
-        path = hands.track(ROWS, targets, TENSORS.asarray(present))
-        hands.store(ROWS, path, TENSORS.asarray(taken))
+        trajectory = hands.track(ROWS, targets, TENSORS.asarray(present))
+        hands.store(ROWS, trajectory, TENSORS.asarray(taken))
         keypoints = to_numpy(hands.compute_keypoints(ROWS))
         for row, (single, motion) in enumerate(zip(singles, motions, strict=True)):
             if taken[row] == 0:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.errors import UnknownNameError
-from handover_marl.simulation.camera.frames import (
+from handover_marl.simulation.camera.optics import (
     EMPTY_DEPTH,
     FAR,
     HANDOVERSIM_MODEL,

@@ -45,7 +45,7 @@ class RobotMotionBounds:
             np.array([*config.base_position, *config.base_orientation]),
             np.array([sphere.center for sphere in base]).reshape(-1, 3),
         )
-        moving = [link for link, joint in enumerate(tree.joints) if joint.kind != "fixed"]
+        moving = tree.moving_links
         # A prismatic finger joint carries nothing that rotates.
         self._levers = np.array(
             [1.0 if tree.joints[link].kind == "prismatic" else tree.compute_reach(link, spheres) for link in moving]

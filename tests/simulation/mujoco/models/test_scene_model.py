@@ -18,9 +18,10 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
-from handover_marl.simulation.mujoco.collision_shapes import load_link_parts
-from handover_marl.simulation.mujoco.engine import CollisionGroup, HandKinematics
-from handover_marl.simulation.mujoco.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
+from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts
+from handover_marl.simulation.mujoco.models.model_variants import CollisionGroup
+from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
@@ -93,11 +94,11 @@ def test_hand_kinematics(scene: SceneModel) -> None:
 def test_hand_kinematics_of_many_steps(scene: SceneModel) -> None:
     joints = RNG.uniform(-1.0, 1.0, (5, read_tree(ASSETS.hand).n_dof))
     kinematics = HandKinematics(ASSETS.hand, scene.hand_links)
-    found = kinematics.compute_path(joints)
+    found = kinematics.compute_trajectory(joints)
     for number, row in enumerate(joints):
         for path, poses in zip(found, kinematics.compute_poses(row), strict=True):
             np.testing.assert_array_equal(path[number], poses)
-    assert kinematics.compute_path(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
+    assert kinematics.compute_trajectory(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
 
 
 def meet(model: "mujoco.MjModel", first: int, second: int) -> bool:

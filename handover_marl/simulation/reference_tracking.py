@@ -53,23 +53,23 @@ class MotorModel:
 
     Attributes:
         gains: Fraction (d,) of its position error that each joint corrects in a step.
-        position: Joint positions (d,) at the end of `path` (m, rad).
-        path: Joint positions (n, d) after each step of the current reference.
+        position: Joint positions (d,) at the end of `trajectory` (m, rad).
+        trajectory: Joint positions (n, d) after each step of the current reference.
     """
 
     def __init__(self, motors: Sequence[MotorConfig], start: npt.ArrayLike) -> None:
         self.gains = np.array([motor.position_gain for motor in motors])
         self.position = np.array(start, dtype=np.float64)
-        self.path = self.position[None]
+        self.trajectory = self.position[None]
 
 
 def simulate_motors(models: Sequence[MotorModel], targets: Sequence[npt.NDArray[np.float32]]) -> None:
-    """Compute the paths of motor models with equally many joints.
+    """Compute the trajectories of motor models with equally many joints.
 
-    The paths do not depend on how targets are divided into calls.
+    The trajectories do not depend on how targets are divided into calls.
 
     Args:
-        models: Motor models; `path` and `position` are updated.
+        models: Motor models; `trajectory` and `position` are updated.
         targets: Joint targets (n, d) of each model in n steps (m, rad).
     """
     moving: dict[int, list[tuple[MotorModel, Array]]] = {}
@@ -77,21 +77,21 @@ def simulate_motors(models: Sequence[MotorModel], targets: Sequence[npt.NDArray[
         wanted = own.astype(np.float64)
         if (wanted == model.position).all():
             # The recurrence gives the same for joints at rest, only slower.
-            model.path = wanted
+            model.trajectory = wanted
         else:
             moving.setdefault(len(wanted), []).append((model, wanted))
     for steps, group in moving.items():
         gains = np.array([model.gains for model, _ in group])
         position = np.array([model.position for model, _ in group])
         wanted = np.stack([own for _, own in group], axis=1)
-        paths, error = np.empty(wanted.shape), np.empty(position.shape)
+        trajectories, error = np.empty(wanted.shape), np.empty(position.shape)
         for row in range(steps):
             np.subtract(wanted[row], position, out=error)
             np.multiply(gains, error, out=error)
-            position = np.add(position, error, out=paths[row])
+            position = np.add(position, error, out=trajectories[row])
         for number, (model, _) in enumerate(group):
-            model.path = paths[:, number]
-            model.position = model.path[-1]
+            model.trajectory = trajectories[:, number]
+            model.position = model.trajectory[-1]
 
 
 def list_hand_motors(config: HandConfig) -> list[MotorConfig]:
@@ -135,9 +135,9 @@ class HandTrajectory:
         # Observations often read a hand at rest: the joints and keypoints of the last call.
         self._cached_keypoints: tuple[Array, npt.NDArray[np.float32]] | None = None
         # One row more than the reference has; the first is the state before it.
-        self._path, self._present = np.zeros((1, HAND_DOF)), np.zeros(1, dtype=bool)
+        self._joints, self._present = np.zeros((1, HAND_DOF)), np.zeros(1, dtype=bool)
         set_hand_references([self], [start])
-        self._path, self._present = self._path[-1:], self._present[-1:]
+        self._joints, self._present = self._joints[-1:], self._present[-1:]
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Compute the hand's joint positions in all steps of a new reference motion."""
@@ -161,17 +161,17 @@ class HandTrajectory:
         return tracked
 
     def finish_tracking(self, motion: ReferenceMotion, tracked: Sequence[tuple[MotorModel, slice]]) -> None:
-        """Join the computed paths of the motor models to the hand's trajectory.
+        """Join the computed trajectories of the motor models to the hand's trajectory.
 
         Args:
             motion: Reference motion of the hand.
-            tracked: Motor models and rows as returned by `start_tracking`, with computed paths.
+            tracked: Motor models and rows as returned by `start_tracking`, with computed trajectories.
         """
-        path = np.zeros((len(motion.hand_present) + 1, HAND_DOF))
-        path[0] = self._path[-1]
+        joints = np.zeros((len(motion.hand_present) + 1, HAND_DOF))
+        joints[0] = self._joints[-1]
         for model, rows in tracked:
-            path[rows.start + 1 : rows.stop + 1] = model.path
-        self._path = path
+            joints[rows.start + 1 : rows.stop + 1] = model.trajectory
+        self._joints = joints
         self._present = np.concatenate([self._present[-1:], motion.hand_present])
 
     def predict_positions(self, row: int) -> Array:
@@ -179,18 +179,18 @@ class HandTrajectory:
 
         The reference motion has n steps. Positions are inf while the hand is absent.
         """
-        return np.where(self._present[row + 1 :, None], self._path[row + 1 :, :3], np.inf)
+        return np.where(self._present[row + 1 :, None], self._joints[row + 1 :, :3], np.inf)
 
-    def get_path(self, row: int) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    def get_trajectory(self, row: int) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Return the trajectory of the hand in the m steps from `row` of the reference motion on.
 
         Returns:
             Joint positions (m, 51) after each step (m, rad); whether the hand is present after it (m,);
             and whether the hand moves, appears or disappears in it (m,).
         """
-        path, present = self._path[row:], self._present[row:]
-        changes = (path[1:] != path[:-1]).any(axis=1) | (present[1:] != present[:-1])
-        return path[1:], present[1:], changes
+        joints, present = self._joints[row:], self._present[row:]
+        changes = (joints[1:] != joints[:-1]).any(axis=1) | (present[1:] != present[:-1])
+        return joints[1:], present[1:], changes
 
     def is_present_after(self, row: int) -> bool:
         """Return whether the hand is in the scene after step `row` of the reference motion.
@@ -204,7 +204,7 @@ class HandTrajectory:
 
         Row -1 is the state before the first step.
         """
-        joints: Array = self._path[row + 1]
+        joints: Array = self._joints[row + 1]
         return joints
 
     def get_joints_float32(self, row: int) -> npt.NDArray[np.float32]:
@@ -222,9 +222,9 @@ class HandTrajectory:
         """
         joints = self.get_joints(row)
         if self._cached_keypoints is None or not np.array_equal(joints, self._cached_keypoints[0]):
-            moving = [link for link, joint in enumerate(self.tree.joints) if joint.kind != "fixed"]
             origins, _ = self.tree.compute_link_frames(joints[None])
-            self._cached_keypoints = joints, origins[0, select_keypoint_links(moving)].astype(np.float32)
+            links = select_keypoint_links(self.tree.moving_links)
+            self._cached_keypoints = joints, origins[0, links].astype(np.float32)
         keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
         return keypoints
 
@@ -260,32 +260,32 @@ class ObjectTrajectory:
     def __init__(self, config: ObjectConfig, start: npt.NDArray[np.float32]) -> None:
         self.motor_model = MotorModel(list_object_motors(config), start)
         # Two rows more than the reference has. Before the first step the object is at rest.
-        self._path = np.stack([self.motor_model.position] * 2)
+        self._joints = np.stack([self.motor_model.position] * 2)
 
     def set_reference(self, targets: npt.NDArray[np.float32]) -> None:
         """Compute the object's joint positions in n coming steps for joint targets (n, 6)."""
         set_object_references([self], [targets])
 
     def extend(self) -> None:
-        """Append the motor model's path in the new reference motion to the trajectory.
+        """Append the motor model's trajectory in the new reference motion to the trajectory.
 
         Of the trajectory so far only the last two rows are kept, the states after the last two steps.
         """
-        self._path = np.concatenate([self._path[-2:], self.motor_model.path])
+        self._joints = np.concatenate([self._joints[-2:], self.motor_model.trajectory])
 
     def predict_positions(self, row: int) -> Array:
         """Predict the world positions (n - row, 3) of the object's origin from step `row` on (m).
 
         The positions are those after each step; the reference motion has n steps.
         """
-        return self._path[row + 2 :, :3]
+        return self._joints[row + 2 :, :3]
 
     def get_joints(self, row: int) -> Array:
         """Return the object's joints (6,) after step `row` of the reference motion (m, rad).
 
         Rows -1 and -2 are the states after the last two steps before the reference motion.
         """
-        joints: Array = self._path[row + 2]
+        joints: Array = self._joints[row + 2]
         return joints
 
     def compute_velocities(self, row: int) -> Array:

@@ -1,4 +1,4 @@
-"""Optics of the wrist camera and its images: projection, deprojection, segmentation labels, shading.
+"""Optics of the wrist camera: projection, deprojection, shading.
 
 The camera is HandoverSim's: a pinhole at (0.036, 0, 0.036) m in the Panda's hand link that looks along the link's z
 axis; image right is the link's y axis, image down its negative x axis. Images have 224 x 224 pixels, 90 degrees field
@@ -9,8 +9,6 @@ assumes (u, v), so its points are shifted by depth / 112 towards image up. `HAND
 the same float32 operations; `PINHOLE_MODEL` is exact.
 """
 
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -60,37 +58,6 @@ SHADE: Final = 0.5
 #: Red, green and blue of the sky and of the ground, 0 to 255.
 SKY: Final = (255, 255, 255)
 GROUND: Final = (150, 150, 150)
-
-
-class SegmentationLabel(IntEnum):
-    """Labels of the pixels in a segmentation mask of the wrist camera."""
-
-    BACKGROUND = 0  # ground, or beyond the depth range
-    ROBOT = 1
-    TABLE = 2
-    TARGET = 3  # the object that is handed over
-    OTHER_OBJECT = 4
-    HAND = 5
-
-
-@dataclass(frozen=True, eq=False)
-class CameraImage:
-    """Depth image, segmentation mask and colours of the wrist camera.
-
-    Attributes:
-        depth: (224, 224) float32 depth along the viewing axis (m); `EMPTY_DEPTH`, just under 2 m, for background.
-        segmentation: (224, 224) uint8 values of `SegmentationLabel`.
-        rgb: (224, 224, 3) uint8 colours, or None.
-    """
-
-    depth: npt.NDArray[np.float32]
-    segmentation: npt.NDArray[np.uint8]
-    rgb: npt.NDArray[np.uint8] | None = None
-
-    def compute_mask(self, label: SegmentationLabel) -> npt.NDArray[np.bool_]:
-        """Return a boolean mask (224, 224) of the pixels with a segmentation label."""
-        mask: npt.NDArray[np.bool_] = self.segmentation == label
-        return mask
 
 
 def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:

@@ -12,8 +12,8 @@ from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
-from handover_marl.simulation.kinematic_paths import list_object_motors
-from handover_marl.simulation.mujoco.collision_shapes import (
+from handover_marl.simulation.mujoco.contacts import add_contact_sensors
+from handover_marl.simulation.mujoco.models.collision_shapes import (
     ConvexPart,
     add_collision_geom,
     compute_box_inertia,
@@ -21,13 +21,10 @@ from handover_marl.simulation.mujoco.collision_shapes import (
     load_link_parts,
     set_inertia,
 )
-from handover_marl.simulation.mujoco.contacts import add_contact_sensors
-from handover_marl.simulation.mujoco.engine import (
-    RELEASED_COLLISIONS,
-    CollisionGroup,
-    MujocoTuning,
-    wxyz_from_xyzw,
-)
+from handover_marl.simulation.mujoco.models.model_variants import RELEASED_COLLISIONS, CollisionGroup
+from handover_marl.simulation.mujoco.models.tuning import MujocoTuning
+from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
+from handover_marl.simulation.reference_tracking import list_object_motors
 
 ROBOT_BASE, TABLE = "robot", "table"
 _ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)

@@ -15,13 +15,12 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.simulation.contact_horizon import RobotMotionBounds
-from handover_marl.simulation.kinematic_paths import BASE_JOINTS
-from handover_marl.simulation.mujoco.collision_shapes import compute_bounding_spheres
+from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.mujoco.contacts import ContactSensors
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
-from handover_marl.simulation.mujoco.engine import TUNING, ModelVariants, MujocoTuning
-from handover_marl.simulation.mujoco.scene_spec import (
+from handover_marl.simulation.mujoco.models.collision_shapes import compute_bounding_spheres
+from handover_marl.simulation.mujoco.models.model_variants import ModelVariants
+from handover_marl.simulation.mujoco.models.scene_spec import (
     ModelPadding,
     SceneModelBuilder,
     format_hand_name,
@@ -29,6 +28,8 @@ from handover_marl.simulation.mujoco.scene_spec import (
     format_rotation_reference_name,
     read_object_friction,
 )
+from handover_marl.simulation.mujoco.models.tuning import TUNING, MujocoTuning
+from handover_marl.simulation.reference_tracking import BASE_JOINTS
 
 Index = npt.NDArray[np.int32]
 

@@ -1,0 +1,38 @@
+"""Images of the wrist camera and their segmentation labels."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+
+class SegmentationLabel(IntEnum):
+    """Labels of the pixels in a segmentation mask of the wrist camera."""
+
+    BACKGROUND = 0  # ground, or beyond the depth range
+    ROBOT = 1
+    TABLE = 2
+    TARGET = 3  # the object that is handed over
+    OTHER_OBJECT = 4
+    HAND = 5
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImage:
+    """Depth image, segmentation mask and colours of the wrist camera.
+
+    Attributes:
+        depth: (224, 224) float32 depth along the viewing axis (m); `EMPTY_DEPTH`, just under 2 m, for background.
+        segmentation: (224, 224) uint8 values of `SegmentationLabel`.
+        rgb: (224, 224, 3) uint8 colours, or None.
+    """
+
+    depth: npt.NDArray[np.float32]
+    segmentation: npt.NDArray[np.uint8]
+    rgb: npt.NDArray[np.uint8] | None = None
+
+    def compute_mask(self, label: SegmentationLabel) -> npt.NDArray[np.bool_]:
+        """Return a boolean mask (224, 224) of the pixels with a segmentation label."""
+        mask: npt.NDArray[np.bool_] = self.segmentation == label
+        return mask

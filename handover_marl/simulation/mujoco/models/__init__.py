@@ -1,0 +1,1 @@
+"""MuJoCo models of handover scenes: shapes, bodies, sensors and variants."""
