@@ -33,7 +33,7 @@ import handover_marl.receivers
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.evaluation.benchmark import benchmark
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.policies.reference import parse_policy
@@ -145,7 +145,7 @@ def count_step(physics: str) -> TouchedCode:
     episode, profiler = Episode(physics), _StepProfiler()
     receiver = parse_policy("receiver", "yang2021").resolve(dataset).make(dataset)
     episode.reset(dataset.load_scene(_SCENE))
-    play(episode, receiver, seed=0, until=_MEASURED_STEP + 10, callbacks=[profiler])
+    run_episode(episode, receiver, seed=0, until=_MEASURED_STEP + 10, callbacks=[profiler])
     episode.close()
     return profiler.profiler.touched
 
@@ -168,7 +168,7 @@ def count_decision() -> TouchedCode:
 
     receiver.act = act_profiled  # type: ignore[method-assign]
     episode.reset(dataset.load_scene(_SCENE))
-    play(episode, receiver, seed=0, until=lambda: n_calls >= 10)
+    run_episode(episode, receiver, seed=0, until=lambda: n_calls >= 10)
     episode.close()
     return profiler.touched
 

@@ -17,7 +17,7 @@ from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play, steps_from_hold_time
+from handover_marl.episode.loop import run_episode, steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ConformanceError
 from handover_marl.execution.options import is_pybullet_installed
@@ -123,7 +123,7 @@ def _check(agent: str, policy: PolicyLike, dataset: Dataset, scenes: Sequence[in
         episode.reset(dataset.load_scene(scene))
         recorder, checked = _DecisionRecorder(agent), _CheckedPolicy(live)
         pair = (checked,) if partner is None else (partner, checked)
-        play(episode, *pair, seed=seed, until=steps, callbacks=[recorder])
+        run_episode(episode, *pair, seed=seed, until=steps, callbacks=[recorder])
         return recorder.decisions
 
     try:

@@ -6,7 +6,7 @@ import numpy.typing as npt
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play as play_episode
+from handover_marl.episode.loop import run_episode
 from handover_marl.policies.policy import Policy
 
 
@@ -16,5 +16,5 @@ def play(
     """Play a scene to its end; return the actions (T, 9) and the receiver's planning times (T,) in s of all steps."""
     log = ActionRecorder()
     episode.reset(scene)
-    play_episode(episode, receiver, giver, callbacks=(log, *callbacks))
+    run_episode(episode, receiver, giver, callbacks=(log, *callbacks))
     return log.actions, log.times

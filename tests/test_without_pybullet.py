@@ -14,7 +14,7 @@ from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.givers import list_available
 from handover_marl.planning.ik_solvers import PandaIkSolver
@@ -72,7 +72,7 @@ def rollout() -> str:
     episode.reset(data.load_scene(SCENE))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yang2021_controller, "make_ik_solver", PandaIkSolver)
-        play(episode, receiver, callbacks=[noting])
+        run_episode(episode, receiver, callbacks=[noting])
     episode.close()
     return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
 
@@ -163,7 +163,7 @@ def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
 import numpy as np
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
 data = open_dataset("synthetic", robot="panda_camera")
@@ -174,7 +174,7 @@ def ahead(points, remaining):
 receiver, episode = GaddpgReceiver(make("hold", data).context, ahead), Episode("mujoco")
 episode.reset(data.load_scene({SCENE}))
 start = episode.observe()["gripper_pose"]
-play(episode, receiver, until=lambda: len(asked) == 4 or episode.steps > 9000)
+run_episode(episode, receiver, until=lambda: len(asked) == 4 or episode.steps > 9000)
 way = episode.observe()["gripper_pose"][:3] - start[:3]
 assert len(asked) == 4
 assert 0.04 < np.linalg.norm(way) < 0.1, way

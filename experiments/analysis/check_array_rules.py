@@ -21,7 +21,7 @@ from handover_marl import givers, receivers
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import PoolConfig
@@ -129,7 +129,7 @@ class RefereeComparator:
     def _simulate(self, giver: str, scene: int) -> RefereeRecord:
         recorder = RefereeRecorder(Referee(self._episode.config.protocol))
         self._episode.reset(self._data.load_scene(scene))
-        play(self._episode, self._receiver, self._givers[giver], seed=0, callbacks=[recorder])
+        run_episode(self._episode, self._receiver, self._givers[giver], seed=0, callbacks=[recorder])
         return recorder.record
 
     def _judge_segments(

@@ -29,7 +29,7 @@ from handover_marl.config import ARM_DOF
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import PoolConfig
@@ -215,7 +215,7 @@ class SceneRunner:
         """Simulate the scene of a given number and return its outcome with the cause."""
         scene, episode, recorder = self._data.load_scene(number), self._episode, FailureRecorder()
         episode.reset(scene)
-        play(episode, self._receiver, self._giver, seed=0, callbacks=[recorder])
+        run_episode(episode, self._receiver, self._giver, seed=0, callbacks=[recorder])
         cause = self._causes.classify(episode, recorder)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         times = np.reshape(recorder.times, (-1, 2))

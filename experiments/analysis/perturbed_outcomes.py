@@ -15,7 +15,7 @@ import tyro
 
 from handover_marl import __version__, receivers
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
 from handover_marl.execution.options import PoolConfig
@@ -63,7 +63,7 @@ class PerturbedSimulator:
         scene, statuses = self._data.load_scene(number), []
         for nudge in (0.0, *self._nudges):
             self._episode.reset(scene)
-            play(self._episode, PerturbedReceiver(self._receiver, nudge, number), seed=0)
+            run_episode(self._episode, PerturbedReceiver(self._receiver, nudge, number), seed=0)
             statuses.append(self._episode.status)
         return statuses
 

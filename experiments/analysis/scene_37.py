@@ -18,7 +18,7 @@ from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.geometry.poses import compose, compute_rotation_angle, invert_pose
 from handover_marl.learning.training.scene_arguments import DatasetArgs
@@ -130,7 +130,7 @@ def main(args: Args) -> None:
     for name in split_policy_list("receiver", args.receivers):
         log = RuleLog()
         episode.reset(data.load_scene(args.scene))
-        play(episode, receivers.make(name, data), seed=0, callbacks=[log])
+        run_episode(episode, receivers.make(name, data), seed=0, callbacks=[log])
         rows.append(format_row(name, episode, log))
     print(
         f"Scene {args.scene}, {', '.join(info.object_names)}, {info.side} hand; {data.name}, {args.physics} physics, "

@@ -21,7 +21,7 @@ from handover_marl.config import HAND_DOF, MAX_OBJECTS, OFFICIAL_CONFIG
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.geometry.arrays import ArrayFactory, make_tensor_factory, to_numpy
 from handover_marl.learning.training.scene_arguments import SetupArgs
@@ -92,10 +92,10 @@ def record_frames(args: Args) -> list[Frame]:
     receiver, episode, frames = parse_policy("receiver", args.receiver).make(data), Episode(MUJOCO), []
     for scene in map(data.load_scene, chosen):
         episode.reset(scene)
-        play(episode, receiver, seed=0)
+        run_episode(episode, receiver, seed=0)
         recorder = FrameRecorder(np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist())
         episode.reset(scene)
-        play(episode, receiver, seed=0, callbacks=[recorder])
+        run_episode(episode, receiver, seed=0, callbacks=[recorder])
         frames += recorder.frames
     return frames
 

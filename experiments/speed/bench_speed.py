@@ -29,7 +29,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
@@ -286,7 +286,7 @@ def make_episode_table(args: Args) -> str:
             for kind, episode in episodes.items():
                 started = time.perf_counter()
                 episode.reset(data.load_scene(scene_id))
-                play(episode, policy, callbacks=[recorders[kind]] if kind[1] else [])
+                run_episode(episode, policy, callbacks=[recorders[kind]] if kind[1] else [])
                 seconds[kind] += counts * (time.perf_counter() - started)
                 steps[kind] += counts * episode.steps
     rows = [

@@ -22,7 +22,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.camera_observations import WristCamera, WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.reference import parse_policy
@@ -131,11 +131,11 @@ def compare_renderers(args: Args, data: Dataset) -> tuple[PointCloudTimer, Rende
     for scene_id in track(chosen, "views", console=Console(stderr=True)):
         scene = data.load_scene(scene_id)
         episode.reset(scene)
-        play(episode, robot, seed=0, callbacks=[cloud_timer])
+        run_episode(episode, robot, seed=0, callbacks=[cloud_timer])
         steps = np.linspace(0, episode.steps, args.views + 1)[1:].astype(int).tolist()
         comparison = RendererComparison(steps, RayCamera(scene.assets, OFFICIAL_CONFIG.physics))
         episode.reset(scene)
-        play(episode, robot, seed=0, callbacks=[comparison])
+        run_episode(episode, robot, seed=0, callbacks=[comparison])
         found.pairs += comparison.pairs
         found.times += comparison.times
     episode.close()

@@ -23,7 +23,7 @@ from handover_marl import __version__
 from handover_marl.config import OFFICIAL_CONFIG, GiverConfig, WorldConfig
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
@@ -131,7 +131,7 @@ class ControlSimulator:
     def _play(self, episode: Episode, giver: Policy, condition: Condition, number: int) -> str:
         receiver = PerturbedReceiver(self._receiver, condition.nudge, (condition.seed, number))
         episode.reset(self._data.load_scene(number), number)
-        play(episode, receiver, giver, seed=0)
+        run_episode(episode, receiver, giver, seed=0)
         return episode.status.label
 
 

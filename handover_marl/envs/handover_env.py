@@ -27,14 +27,11 @@ from handover_marl.episode.observations import (
     receiver_observation_space,
     select_receiver_observation,
 )
-from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import ResetNeededError
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.policy import PolicyContext, make_policy_context
-
-#: Release reasons; the value `release` of infos is an index into this tuple.
-RELEASE_REASONS = tuple(ReleaseReason)
 
 Info = dict[str, float]
 Observations = dict[str, Observation]
@@ -73,7 +70,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         - `status`: bits of `handover_marl.EpisodeStatus`.
         - `steps`: physics steps since the start.
         - `release_step`: physics step in which the person released the object, or -1.
-        - `release`: reason of the release, an index into `RELEASE_REASONS`, or -1.
+        - `release`: reason of the release, an index into `handover_marl.episode.referee.RELEASE_REASONS`, or -1.
         - `reward/...`: weighted terms of the agent's last reward; 0 after `reset`.
 
     Copies and pickles are new environments with the same configuration and no running episode.

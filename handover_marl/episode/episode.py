@@ -117,26 +117,42 @@ class Episode:
             world.set_reference(playback.plan(planned, giver_action, referee.released, opening=is_voluntary))
             steps -= planned
             if isinstance(world, BatchWorld) and not on_step and camera is None:
-                states = RefereeStateBatch.from_states([referee.get_state()])
-                simulated = int(simulate_worlds([world], [target], states, planned, self.config.protocol)[0])
-                referee.restore(states.select(0))
-                self._contacts = None
-                playback.commit(simulated)
-                continue
-            simulated = 0
-            while simulated < planned and not referee.status:
-                world.step(target)
-                simulated += 1
-                if camera is not None:
-                    camera.record_snapshot(world)
-                was_released = referee.released
-                self._contacts = world.read_contacts(was_released)
-                referee.update(self._contacts)
-                for callback in on_step:
-                    callback(self)
-                if referee.released and not was_released and not referee.status:
-                    world.release_target()
+                simulated = self._simulate_rollout(world, target, planned)
+            else:
+                simulated = self._simulate_single_steps(world, target, planned, camera, on_step)
             playback.commit(simulated)
+
+    def _simulate_rollout(self, world: BatchWorld, target: list[float], steps: int) -> int:
+        """Simulate up to `steps` physics steps at once; return their number."""
+        states = RefereeStateBatch.from_states([self._referee.get_state()])
+        simulated = simulate_worlds([world], [target], states, steps, self.config.protocol)
+        self._referee.restore(states.select(0))
+        self._contacts = None
+        return int(simulated[0])
+
+    def _simulate_single_steps(
+        self,
+        world: World,
+        target: list[float],
+        steps: int,
+        camera: WristCamera | None,
+        on_step: Sequence[Callable[["Episode"], None]],
+    ) -> int:
+        """Simulate up to `steps` physics steps one after another; return their number."""
+        referee, simulated = self._referee, 0
+        while simulated < steps and not referee.status:
+            world.step(target)
+            simulated += 1
+            if camera is not None:
+                camera.record_snapshot(world)
+            was_released = referee.released
+            self._contacts = world.read_contacts(was_released)
+            referee.update(self._contacts)
+            for callback in on_step:
+                callback(self)
+            if referee.released and not was_released and not referee.status:
+                world.release_target()
+        return simulated
 
     def observe(self) -> Observation:
         """Return the full state of the simulation as an observation."""

@@ -7,14 +7,14 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.referee import EpisodeStatus, RefereeState, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, RefereeState, ReleaseReason
 from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, make_constant
 from handover_marl.simulation.contacts import ContactBatch
 from handover_marl.simulation.world import BatchWorld
 
 Counts = npt.NDArray[np.int_]
 
-_ACTIVE, _PASSIVE = tuple(ReleaseReason).index(ReleaseReason.ACTIVE), tuple(ReleaseReason).index(ReleaseReason.PASSIVE)
+_ACTIVE, _PASSIVE = RELEASE_REASONS.index(ReleaseReason.ACTIVE), RELEASE_REASONS.index(ReleaseReason.PASSIVE)
 # The sensor readings of more worlds do not fit into the processor's cache.
 _ROLLOUT_WORLDS = 32
 # Steps of one rollout. Steps after a release or an episode's end are simulated in vain.

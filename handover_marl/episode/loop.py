@@ -123,7 +123,69 @@ def steps_from_hold_time(hold_time: float) -> int:
     return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))
 
 
-def play(
+class _PolicyPair:
+    """Policies of both agents in one episode, with the actions that they hold.
+
+    Args:
+        episode: Episode at the start of a scene.
+        receiver: Policy of the robot.
+        giver: Policy of the person; None replays the recording.
+        seed: Seed of the run.
+    """
+
+    def __init__(
+        self, episode: Episode, receiver: EpisodePolicy, giver: EpisodePolicy | None, seed: int | None
+    ) -> None:
+        self._episode, self._seed = episode, seed
+        scene = episode.scene.info
+        self._objects = scene.object_names
+        self._receiver, self._policy, self._has_started = PolicyScheduler(receiver), receiver, False
+        self._receiver_observes = getattr(receiver, "obs_mode", STATE) is not None
+        self._giver = None if giver is None else PolicyScheduler(giver)
+        if self._giver is not None:
+            self._giver.reset(derive_scene_seed(seed, scene.scene_id, "giver"), self._objects)
+        self._giver_space = giver_action_space(episode.config.giver)
+        self._receiver_action, self._giver_action = np.zeros(0, dtype=np.float32), NO_DEVIATION
+
+    @property
+    def due(self) -> int:
+        """Physics step from which on a policy is to be called again."""
+        return min(scheduler.due for scheduler in (self._receiver, self._giver) if scheduler is not None)
+
+    def decide(self) -> PolicyDecision:
+        """Call the policies that are due, and return the actions of both agents.
+
+        Raises:
+            ActionError: An action of a policy is malformed.
+            PolicyError: A policy fails.
+            OptionError: The hold time of a policy is not a positive number.
+        """
+        episode, now, planning_time, rendering_time = self._episode, self._episode.steps, 0.0, 0.0
+        giver_decides = self._giver is not None and now >= self._giver.due
+        receiver_decides = now >= self._receiver.due
+        state = episode.observe() if self._receiver_observes or giver_decides else {}
+        if self._giver is not None and giver_decides:
+            observation = episode.observe_giver(state)
+            # Copies, so that a policy that writes into its arrays does not change the other's.
+            observation = {key: value.copy() for key, value in observation.items()}
+            self._giver_action = check_giver_action(self._giver.decide(observation, now), self._giver_space)
+        if receiver_decides:
+            started = time.perf_counter()
+            observation = episode.observe_for_policy(self._policy, state) if self._receiver_observes else {}
+            rendering_time = time.perf_counter() - started
+            if not self._has_started:
+                self._receiver.reset(derive_receiver_seed(self._seed, observation), self._objects)
+                self._has_started = True
+            started = time.perf_counter()
+            action = self._receiver.decide(observation, now)
+            planning_time = time.perf_counter() - started
+            self._receiver_action = check_receiver_action(action)
+        return PolicyDecision(
+            self._receiver_action, self._giver_action, planning_time, receiver_decides, giver_decides, rendering_time
+        )
+
+
+def run_episode(
     episode: Episode,
     receiver: EpisodePolicy,
     giver: EpisodePolicy | None = None,
@@ -150,48 +212,19 @@ def play(
     """
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
-    scene_id, objects = episode.scene.info.scene_id, episode.scene.info.object_names
-    receiver_scheduler, receiver_has_started = PolicyScheduler(receiver), False
-    receiver_observes = getattr(receiver, "obs_mode", STATE) is not None
-    giver_scheduler = None if giver is None else PolicyScheduler(giver)
-    episode.seed_camera(derive_scene_seed(seed, scene_id, "camera"))
-    if giver_scheduler is not None:
-        giver_scheduler.reset(derive_scene_seed(seed, scene_id, "giver"), objects)
-    giver_space = giver_action_space(episode.config.giver)
-    giver_action = NO_DEVIATION
+    episode.seed_camera(derive_scene_seed(seed, episode.scene.info.scene_id, "camera"))
+    policies = _PolicyPair(episode, receiver, giver, seed)
     step_hooks = [callback.on_step for callback in callbacks]
     for callback in callbacks:
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
-        now, planning_time, rendering_time = episode.steps, 0.0, 0.0
-        giver_decides = giver_scheduler is not None and now >= giver_scheduler.due
-        receiver_decides = now >= receiver_scheduler.due
-        state = episode.observe() if receiver_observes or giver_decides else {}
-        if giver_scheduler is not None and giver_decides:
-            observation = episode.observe_giver(state)
-            # Copies, so that a policy that writes into its arrays does not change the other's.
-            observation = {key: value.copy() for key, value in observation.items()}
-            giver_action = check_giver_action(giver_scheduler.decide(observation, now), giver_space)
-        if receiver_decides:
-            started = time.perf_counter()
-            observation = episode.observe_for_policy(receiver, state) if receiver_observes else {}
-            rendering_time = time.perf_counter() - started
-            if not receiver_has_started:
-                receiver_scheduler.reset(derive_receiver_seed(seed, observation), objects)
-                receiver_has_started = True
-            started = time.perf_counter()
-            action = receiver_scheduler.decide(observation, now)
-            planning_time = time.perf_counter() - started
-            receiver_action = check_receiver_action(action)
+        now, decision = episode.steps, policies.decide()
         if callable(until) and until():
             break
-        decision = PolicyDecision(
-            receiver_action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time
-        )
         for callback in callbacks:
             callback.on_decision(episode, decision)
-        due = min(scheduler.due for scheduler in (receiver_scheduler, giver_scheduler) if scheduler is not None)
-        episode.advance(receiver_action, min(end, due) - now, giver_action, step_hooks)
+        steps = min(end, policies.due) - now
+        episode.advance(decision.receiver_action, steps, decision.giver_action, step_hooks)
     for callback in callbacks:
         callback.on_end(episode)
 

@@ -18,7 +18,11 @@ class ReleaseReason(Enum):
 
     ACTIVE = "active"
     PASSIVE = "passive"
-    VOLUNTARY = "given"
+    VOLUNTARY = "voluntary"
+
+
+#: Reasons by number, as infos and referee states contain them; -1 is no release.
+RELEASE_REASONS = tuple(ReleaseReason)
 
 
 class EpisodeStatus(IntFlag):
@@ -37,16 +41,13 @@ class EpisodeStatus(IntFlag):
         return "+".join(word for bit, word in words.items() if self & bit) or "running"
 
 
-_REASONS = tuple(ReleaseReason)
-
-
 class RefereeState(NamedTuple):
     """Saved state of the referee of an episode, as integers.
 
     Attributes:
         status: Bits of the `EpisodeStatus`.
         steps: Number of physics steps since the start of the episode.
-        release: Reason why the person released the object, an index into `tuple(ReleaseReason)`; -1
+        release: Reason why the person released the object, an index into `RELEASE_REASONS`; -1
             before a release.
         release_step: Physics step of the release; -1 before a release.
         active_steps: Consecutive steps in which the condition of `ReleaseReason.ACTIVE` has held.
@@ -106,7 +107,7 @@ class Referee:
         return RefereeState(
             status=int(self.status),
             steps=self.steps,
-            release=-1 if self.release is None else _REASONS.index(self.release),
+            release=-1 if self.release is None else RELEASE_REASONS.index(self.release),
             release_step=-1 if self.release_step is None else self.release_step,
             active_steps=self._active_steps,
             passive_steps=self._passive_steps,
@@ -117,7 +118,7 @@ class Referee:
         """Restore a state that `get_state` returned."""
         self.status, self.steps = EpisodeStatus(state.status), state.steps
         self.released = state.release >= 0
-        self.release = _REASONS[state.release] if self.released else None
+        self.release = RELEASE_REASONS[state.release] if self.released else None
         self.release_step = state.release_step if self.released else None
         self._active_steps, self._passive_steps = state.active_steps, state.passive_steps
         self._goal_steps = state.goal_steps

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodePolicy, derive_scene_seed, play
+from handover_marl.episode.loop import EpisodePolicy, derive_scene_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
@@ -100,7 +100,9 @@ class EpisodeRunner:
         self._episode.reset(scene, derive_scene_seed(self._config.seed, task.scene_id, "robot"))
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
         try:
-            play(self._episode, receiver or self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks)
+            run_episode(
+                self._episode, receiver or self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks
+            )
         except (ActionError, OptionError, PolicyError) as error:
             raise self._add_context(error, task) from error
         info = scene.info

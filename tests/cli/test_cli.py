@@ -72,7 +72,7 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(episode_runner, "play", interrupted)
+    monkeypatch.setattr(episode_runner, "run_episode", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command resumes" in capsys.readouterr().err
 

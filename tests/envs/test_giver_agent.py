@@ -7,8 +7,8 @@ import pytest
 
 import handover_marl
 from handover_marl.config import PandaConfig
-from handover_marl.envs.handover_env import RELEASE_REASONS, HandoverEnv
-from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.errors import ActionError
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)

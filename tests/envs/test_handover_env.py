@@ -12,9 +12,9 @@ import handover_marl
 from handover_marl import parallel_env
 from handover_marl.config import CameraConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.handover_env import RELEASE_REASONS, HandoverEnv
+from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.rewards import SHAPED, GiverWeights, ReceiverWeights
-from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import (
     ActionError,

@@ -19,7 +19,7 @@ from handover_marl.episode.camera_observations import (
     camera_observation_space,
 )
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.spaces import (
     FULL_POINTCLOUD,
     OBS_MODES,
@@ -407,7 +407,7 @@ class Looker(Policy):
 def test_state_observations_render_nothing(drawings: Drawings, camera: str | None, wishes: dict[str, str]) -> None:
     episode, looker = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=camera)), Looker(**wishes)
     episode.reset(SCENE)
-    play(episode, looker, until=200)
+    run_episode(episode, looker, until=200)
     assert looker.seen == [{}] * 4
     assert drawings.taken() == (0, 0, 0, 0)
     episode.close()
@@ -428,7 +428,7 @@ def test_one_image_is_rendered_per_decision(
 ) -> None:
     episode, looker = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=camera)), Looker(obs_mode=obs_mode)
     episode.reset(SCENE)
-    play(episode, looker, until=200)
+    run_episode(episode, looker, until=200)
     keys = [key for key in camera_observation_space(obs_mode) if key.startswith("wrist")]
     assert [list(seen) for seen in looker.seen] == [keys] * 4
     assert drawings.taken() == expected
@@ -669,7 +669,7 @@ def test_noise_follows_the_seed_of_the_episode() -> None:
         looker = Looker(obs_mode=f"state+{POINTCLOUD}")
         episode.reset(SCENE)
         episode.advance(GOAL, STEPS)
-        play(episode, looker, seed=seed, until=STEPS + 100)
+        run_episode(episode, looker, seed=seed, until=STEPS + 100)
         assert min(seen[COUNTS][0] for seen in looker.seen) > 1024
         clouds.append(looker.seen)
     for first, other, again in zip(*clouds, strict=True):

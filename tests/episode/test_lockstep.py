@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
-from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
 from tests.learning.training.scripts import script
@@ -114,7 +114,7 @@ def test_whole_episodes_end(status: EpisodeStatus) -> None:
     if status is EpisodeStatus.SUCCESS:
         assert (last[0], states.release[0], states.status[0]) == (
             3,
-            tuple(ReleaseReason).index(ReleaseReason.ACTIVE),
+            RELEASE_REASONS.index(ReleaseReason.ACTIVE),
             0,
         )
         last, states = judge_steps(states, arrays([steps[4:]]), RULES)

@@ -13,7 +13,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed, play
+from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed, run_episode
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make_policy_context
@@ -81,7 +81,7 @@ def played(receiver: type[Yang2021Receiver], giver: Any, until: int | None = Non
     dataset = SyntheticDataset()
     episode, decisions = Episode("fast"), Decisions()
     episode.reset(dataset.load_scene(SCENE))
-    play(episode, receiver(make_policy_context(dataset)), giver, seed=0, until=until, callbacks=[decisions])
+    run_episode(episode, receiver(make_policy_context(dataset)), giver, seed=0, until=until, callbacks=[decisions])
     end = (episode.status, episode.steps, episode.release_step)
     episode.close()
     return (*end, decisions)
@@ -144,7 +144,7 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
         for scene_id in scenes:
             episode, places = Episode(physics) if turn == 0 else used, Places()
             episode.reset(dataset.load_scene(scene_id))
-            play(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
+            run_episode(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
             end = (episode.status, episode.steps, episode.release_step)
             if turn == 0:
                 first[scene_id] = (end, np.array(places.rows))
@@ -194,7 +194,7 @@ def test_both_are_asked_when_they_want_to_be(pair: tuple[Counting, Counting]) ->
     receiver, giver = pair
     episode, decisions = Episode("fast"), Decisions()
     episode.reset(SyntheticDataset().load_scene(SCENE))
-    play(episode, receiver, giver, until=200, callbacks=[decisions])
+    run_episode(episode, receiver, giver, until=200, callbacks=[decisions])
     assert (episode.steps, int(episode.status)) == (200, 0)
     assert receiver.times == list(range(0, 200, 70))
     assert giver.times == list(range(0, 200, 30))
@@ -206,7 +206,7 @@ def test_playing_stops_on_request(pair: tuple[Counting, Counting]) -> None:
     receiver, giver = pair
     episode = Episode("fast")
     episode.reset(SyntheticDataset().load_scene(SCENE))
-    play(episode, receiver, giver, until=lambda: len(receiver.times) == 3)
+    run_episode(episode, receiver, giver, until=lambda: len(receiver.times) == 3)
     assert episode.steps == receiver.times[-1] == 140
     episode.close()
 
@@ -216,7 +216,7 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
     episode, dataset = Episode("fast"), SyntheticDataset()
     for scene_id, seed in ((209, 0), (209, 1), (214, 0), (209, None), (209, 0)):
         episode.reset(dataset.load_scene(scene_id))
-        play(episode, receiver, giver, seed=seed, until=1)
+        run_episode(episode, receiver, giver, seed=seed, until=1)
         assert receiver.seeds[-1] == derive_receiver_seed(seed, receiver.first_observation)
         assert giver.seeds[-1] == derive_scene_seed(seed, scene_id, "giver")
     assert len({*receiver.seeds[:3], *giver.seeds[:3]}) == 6
@@ -241,7 +241,7 @@ def test_the_seed_of_a_receiver_does_not_depend_on_the_number_of_the_scene(pair:
     episode, scene = Episode("fast"), SyntheticDataset().load_scene(SCENE)
     for scene_id in (SCENE, SCENE + 1):
         episode.reset(replace(scene, info=replace(scene.info, scene_id=scene_id)))
-        play(episode, receiver, until=1)
+        run_episode(episode, receiver, until=1)
     episode.close()
     assert receiver.seeds[0] == receiver.seeds[1]
 
@@ -273,7 +273,7 @@ def test_times_of_a_decision_are_those_of_rendering_and_policy(monkeypatch: pyte
     dataset = SyntheticDataset()
     episode = Episode("fast")
     episode.reset(dataset.load_scene(SCENE))
-    play(episode, receivers.make("hold", dataset), until=1, callbacks=[times])
+    run_episode(episode, receivers.make("hold", dataset), until=1, callbacks=[times])
     episode.close()
     assert times.seconds == (2.0, 5.0)
 
@@ -296,7 +296,7 @@ def test_an_episode_ends_at_the_horizon_of_the_rules(pair: tuple[Counting, Count
     episode = Episode("fast", replace(OFFICIAL_CONFIG, protocol=rules))
     for until in (None, 500, lambda: False):
         episode.reset(SyntheticDataset().load_scene(SCENE))
-        play(episode, receiver, until=until)
+        run_episode(episode, receiver, until=until)
         assert (episode.steps, episode.status.label) == (100, "timeout")
         assert receiver.times == [0, 70]
     episode.close()
@@ -328,6 +328,6 @@ def test_policies_without_an_observation_mode_observe_nothing(
     for policy, expected in ((giver, list(range(0, 200, 30))), (None, [])):
         times.clear()
         episode.reset(SyntheticDataset().load_scene(SCENE))
-        play(episode, receiver, policy, until=200)
+        run_episode(episode, receiver, policy, until=200)
         assert (episode.steps, times) == (200, expected)
     episode.close()

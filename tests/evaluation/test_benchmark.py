@@ -157,23 +157,23 @@ def test_scenes_of_any_integer_type(fake_data: Path, tmp_path: Path, scenes: Any
 
 def test_an_interrupted_evaluation_resumes(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     played = []
-    play = episode_runner.play
+    run_episode = episode_runner.run_episode
 
     def noted(episode: Any, *players: Any, **options: Any) -> None:
         played.append(episode.scene.info.scene_id)
-        play(episode, *players, **options)
+        run_episode(episode, *players, **options)
 
     def play_once(*players: Any, **options: Any) -> None:
         if played:
             raise KeyboardInterrupt
         noted(*players, **options)
 
-    monkeypatch.setattr(episode_runner, "play", play_once)
+    monkeypatch.setattr(episode_runner, "run_episode", play_once)
     with pytest.raises(KeyboardInterrupt):
         run(fake_data, tmp_path)
     assert played == [9]
     assert not (tmp_path / "report.json").exists()
-    monkeypatch.setattr(episode_runner, "play", noted)
+    monkeypatch.setattr(episode_runner, "run_episode", noted)
     resumed = run(fake_data, tmp_path)
     assert played == [9, 14]
     assert untimed(resumed) == untimed(run(fake_data))

@@ -24,13 +24,13 @@ pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return a list to which the number of every simulated scene is added."""
-    scenes, play = [], episode_runner.play
+    scenes, run_episode = [], episode_runner.run_episode
 
     def noted(episode: Any, *players: Any, **options: Any) -> None:
         scenes.append(episode.scene.info.scene_id)
-        play(episode, *players, **options)
+        run_episode(episode, *players, **options)
 
-    monkeypatch.setattr(episode_runner, "play", noted)
+    monkeypatch.setattr(episode_runner, "run_episode", noted)
     return scenes
 
 

@@ -15,7 +15,7 @@ from handover_marl.datasets.dataset import Dataset, Scene
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.policy import Giver, Policy, make_policy_context
@@ -190,14 +190,14 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     rng = np.random.default_rng(0)
     end = 1000 if reference.startswith("omg") else 2500
     episode.reset(scene)
-    play(episode, receiver, until=end)
+    run_episode(episode, receiver, until=end)
     events = receiver.events
     # Motion changes less than 40 ms after a decision, so that a preview of 50 ms would contain the change.
     decisions = choose_decisions(events, end // 4, rng)
     for decision, change in zip(decisions, CHANGES, strict=True):
         last = decision + int(rng.integers(0, 40))
         episode.reset(change_motion(scene, last, change))
-        play(episode, receiver, until=last + 1)
+        run_episode(episode, receiver, until=last + 1)
         assert_same_until(last, receiver, events)
     episode.close()
 
@@ -210,13 +210,13 @@ def test_givers_see_no_further_ahead_than_their_preview(policy: str | type[Giver
     episode = Episode("fast")
     rng = np.random.default_rng(0)
     episode.reset(scene)
-    play(episode, receiver, giver, until=1500)
+    run_episode(episode, receiver, giver, until=1500)
     events = giver.events
     decisions = choose_decisions(events, 500, rng)
     for decision, change in zip(decisions, CHANGES, strict=True):
         later = int(rng.integers(0, 40))
         frame = round(GIVERS[policy] * decision) + PREVIEW + later
         episode.reset(change_motion(scene, frame, change))
-        play(episode, receiver, giver, until=decision + later + 1)
+        run_episode(episode, receiver, giver, until=decision + later + 1)
         assert_same_until(decision, giver, events)
     episode.close()

@@ -61,13 +61,15 @@ def test_a_wait_is_waited() -> None:
     """Yang's receiver does not move before the end of its waiting time."""
     from handover_marl.episode.callbacks import ActionRecorder
     from handover_marl.episode.episode import Episode
-    from handover_marl.episode.loop import play
+    from handover_marl.episode.loop import run_episode
 
     episode, first = Episode("fast"), {}
     for wait in (0.0, 0.7):
         episode.reset(DATA.load_scene(9))
         log = ActionRecorder()
-        play(episode, parse_policy("receiver", ("yang2021", {"wait": wait})).make(DATA), until=900, callbacks=[log])
+        run_episode(
+            episode, parse_policy("receiver", ("yang2021", {"wait": wait})).make(DATA), until=900, callbacks=[log]
+        )
         moves = np.flatnonzero((log.actions != log.actions[0]).any(axis=1))
         first[wait] = int(moves[0])
     assert first[0.0] < 700 <= first[0.7]

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
 from handover_marl import givers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
 from handover_marl.policies.policy import make_policy_context
@@ -46,7 +46,7 @@ def record_rollouts() -> list[Rollout]:
     episode, receiver, found = Episode("mujoco"), RecordingReceiver(CONTEXT, wait=0.4), []
     for number, (scene_id, giver) in enumerate(ROLLOUTS):
         episode.reset(DATA.load_scene(scene_id))
-        play(episode, receiver, givers.make(giver, DATA), seed=number)
+        run_episode(episode, receiver, givers.make(giver, DATA), seed=number)
         found.append(receiver.decisions)
     episode.close()
     return found

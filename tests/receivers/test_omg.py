@@ -13,7 +13,7 @@ from handover_marl import parallel_env, receivers
 from handover_marl.datasets import Dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler, play
+from handover_marl.episode.loop import PolicyScheduler, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.evaluation.benchmark import benchmark
@@ -157,7 +157,7 @@ def test_commands_do_not_depend_on_the_call_period() -> None:
 def test_fast_and_exact_physics(physics: str) -> None:
     episode, receiver = Episode(physics), make_omg()
     episode.reset(DATA.load_scene(SCENE))
-    play(episode, receiver, until=3500)
+    run_episode(episode, receiver, until=3500)
     assert receiver.plan is not None
     moved = episode.observe()["robot_joint_position"] - np.array(WAITING_JOINTS, dtype=np.float32)
     assert np.abs(moved).max() > 0.02

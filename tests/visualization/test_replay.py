@@ -15,7 +15,7 @@ from handover_marl.config import TIME_STEP
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
@@ -71,7 +71,7 @@ def recorded(
     episode, robot = Episode("fast", SHORT), make(receiver, data)
     recorder = ReplayRecorder(robot)
     episode.reset(data.load_scene(scene))
-    play(episode, robot, seed=0, callbacks=[recorder, *more])
+    run_episode(episode, robot, seed=0, callbacks=[recorder, *more])
     on_end = episode.status, episode.steps, episode.world.read_joint_snapshot()
     episode.close()
     return recorder.log, on_end
@@ -117,7 +117,7 @@ def test_recording_does_not_change_the_episode(fake_data: Path) -> None:
     for watched in (False, True):
         episode, robot, end = Episode("fast", SHORT), make("random", data), Ends()
         episode.reset(data.load_scene(9))
-        play(episode, robot, seed=3, callbacks=[ReplayRecorder(robot), end] if watched else [end])
+        run_episode(episode, robot, seed=3, callbacks=[ReplayRecorder(robot), end] if watched else [end])
         ends.append(end.end)
         episode.close()
     assert ends[0][:2] == ends[1][:2]

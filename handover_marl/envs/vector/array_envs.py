@@ -127,13 +127,13 @@ class ArrayEnvs:
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
         if self._prefetches:
             self._start_next(rows)
-        given = episodes.set_actions(current, actions)
+        episodes.set_outputs(current, actions)
         episodes.clear_rewards(current)
         active = current
         while len(active):
             coming = episodes.find_waiting(self.arrays.asarray(self._next[self._next != _NONE]))
             episodes.clear_rewards(coming)
-            episodes.advance(self.arrays.xp.concat([active, coming]), given)
+            episodes.advance(self.arrays.xp.concat([active, coming]), actions)
             active = episodes.find_waiting(active)
         return episodes.make_result(current)
 

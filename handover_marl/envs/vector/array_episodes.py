@@ -166,26 +166,20 @@ class ArrayEpisodes:
         running = rows[~self.have_ended(rows)]
         return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
 
-    def set_actions(self, rows: AnyIndices, actions: ByAgent) -> ByAgent:
-        """Pass outputs (r, ...) to the agents' action schemes; return the actions of agents without a scheme."""
-        given: ByAgent = {}
-        for agent, values in actions.items():
-            if agent in self._schemes:
-                scheme = self._schemes[agent]
-                needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
-                scheme.set_outputs(rows[needs], values[needs])
-            else:
-                given[agent] = values
-        return given
+    def set_outputs(self, rows: AnyIndices, outputs: ByAgent) -> None:
+        """Pass outputs (r, ...) to the agents' action schemes."""
+        for agent, scheme in self._schemes.items():
+            needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
+            scheme.set_outputs(rows[needs], outputs[agent][needs])
 
-    def advance(self, rows: AnyIndices, given: ByAgent) -> None:
+    def advance(self, rows: AnyIndices, actions: ByAgent) -> None:
         """Simulate one control period.
 
         Args:
             rows: Indices (r,) of running episodes.
-            given: Actions (r, ...) of agents without action scheme, by agent.
+            actions: Actions (r, ...) by agent; those of agents with an action scheme are not used.
         """
-        config, episodes, actions, xp = self._base.config, self._episodes, dict(given), self.arrays.xp
+        config, episodes, actions, xp = self._base.config, self._episodes, dict(actions), self.arrays.xp
         if self._partner is not None:
             agent, steps = self._partner_agent, episodes.referees.steps[rows]
             actions[agent] = self._partner.act(rows, lambda some: self._select_observation(agent, some), steps)

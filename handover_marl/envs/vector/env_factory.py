@@ -48,6 +48,9 @@ class EnvFactory:
         prefetch_episodes: Whether the next episodes may be simulated in advance, because `reset` gets no
             options after the end of an episode.
         backend: Engine and device of environments that are simulated together.
+
+    Raises:
+        OptionError: An attribute is not one that several environments can have.
     """
 
     config: EnvConfig
@@ -59,6 +62,18 @@ class EnvFactory:
     trust: bool
     prefetch_episodes: bool
     backend: BatchBackend
+
+    def __post_init__(self) -> None:
+        if self.agent is None and self.partner is not None:
+            raise OptionError(
+                f"partner must be None if both agents are controlled, got {self.partner!r}; leave it out, or name one "
+                "agent"
+            )
+        wrappers: object = self.wrappers
+        if not isinstance(wrappers, Sequence) or isinstance(wrappers, str):
+            raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
+        if self.config.render_mode == "human":
+            raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
 
     @functools.cached_property
     def template(self) -> WrappableEnv:

@@ -26,7 +26,7 @@ from handover_marl.geometry.arrays import ArrayFactory, to_numpy
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
-from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend, check_physics
+from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
 
 AUTORESETS = tuple(mode.name.lower() for mode in AutoresetMode)
 
@@ -243,38 +243,13 @@ def vector_env(
             cannot simulate these environments.
     """
     check_name("autoreset", autoreset, AUTORESETS)
-    count = check_positive_integer("num_envs", num_envs)
-    if count > MAX_ENVS:
-        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
-    threads, processes = (
-        None if number is None else check_positive_integer(name, number)
-        for name, number in (("threads", threads), ("processes", processes))
-    )
-    if threads is not None and processes is not None:
-        raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
     chosen_backend = BatchBackend(backend, device)
-    check_backend(chosen_backend)
-    if backend == WARP and (threads is not None or processes is not None):
-        raise OptionError(
-            f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
-            "simulates all environments together"
-        )
-    if agent is None and partner is not None:
-        raise OptionError(
-            f"partner must be None if both agents are controlled, got {partner!r}; leave it out, or name one agent"
-        )
-    given: object = wrappers
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise OptionError(f"wrappers must be a list of functions or classes, got {wrappers!r}")
+    count, threads, processes = _check_counts(num_envs, threads, processes, chosen_backend)
     if config is None:
         fields = {"physics": MUJOCO, **fields}
     chosen = make_env_config(config, fields)
-    if chosen.render_mode == "human":
-        raise OptionError('render_mode must be None or "rgb_array" for several environments, got "human"')
-    check_physics(chosen.physics)
-
     factory = EnvFactory(
-        chosen, agent, partner, features, schemes, tuple(wrappers), trust, autoreset != "disabled", chosen_backend
+        chosen, agent, partner, features, schemes, wrappers, trust, autoreset != "disabled", chosen_backend
     )
     if backend == WARP:
         factory.check_device()
@@ -287,6 +262,28 @@ def vector_env(
         parts = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
     batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], parts)
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
+
+
+def _check_counts(
+    num_envs: int, threads: int | None, processes: int | None, backend: BatchBackend
+) -> tuple[int, int | None, int | None]:
+    """Check the backend, and return the numbers of environments, threads and processes as checked integers."""
+    count = check_positive_integer("num_envs", num_envs)
+    if count > MAX_ENVS:
+        raise OptionError(f"num_envs must be at most {MAX_ENVS}, got {num_envs}; run several processes")
+    threads, processes = (
+        None if number is None else check_positive_integer(name, number)
+        for name, number in (("threads", threads), ("processes", processes))
+    )
+    if threads is not None and processes is not None:
+        raise OptionError(f"pass either threads or processes, not both, got {threads} and {processes}")
+    check_backend(backend)
+    if backend.name == WARP and (threads is not None or processes is not None):
+        raise OptionError(
+            f"threads and processes must be left out with backend='warp', got {threads} and {processes}; the device "
+            "simulates all environments together"
+        )
+    return count, threads, processes
 
 
 def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_], arrays: ArrayFactory) -> dict[str, Any]:

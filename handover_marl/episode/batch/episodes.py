@@ -8,7 +8,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
-from handover_marl.episode.referee import Referee, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices, IntArray
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
@@ -19,7 +19,7 @@ Float32 = npt.NDArray[np.float32]
 
 # Physics steps for which the givers' motion is planned at a time.
 _PLANNED_STEPS = 200
-_VOLUNTARY = tuple(ReleaseReason).index(ReleaseReason.VOLUNTARY)
+_VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 _GIVER_KEYS = ("replay_wrist_poses", "replay_object_poses", "deviation", "holding")
 
 

@@ -7,7 +7,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.observations import Observation, observation_space
-from handover_marl.episode.referee import Referee, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import AnyArray, expand_mask, make_tensor_factory, to_numpy
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import ContactBatch, Contacts
@@ -16,7 +16,7 @@ from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 # Physics steps for which the givers' motion is planned at a time.
 _PLANNED_STEPS = 200
-_VOLUNTARY = tuple(ReleaseReason).index(ReleaseReason.VOLUNTARY)
+_VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 
 
 class TensorEpisodeBatch:

@@ -7,7 +7,7 @@ from typing import Any
 from handover_marl.config import CameraConfig
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_scene_seed, play
+from handover_marl.episode.loop import derive_scene_seed, run_episode
 from handover_marl.evaluation.config import build_configs, set_dataset
 from handover_marl.evaluation.replays import format_replay_facts
 from handover_marl.policies.reference import PolicyLike, parse_policy
@@ -56,7 +56,7 @@ class ScenePlayer:
         """
         seed = self.config.seed
         self.episode.reset(self.scene, derive_scene_seed(seed, self.scene.info.scene_id, "robot"))
-        play(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
+        run_episode(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
         return self.episode.steps
 
     def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:

@@ -11,7 +11,7 @@ from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.batch.episodes import EpisodeBatch
 from handover_marl.episode.batch.tensor_episodes import TensorEpisodeBatch
-from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.geometry.arrays import to_numpy
 
 # As many rows as in the tests of the worlds, so that they share kernels.
@@ -66,7 +66,7 @@ def test_episodes_agree_with_those_of_mujoco() -> None:
         compare(arrays, tensors, 5e-4)
         assert not to_numpy(tensors.are_grasped(indices)).any()
     assert set(arrays.referees.status[rows].tolist()) == {int(EpisodeStatus.TIMEOUT)}
-    release = tuple(ReleaseReason).index(ReleaseReason.VOLUNTARY)
+    release = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
     assert to_numpy(tensors.referees.release[indices]).tolist() == [release, -1]
     assert to_numpy(tensors.released[indices]).tolist() == [True, False]
     assert tensors.read_contacts(0).object_height == pytest.approx(arrays.read_contacts(0).object_height, abs=1e-2)

@@ -516,7 +516,7 @@ def test_motion_is_sampled_every_twenty_steps(until: int, n_samples: int) -> Non
     dataset, recorder = SyntheticDataset(), TraceRecorder()
     episode = Episode("fast")
     episode.reset(dataset.load_scene(209))
-    loop.play(episode, make("hold", dataset), until=until, callbacks=[recorder])
+    loop.run_episode(episode, make("hold", dataset), until=until, callbacks=[recorder])
     episode.close()
     recorder.close()
     trace = recorder.trace
@@ -572,7 +572,7 @@ def test_recorded_actions_are_those_of_every_step() -> None:
     recorder, episode = ActionRecorder(), Episode("fast")
     for until in (200, 70):
         episode.reset(SyntheticDataset().load_scene(209))
-        loop.play(episode, Alternating(), until=until, callbacks=[recorder])
+        loop.run_episode(episode, Alternating(), until=until, callbacks=[recorder])
         numbers = np.arange(until) // 70
         np.testing.assert_array_equal(recorder.actions, start + (0.001 * numbers[:, None]).astype(np.float32))
         assert recorder.actions.dtype == np.float32

@@ -14,7 +14,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.rendering import scene as scene_rendering
@@ -120,7 +120,7 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
     for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 80)):
         episode, joints = Episode(physics), Joints()
         episode.reset(dataset.load_scene(scene_id))
-        play(
+        run_episode(
             episode,
             *players,
             seed=0,

@@ -6,7 +6,7 @@ import pytest
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
@@ -136,7 +136,7 @@ def test_no_other_object_is_touched() -> None:
         def on_step(self, episode: Episode) -> None:
             touches.append(episode.contacts.robot_touches_others)
 
-    play(episode, receiver, seed=0, callbacks=[Recorder()])
+    run_episode(episode, receiver, seed=0, callbacks=[Recorder()])
     assert episode.status.label == "success"
     assert not any(touches)
     episode.close()

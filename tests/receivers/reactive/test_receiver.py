@@ -9,7 +9,7 @@ from handover_marl import receivers
 from handover_marl.config import ARM_DOF
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler, play
+from handover_marl.episode.loop import PolicyScheduler, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.planning.clearance import Spheres
@@ -313,7 +313,7 @@ def test_name_with_options() -> None:
 def test_exact_physics() -> None:
     episode, receiver = Episode("exact"), make_reactive()
     episode.reset(DATA.load_scene(SCENE))
-    play(episode, receiver, until=1500)
+    run_episode(episode, receiver, until=1500)
     assert episode.steps == 1500
     moved = episode.observe()["robot_joint_position"] - np.array(WAITING_JOINTS, dtype=np.float32)
     assert np.abs(moved).max() > 0.1

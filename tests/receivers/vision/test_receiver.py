@@ -12,7 +12,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.callbacks import ActionRecorder
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
@@ -85,7 +85,7 @@ def play_scene(scene: int, wait: float = 0.0) -> tuple[Episode, RecordingReceive
     episode, log = Episode("fast"), ActionRecorder()
     receiver = RecordingReceiver(CONTEXT, wait, grasp_predictor=TruePredictor(episode))
     episode.reset(DATA.load_scene(scene))
-    play(episode, receiver, seed=0, callbacks=[log])
+    run_episode(episode, receiver, seed=0, callbacks=[log])
     return episode, receiver, log.actions
 
 
@@ -100,7 +100,7 @@ def test_episodes_are_independent() -> None:
     receiver = VisionReceiver(CONTEXT, grasp_predictor=TruePredictor(episode))
     for scene, until in ((9, 1500), (14, None)):
         episode.reset(DATA.load_scene(scene))
-        play(episode, receiver, seed=0, until=until, callbacks=[log])
+        run_episode(episode, receiver, seed=0, until=until, callbacks=[log])
     np.testing.assert_array_equal(log.actions, play_scene(14)[2])
 
 
@@ -153,7 +153,7 @@ def test_shipped_weights_succeed() -> None:
     ends = []
     for scene in (9, 39, 139):
         episode.reset(DATA.load_scene(scene))
-        play(episode, receiver, seed=0)
+        run_episode(episode, receiver, seed=0)
         ends.append(episode.status)
     # Rounding differs between machines, and may change the outcome of single episodes.
     assert ends.count(EpisodeStatus.SUCCESS) >= 2

@@ -7,7 +7,7 @@ from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 
 
 class ContactComparison(EpisodeCallback):
@@ -36,6 +36,6 @@ class ContactComparison(EpisodeCallback):
 def test_contact_points_are_in_the_frames_of_the_fingers() -> None:
     dataset, comparison, episode = SyntheticDataset(), ContactComparison(), Episode("fast")
     episode.reset(dataset.load_scene(209))
-    play(episode, receivers.make("yang2021", dataset), callbacks=[comparison])
+    run_episode(episode, receivers.make("yang2021", dataset), callbacks=[comparison])
     episode.close()
     assert {(False, False), (True, True)} < comparison.counts, "one finger touches first"

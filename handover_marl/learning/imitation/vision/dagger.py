@@ -10,7 +10,7 @@ from handover_marl.config import ARM_DOF
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import play
+from handover_marl.episode.loop import run_episode
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.vision.receiver import VisionReceiver
 
@@ -54,7 +54,7 @@ class DaggerCollector:
         """
         recorder = _PoseRecorder()
         self._episode.reset(scene)
-        play(self._episode, self._receiver, seed=int(rng.integers(2**31)), callbacks=[recorder])
+        run_episode(self._episode, self._receiver, seed=int(rng.integers(2**31)), callbacks=[recorder])
         poses = recorder.poses
         chosen = np.sort(rng.choice(len(poses), min(count, len(poses)), replace=False))
         return [poses[number] for number in chosen.tolist()]

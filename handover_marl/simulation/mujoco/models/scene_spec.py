@@ -82,7 +82,7 @@ def format_object_name(number: int) -> str:
 
 def format_rotation_reference_name(number: int) -> str:
     """Return the name of the mocap body that holds an object's target orientation."""
-    return f"guide{number}"
+    return f"rotation_reference{number}"
 
 
 def format_hand_name(number: int) -> str:
