@@ -1,4 +1,4 @@
-"""Ready-made reward terms, each with formula and unit, and their weighted sum.
+"""Reward terms, each with formula and unit, and their weighted sum.
 
 | term | value in a control step of duration T | unit |
 |---|---|---|
@@ -42,7 +42,7 @@ CLEARANCE_MARGIN = 0.1
 
 
 class RewardTerm:
-    """Base class of ready-made terms: one number for each control step.
+    """Base class of reward terms: one number for each control step.
 
     Attributes:
         unit: Unit of the value.
@@ -153,7 +153,7 @@ class ClearanceTerm(RewardTerm):
         return 0.0 if distance is None else (min(distance, CLEARANCE_MARGIN) - CLEARANCE_MARGIN) * transition.duration
 
 
-#: Ready-made terms by name: class and its argument.
+#: Reward terms by name: class and its argument.
 TERMS: dict[str, tuple[type[RewardTerm], tuple[str, ...]]] = {
     "success": (SuccessTerm, ()),
     "gripper_path": (PathTerm, ("gripper",)),
@@ -168,10 +168,10 @@ TERMS: dict[str, tuple[type[RewardTerm], tuple[str, ...]]] = {
 
 
 def make_term(name: str) -> RewardTerm:
-    """Make a ready-made term.
+    """Make a reward term.
 
     Raises:
-        UnknownNameError: There is no ready-made term of that name.
+        UnknownNameError: There is no reward term of that name.
     """
     check_name("reward term", name, TERMS)
     term_class, arguments = TERMS[name]
@@ -180,14 +180,14 @@ def make_term(name: str) -> RewardTerm:
 
 @dataclass(frozen=True)
 class TermWeights:
-    """Weights of ready-made terms, a value that `rewards` and `combine_rewards` accept.
+    """Weights of reward terms, a value that `rewards` and `combine_rewards` accept.
 
     Attributes:
         receiver: Weights of the receiver's terms by name, see `TERMS`.
         giver: Weights of the giver's terms by name.
 
     Raises:
-        UnknownNameError: There is no ready-made term of a name.
+        UnknownNameError: There is no reward term of a name.
         OptionError: A weight is not a finite number.
     """
 
@@ -207,7 +207,7 @@ class TermWeights:
 
 
 class TermRewardSource:
-    """Source of the weighted ready-made terms of both agents.
+    """Source of the weighted reward terms of both agents.
 
     Args:
         weights: Weights by agent and term.
