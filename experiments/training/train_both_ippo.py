@@ -41,8 +41,8 @@ class Args(PairArgs, ResumableArgs):
     """
 
     entropy: float = 0.0
-    envs: int = 32
-    steps: int = 98_304
+    num_envs: int = 32
+    decisions: int = 98_304
     val_scenes: int = 36
     out: str = "runs/both"
     eval_interval: int = 12_288
@@ -75,7 +75,7 @@ class RolloutCollector:
 
     def collect(self, models: dict[str, ActorCritic], args: Args) -> dict[str, dict[str, torch.Tensor]]:
         """Collect one batch of transitions; return tensors (steps, envs, ...) by agent and quantity."""
-        steps = [self._step(models, args.discount) for _ in range(args.batch_size // args.envs)]
+        steps = [self._step(models, args.discount) for _ in range(args.batch_size // args.num_envs)]
         return {
             agent: {key: torch.as_tensor(np.stack([step[agent][key] for step in steps])) for key in steps[0][agent]}
             for agent in AGENTS
@@ -206,7 +206,7 @@ def main(args: Args) -> None:
 
     if not folder.points:
         evaluate(0)
-    for steps in track(range(done + args.batch_size, args.steps + 1, args.batch_size), description="updates"):
+    for steps in track(range(done + args.batch_size, args.decisions + 1, args.batch_size), description="updates"):
         batches = collector.collect(models, args)
         for agent in AGENTS:
             with torch.no_grad():

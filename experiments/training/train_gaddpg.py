@@ -85,7 +85,7 @@ class Args(DatasetArgs):
         rounds: Number of rounds: rollouts of the expert in the first, of the network in the others.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
-        updates: Total number of updates.
+        updates: Total number of gradient updates.
         batch_size: Number of states per update.
         val_scenes: Number of validation scenes, evenly chosen.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate

@@ -50,7 +50,7 @@ class Args(PpoArgs):
     features: str = "giver"
     actions: str = "offer"
     physics: str = "fast"
-    steps: int = 512
+    decisions: int = 512
     batch_size: int = 512
     eval_interval: int = 512
     epochs: int = 4

@@ -35,7 +35,7 @@ class Args(PpoArgs):
     """
 
     out: str = "runs/receiver"
-    steps: int = 500_000
+    decisions: int = 500_000
     minutes: float = 24.0
     eval_interval: int = 24_576
     giver: str = "cooperative"

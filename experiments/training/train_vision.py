@@ -53,7 +53,7 @@ from handover_marl.learning.training.run_folder import (
 from handover_marl.learning.training.scene_arguments import SetupArgs
 
 WEIGHTS = "vision.npz"
-# Steps between two records of losses and of metrics, and number of held-out views for the metrics.
+# Updates between two records of losses and of metrics, and number of held-out views for the metrics.
 LOSS_INTERVAL, METRICS_INTERVAL, N_HELD_OUT = 250, 1000, 1500
 
 
@@ -64,7 +64,7 @@ class VisionArgs(SetupArgs):
     Attributes:
         robot: Robot model: panda or panda_camera.
         seed: Seed of all random numbers.
-        steps: Total number of training steps of a network.
+        updates: Total number of gradient updates of a network.
         views: Number of rendered camera views per scene in the first round.
         round_stride: Use every n-th scene in a DAgger round, with another offset in each round.
         stride: Use every n-th scene of the training split.
@@ -74,7 +74,7 @@ class VisionArgs(SetupArgs):
 
     robot: str = "panda_camera"
     seed: int = 0
-    steps: int = 12_000
+    updates: int = 12_000
     views: int = 80
     round_stride: int = 3
     stride: int = 1
@@ -129,13 +129,13 @@ class Training:
             extra = open_dataset(name, robot=args.robot)
             self._scenes[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
         self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
-        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name)
+        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name, ("updates",))
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)
         config = GraspTrainingConfig(center=2.0 * args.auxiliary, motion=args.auxiliary)
         groups = GraspNetworkConfig.groups if args.groups else ()
         network = GraspNetwork(GraspNetworkConfig(hand=args.hand, groups=groups))
-        self._trainer = GraspTrainer(network, config, args.steps, args.seed, self._device)
+        self._trainer = GraspTrainer(network, config, args.updates, args.seed, self._device)
         self._seconds = 0.0
         if args.resume and self._folder.checkpoint.exists():
             read_checkpoint(self._folder.checkpoint, self._restore)
@@ -145,7 +145,7 @@ class Training:
     def run(self) -> Path:
         """Run all rounds of training; return the path of the best network's weights."""
         count = self._args.rounds + 1
-        ends = np.linspace(0, self._args.steps, count + 1).round().astype(int)[1:].tolist()
+        ends = np.linspace(0, self._args.updates, count + 1).round().astype(int)[1:].tolist()
         others = self._load_views(self._args.dataset, self._held_out, 0)
         held_out = ViewBatches(GraspViews(*(a[:: -(-len(a) // N_HELD_OUT)] for a in others)), self._device)
         views: list[GraspViews] = []

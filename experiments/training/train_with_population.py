@@ -104,7 +104,7 @@ def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str,
 def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, share: float = 1.0) -> Path:
     """Train a giver with a frozen receiver and write its policy file, unless this file exists.
 
-    A training that was interrupted, or that stopped after a smaller share of its steps, continues in its folder.
+    A training that was interrupted, or that stopped after a smaller share of its decisions, continues in its folder.
 
     Args:
         args: Arguments of the script.
@@ -112,11 +112,12 @@ def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, 
         path: Policy file.
         folder: Folder of the training.
         seed: Seed of the training.
-        share: Share of the steps in `args.giver` after which the training stops.
+        share: Share of the decisions in `args.giver` after which the training stops.
     """
     if not path.exists():
-        steps = round(share * args.giver.steps)
-        changes = {"receiver": receiver, "out": str(folder), "seed": seed, "steps": steps, "resume": folder.exists()}
+        decisions = round(share * args.giver.decisions)
+        changes = {"receiver": receiver, "out": str(folder), "seed": seed, "decisions": decisions}
+        changes |= {"resume": folder.exists()}
         policy = train_giver_sb3.main(replace(args.giver, **_get_data_options(args), **changes))
         write_atomically(path, policy.read_bytes())
     return path

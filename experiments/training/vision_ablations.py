@@ -80,7 +80,7 @@ class Args(train_vision.VisionArgs):
         unseen_scenes: Number of evaluated scenes of the training split that are not trained on.
     """
 
-    steps: int = 1500
+    updates: int = 1500
     round_stride: int = 6
     stride: int = 2
     out: Path = Path("runs/ablations")
@@ -198,7 +198,7 @@ def format_page(args: Args, rows: dict[str, VariantResult]) -> str:
     header = ["training", "val, success %", "unseen, success %", "points over the first", "2 cm %"]
     val, unseen = full.reports
     return (
-        f"`vision` after {args.steps} steps on every {args.stride}. scene of {args.setup} train, seed {args.seed}; "
+        f"`vision` after {args.updates} updates on every {args.stride}. scene of {args.setup} train, seed {args.seed}; "
         f"{len(val.episodes)} scenes of val and {len(unseen.episodes)} of train that no network was trained on "
         f"(unseen), wait 0, giver replay, {val.data_label}, {args.robot}, version {val.metadata.version}; 95 % "
         "intervals (Wilson; Agresti and Min for differences paired by scene). 2 cm: share of held-out views "

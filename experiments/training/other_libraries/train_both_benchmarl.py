@@ -60,11 +60,11 @@ class EvaluationCallback(Callback):
 
     def on_batch_collected(self, batch: TensorDictBase) -> None:
         # The policies were trained on all batches before this one.
-        steps = self.experiment.total_frames - batch.numel()
+        decisions = self.experiment.total_frames - batch.numel()
         for agent in AGENTS:
             self._run.rewards.add_batch(agent, batch["next", agent, "info"], batch["next", "done"].flatten())
         self._run.rewards.write_point(self.experiment.total_frames)
-        if self._run.evaluate_if_due(steps, lambda: extract_policy_networks(self.experiment)):
+        if self._run.evaluate_if_due(decisions, lambda: extract_policy_networks(self.experiment)):
             raise OutOfTimeError
 
 
@@ -106,10 +106,10 @@ def make_experiment_config(args: Args, folder: str) -> ExperimentConfig:
     config = ExperimentConfig.get_from_yaml()
     config.gamma, config.lr = args.discount, args.learning_rate
     config.clip_grad_val = 0.5
-    config.max_n_frames = args.steps
+    config.max_n_frames = args.decisions
     config.on_policy_collected_frames_per_batch = args.batch_size
-    config.on_policy_n_envs_per_worker = args.envs
-    config.parallel_collection = args.envs > 1
+    config.on_policy_n_envs_per_worker = args.num_envs
+    config.parallel_collection = args.num_envs > 1
     config.on_policy_n_minibatch_iters = args.epochs
     config.on_policy_minibatch_size = args.minibatch_size
     # `EvaluationCallback` evaluates instead.

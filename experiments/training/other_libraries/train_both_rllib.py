@@ -76,12 +76,12 @@ def log_reward_terms(episode: Any, metrics_logger: Any, **kwargs: Any) -> None:
                 metrics_logger.log_value((_TERMS, agent, key), value, reduce="item_series")
 
 
-def add_reward_terms(rewards: RewardCurve, result: dict[str, Any], steps: int) -> None:
+def add_reward_terms(rewards: RewardCurve, result: dict[str, Any], decisions: int) -> None:
     """Add the logged episodes of a training iteration to the curve of the reward terms."""
     for agent, terms in result.get("env_runners", {}).get(_TERMS, {}).items():
         for values in zip(*terms.values(), strict=True):
             rewards.add_episode(agent, dict(zip(terms, values, strict=True)))
-    rewards.write_point(steps)
+    rewards.write_point(decisions)
 
 
 def make_config(args: Args) -> PPOConfig:
@@ -91,7 +91,7 @@ def make_config(args: Args) -> PPOConfig:
         PPOConfig()
         .environment("handover")
         # RLlib discards batches that take longer, as they do on a busy machine.
-        .env_runners(num_env_runners=args.envs if args.envs > 1 else 0, sample_timeout_s=_SAMPLE_TIMEOUT)
+        .env_runners(num_env_runners=args.num_envs if args.num_envs > 1 else 0, sample_timeout_s=_SAMPLE_TIMEOUT)
         .callbacks(on_episode_end=log_reward_terms)
         .learners(num_learners=0)
         .multi_agent(policies=set(AGENTS), policy_mapping_fn=lambda agent, episode, **_: agent)
@@ -122,17 +122,19 @@ def main(args: Args) -> TrainingRun:
     args = args.shrink_for_smoke_test()
     torch.set_num_threads(1)
     run = TrainingRun(args, "other_libraries/train_both_rllib", args.encodings)
-    ray.init(num_cpus=args.envs + 1, object_store_memory=_OBJECT_STORE, include_dashboard=False, log_to_driver=False)
+    ray.init(
+        num_cpus=args.num_envs + 1, object_store_memory=_OBJECT_STORE, include_dashboard=False, log_to_driver=False
+    )
     try:
         algorithm = make_config(args).build_algo()
         run.evaluate(0, extract_policy_networks(algorithm))
-        for _ in track(range(math.ceil(args.steps / args.batch_size)), description="updates"):
+        for _ in track(range(math.ceil(args.decisions / args.batch_size)), description="updates"):
             result = algorithm.train()
-            steps = int(result["num_env_steps_sampled_lifetime"])
+            decisions = int(result["num_env_steps_sampled_lifetime"])
             returns = result.get("env_runners", {}).get("agent_episode_returns_mean", {})
-            print(f"{steps} decisions, mean returns {returns}", flush=True)
-            add_reward_terms(run.rewards, result, steps)
-            if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm)):
+            print(f"{decisions} decisions, mean returns {returns}", flush=True)
+            add_reward_terms(run.rewards, result, decisions)
+            if run.evaluate_if_due(decisions, lambda: extract_policy_networks(algorithm)):
                 break
         algorithm.stop()
     finally:

@@ -162,15 +162,15 @@ def extract_policy_networks(algorithm: PPO, world: HomogeneousEnv) -> dict[str, 
     return {agent: extract_agent_network(shared, world, agent) for agent in AGENTS}
 
 
-def summarize(stats: CollectStats, steps: int) -> str:
+def summarize(stats: CollectStats, decisions: int) -> str:
     """Return a message with the receiver's mean return in the episodes that ended in a batch.
 
     Args:
         stats: Statistics of the batch.
-        steps: Number of decisions so far.
+        decisions: Number of decisions so far.
     """
     returns = stats.returns[1::2] if len(stats.returns) else np.zeros(0)
-    return f"{steps} decisions" + (f", receiver's return {returns.mean():.2f}" if len(returns) else "")
+    return f"{decisions} decisions" + (f", receiver's return {returns.mean():.2f}" if len(returns) else "")
 
 
 def main(args: Args) -> TrainingRun:
@@ -178,7 +178,7 @@ def main(args: Args) -> TrainingRun:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     run = TrainingRun(args, "other_libraries/train_both_tianshou", args.encodings)
-    worlds = [homogeneous(make_pair_env(args)) for _ in range(args.envs)]
+    worlds = [homogeneous(make_pair_env(args)) for _ in range(args.num_envs)]
     envs = AgentsVectorEnv(worlds, run.rewards)
     envs.seed(args.seed)
     algorithm = make_algorithm(worlds[0], args)
@@ -186,15 +186,15 @@ def main(args: Args) -> TrainingRun:
     batch = len(AGENTS) * args.batch_size
     collector = Collector(algorithm, envs, VectorReplayBuffer(batch, len(envs)))
     collector.reset()
-    for number in track(range(1, args.steps // args.batch_size + 1), description="updates"):
+    for number in track(range(1, args.decisions // args.batch_size + 1), description="updates"):
         with policy_within_training_step(algorithm.policy):
             stats = collector.collect(n_step=batch)
             algorithm.update(buffer=collector.buffer, batch_size=args.minibatch_size, repeat=args.epochs)
         collector.reset_buffer(keep_statistics=True)
-        steps = number * args.batch_size
-        print(summarize(stats, steps), flush=True)
-        run.rewards.write_point(steps)
-        if run.evaluate_if_due(steps, lambda: extract_policy_networks(algorithm, worlds[0])):
+        decisions = number * args.batch_size
+        print(summarize(stats, decisions), flush=True)
+        run.rewards.write_point(decisions)
+        if run.evaluate_if_due(decisions, lambda: extract_policy_networks(algorithm, worlds[0])):
             break
     envs.close()
     return run

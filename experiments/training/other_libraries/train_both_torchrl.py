@@ -63,7 +63,7 @@ class ConcatenatedInputs(nn.Sequential):
 def make_env(args: Args) -> EnvBase:
     one = functools.partial(_wrapped, args)
     # With shared buffers the main process would busy-wait and occupy a core.
-    env = one() if args.envs == 1 else ParallelEnv(args.envs, one, use_buffers=False)
+    env = one() if args.num_envs == 1 else ParallelEnv(args.num_envs, one, use_buffers=False)
     sums = RewardSum(
         in_keys=[(group, "reward") for group in AGENTS],
         out_keys=[(group, "episode_reward") for group in AGENTS],
@@ -134,19 +134,19 @@ def update(batch: TensorDictBase, loss: ClipPPOLoss, optimizer: torch.optim.Opti
         optimizer.step()
 
 
-def summarize(batch: TensorDictBase, steps: int) -> str:
+def summarize(batch: TensorDictBase, decisions: int) -> str:
     """Return a message with mean return and outcome rates of the episodes that ended in a batch.
 
     Args:
         batch: Transitions of the batch.
-        steps: Number of decisions so far.
+        decisions: Number of decisions so far.
     """
     ended = batch["next", "done"].flatten()
     count = max(int(ended.sum()), 1)
     returns = batch["next", "receiver", "episode_reward"].flatten()[ended].mean()
     status = batch["next", "receiver", "info", "status"].flatten()[ended].int()
     rates = (f"{flag.label} {int((status & int(flag)).bool().sum()) / count:.0%}" for flag in EpisodeStatus if flag)
-    return f"{steps} decisions, return {float(returns):.2f}, {', '.join(rates)}"
+    return f"{decisions} decisions, return {float(returns):.2f}, {', '.join(rates)}"
 
 
 def extract_policy_networks(actors: dict[str, ProbabilisticActor]) -> dict[str, DenseNetwork]:
@@ -169,11 +169,11 @@ def main(args: Args) -> TrainingRun:
     optimizers = {group: torch.optim.Adam(loss.parameters(), args.learning_rate) for group, loss in losses.items()}
     run.evaluate(0, extract_policy_networks(actors))
     collector = Collector(
-        env, TensorDictSequential(*actors.values()), frames_per_batch=args.batch_size, total_frames=args.steps
+        env, TensorDictSequential(*actors.values()), frames_per_batch=args.batch_size, total_frames=args.decisions
     )
-    steps = 0
-    for batch in track(collector, total=args.steps // args.batch_size, description="updates"):
-        steps += batch.numel()
+    decisions = 0
+    for batch in track(collector, total=args.decisions // args.batch_size, description="updates"):
+        decisions += batch.numel()
         for group, loss in losses.items():
             # Episodes end for both agents at once.
             for key in ("done", "terminated"):
@@ -182,11 +182,11 @@ def main(args: Args) -> TrainingRun:
                 )
             update(batch, loss, optimizers[group], args)
         collector.update_policy_weights_()
-        print(summarize(batch, steps), flush=True)
+        print(summarize(batch, decisions), flush=True)
         for group in AGENTS:
             run.rewards.add_batch(group, batch["next", group, "info"], batch["next", "done"].flatten())
-        run.rewards.write_point(steps)
-        if run.evaluate_if_due(steps, lambda: extract_policy_networks(actors)):
+        run.rewards.write_point(decisions)
+        if run.evaluate_if_due(decisions, lambda: extract_policy_networks(actors)):
             break
     collector.shutdown()
     return run

@@ -26,8 +26,8 @@ class TrainingArgs(SetupArgs):
         time_limit: Time after which training episodes are truncated (s).
         control_period: Time between two decisions (s).
         physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
-        envs: Number of environments simulated in parallel.
-        steps: Largest number of decisions of an agent.
+        num_envs: Number of environments simulated in parallel.
+        decisions: Largest number of decisions of an agent.
         minutes: Largest wall-clock time (min).
         val_scenes: Number of validation scenes per evaluation, evenly chosen.
         out: Folder of the run.
@@ -46,8 +46,8 @@ class TrainingArgs(SetupArgs):
     time_limit: float = 8.0
     control_period: float = 0.2
     physics: str = "mujoco"
-    envs: int = 2
-    steps: int = 49_152
+    num_envs: int = 2
+    decisions: int = 49_152
     minutes: float = 30.0
     val_scenes: int = 18
     out: str = "runs/training"
@@ -105,28 +105,28 @@ class PpoArgs(ResumableArgs):
     Attributes:
         features: Name of the features that the learning agent observes, or module:name of user-defined features.
         actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
-        envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
+        num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
         eval_start: Whether to evaluate before the training, too.
     """
 
     features: str = "close"
     actions: str = "grasp_servo"
-    envs: int = 0
+    num_envs: int = 0
     eval_start: bool = True
     val_scenes: int = 36
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.batch_size < self.n_envs:
+        if self.batch_size < self.resolved_num_envs:
             raise OptionError(
-                f"batch_size must be at least the number of environments, {self.n_envs}, got {self.batch_size}; choose "
-                "fewer with envs"
+                f"batch_size must be at least the number of environments, {self.resolved_num_envs}, got "
+                f"{self.batch_size}; choose fewer with num_envs"
             )
 
     @property
-    def n_envs(self) -> int:
-        """Number of environments simulated in parallel."""
-        return self.envs or (64 if self.physics == MUJOCO else 8)
+    def resolved_num_envs(self) -> int:
+        """Number of environments simulated in parallel, where `num_envs` may be 0."""
+        return self.num_envs or (64 if self.physics == MUJOCO else 8)
 
 
 @dataclass(frozen=True)
@@ -163,5 +163,7 @@ class PairArgs(TrainingArgs):
         """Return arguments with the smallest sizes if `smoke_test` is set, else the same arguments."""
         if not self.smoke_test:
             return self
-        small = replace(self, steps=32, eval_interval=32, batch_size=16, minibatch_size=8, epochs=1, envs=1, width=8)
+        small = replace(
+            self, decisions=32, eval_interval=32, batch_size=16, minibatch_size=8, epochs=1, num_envs=1, width=8
+        )
         return replace(small, time_limit=1.0, val_scenes=1)

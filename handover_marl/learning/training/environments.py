@@ -38,7 +38,7 @@ def make_pair_env(args: PairArgs) -> EncodedEnv:
 
 
 def make_pair_vector_env(args: PairArgs) -> ParallelVectorEnv:
-    """Make `args.envs` environments in which giver and receiver learn together.
+    """Make `args.num_envs` environments in which giver and receiver learn together.
 
     They reset in the step that ends an episode.
     """
@@ -46,7 +46,7 @@ def make_pair_vector_env(args: PairArgs) -> ParallelVectorEnv:
     features, schemes = ({agent: names[part] for agent, names in encodings} for part in (0, 1))
     config = args.make_env_config()
     return vector_env(
-        args.envs,
+        args.num_envs,
         None,
         features=features,
         schemes=schemes,

@@ -14,7 +14,7 @@ class CurvePoint:
     """Point of a learning curve: one evaluation during training.
 
     Attributes:
-        steps: Number of decisions of the learning agent before the evaluation.
+        steps: Number of decisions of the learning agent, or of gradient updates, before the evaluation.
         seconds: Wall-clock time since the start of training, evaluations included (s).
         episodes: Number of evaluated scenes.
         success: Share of scenes with success, from 0 to 1.

@@ -76,14 +76,14 @@ class RewardCurve:
         for values in zip(*columns, strict=True):
             self.add_episode(agent, dict(zip(names, values, strict=True)))
 
-    def write_point(self, steps: int) -> dict[str, float]:
+    def write_point(self, decisions: int) -> dict[str, float]:
         """Write the means over the episodes since the last call; return them by `agent/NAME`.
 
         Args:
-            steps: Number of decisions of the learning agent so far.
+            decisions: Number of decisions of the learning agent so far.
         """
         new = [
-            TermPoint(steps, agent, term, sum(values) / len(values), len(values))
+            TermPoint(decisions, agent, term, sum(values) / len(values), len(values))
             for (agent, term), values in self._sums.items()
         ]
         self._sums.clear()
@@ -96,9 +96,9 @@ class RewardCurve:
             write_atomically(self.path, stream.getvalue())
         return {f"{point.agent}/{point.term}": point.mean for point in new}
 
-    def discard_points_after(self, steps: int) -> None:
+    def discard_points_after(self, decisions: int) -> None:
         """Discard points after a number of decisions; a resumed run repeats them."""
-        self.points = [point for point in self.points if point.steps <= steps]
+        self.points = [point for point in self.points if point.steps <= decisions]
 
 
 def _read_points(path: Path) -> list[TermPoint]:

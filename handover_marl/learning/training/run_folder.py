@@ -34,6 +34,7 @@ _RENAMED_ARGUMENTS = {
     "spread": "initial_std",
     "gripper_spread": "gripper_initial_std",
     "trace": "gae_lambda",
+    "envs": "num_envs",
     "every": "eval_interval",
     "batch": "batch_size",
     "minibatch": "minibatch_size",
@@ -117,7 +118,7 @@ class RunFolder:
     """
 
     #: Arguments that may change when a run is resumed: durations and paths.
-    FREE = ("resume", "out", "data_dir", "steps", "minutes")
+    FREE = ("resume", "out", "data_dir", "decisions", "minutes")
 
     def __init__(
         self, path: Path, arguments: object, resume: bool | None, dataset: str, free: Sequence[str] = ()
@@ -167,9 +168,9 @@ class RunFolder:
         """Wall-clock time from the start of the run to its last evaluation (s)."""
         return self.points[-1].seconds if self.points else 0.0
 
-    def discard_points_after(self, steps: int) -> None:
-        """Discard evaluations after a number of decisions; a resumed run repeats them."""
-        self.points = [point for point in self.points if point.steps <= steps]
+    def discard_points_after(self, count: int) -> None:
+        """Discard evaluations after a number of decisions or updates; a resumed run repeats them."""
+        self.points = [point for point in self.points if point.steps <= count]
 
     def add(self, point: CurvePoint) -> None:
         """Add an evaluation to the learning curve, and write its table and plot."""

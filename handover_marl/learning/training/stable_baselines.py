@@ -54,7 +54,7 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     else:
         prepare(model)
     callback = EvaluationCallback(run, agent, args.eval_interval, args.eval_start)
-    remaining = max(0, args.steps - model.num_timesteps)
+    remaining = max(0, args.decisions - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()
     envs.close()
@@ -62,7 +62,7 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
 
 
 def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
-    """Make `args.n_envs` seeded environments of one learning agent.
+    """Make `args.resolved_num_envs` seeded environments of one learning agent.
 
     With MuJoCo each core simulates a batch of environments, otherwise each environment has a
     process of its own. Episodes do not depend on this.
@@ -74,10 +74,12 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
     """
     envs: VecEnv
     if args.physics == MUJOCO:
-        envs = BatchVecEnv(args.n_envs, count_available_cores(), make_frozen_vector_env_factory(args, agent, partner))
+        envs = BatchVecEnv(
+            args.resolved_num_envs, count_available_cores(), make_frozen_vector_env_factory(args, agent, partner)
+        )
     else:
         make = make_frozen_env_factory(args, agent, partner)
-        envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.n_envs)
+        envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.resolved_num_envs)
     envs = VecMonitor(envs)
     envs.seed(args.seed)
     return envs
@@ -89,7 +91,7 @@ def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
         "MlpPolicy",
         envs,
         learning_rate=args.learning_rate,
-        n_steps=args.batch_size // args.n_envs,
+        n_steps=args.batch_size // args.resolved_num_envs,
         batch_size=128,
         n_epochs=args.epochs,
         gamma=args.discount,

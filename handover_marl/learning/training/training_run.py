@@ -62,51 +62,51 @@ class TrainingRun:
         """Whether the time limit of the training run has passed."""
         return self.seconds > 60.0 * self._args.minutes
 
-    def is_finished(self, steps: int) -> bool:
+    def is_finished(self, decisions: int) -> bool:
         """Return whether training must end after a number of decisions.
 
         Training ends when the limit of decisions or the limit of wall-clock time is reached.
         """
-        return steps >= self._args.steps or self.is_out_of_time
+        return decisions >= self._args.decisions or self.is_out_of_time
 
     def get_policy_path(self, agent: str) -> Path:
         """Return the path of an agent's policy file."""
         return self.folder.path / (POLICY if len(self._encodings) == 1 else f"{agent}.npz")
 
-    def discard_points_after(self, steps: int) -> None:
+    def discard_points_after(self, decisions: int) -> None:
         """Discard evaluations and reward terms after a number of decisions; a resumed run repeats them."""
-        self.folder.discard_points_after(steps)
-        self.rewards.discard_points_after(steps)
+        self.folder.discard_points_after(decisions)
+        self.rewards.discard_points_after(decisions)
 
-    def is_evaluation_due(self, steps: int) -> bool:
+    def is_evaluation_due(self, decisions: int) -> bool:
         """Return whether an evaluation is due after a number of decisions.
 
         Evaluations are due at the start, at every `eval_interval` and at the end.
         """
-        if self.folder.points and self.folder.points[-1].steps == steps:
+        if self.folder.points and self.folder.points[-1].steps == decisions:
             return False
-        return steps >= self._next_evaluation or self.is_finished(steps)
+        return decisions >= self._next_evaluation or self.is_finished(decisions)
 
-    def evaluate_if_due(self, steps: int, make_networks: Callable[[], Mapping[str, DenseNetwork]]) -> bool:
+    def evaluate_if_due(self, decisions: int, make_networks: Callable[[], Mapping[str, DenseNetwork]]) -> bool:
         """Evaluate the policies if an evaluation is due; return whether the training is finished.
 
         Args:
-            steps: Number of decisions so far.
+            decisions: Number of decisions so far.
             make_networks: Function that returns the current policy network of each learning agent.
         """
-        if self.is_evaluation_due(steps):
-            self.evaluate(steps, make_networks())
-        return self.is_finished(steps)
+        if self.is_evaluation_due(decisions):
+            self.evaluate(decisions, make_networks())
+        return self.is_finished(decisions)
 
-    def evaluate(self, steps: int, networks: Mapping[str, DenseNetwork]) -> CurvePoint:
+    def evaluate(self, decisions: int, networks: Mapping[str, DenseNetwork]) -> CurvePoint:
         """Write the policies, evaluate them on the validation scenes and extend the learning curve.
 
         Args:
-            steps: Number of decisions so far.
+            decisions: Number of decisions so far.
             networks: Current policy network of each learning agent.
         """
         interval = self._args.eval_interval
-        self._next_evaluation = steps - steps % interval + interval
+        self._next_evaluation = decisions - decisions % interval + interval
         for agent, network in networks.items():
             spec = PolicySpec(agent, *self._encodings[agent], self._args.control_period, self._origin)
             write_policy(self.get_policy_path(agent), spec, network)
@@ -116,7 +116,7 @@ class TrainingRun:
         trust = any(is_reference(name) for names in self._encodings.values() for name in names)
         report = evaluate_pair(config, execution=ExecutionConfig(progress=False, trust=trust))
         partner = ", ".join(self._partners.values()) or "each other"
-        point = CurvePoint.from_report(report, steps, self.seconds, partner)
+        point = CurvePoint.from_report(report, decisions, self.seconds, partner)
         self.folder.add(point)
         print(point.summarize(), flush=True)
         return point

@@ -39,9 +39,9 @@ def test_training_writes_policies_that_run(name: str, tmp_path: Path, monkeypatc
     written: list[dict[str, DenseNetwork]] = []
     evaluate = train.TrainingRun.evaluate
 
-    def record(run: Any, steps: int, networks: dict[str, DenseNetwork]) -> Any:
+    def record(run: Any, decisions: int, networks: dict[str, DenseNetwork]) -> Any:
         written.append(networks)
-        return evaluate(run, steps, networks)
+        return evaluate(run, decisions, networks)
 
     monkeypatch.setattr(train.TrainingRun, "evaluate", record)
     args = train.Args(dataset="synthetic", smoke_test=True, out=str(tmp_path / "run"), rewards=REWARDS)

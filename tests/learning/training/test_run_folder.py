@@ -23,7 +23,7 @@ class Args:
     out: str = "runs/test"
     data_dir: str | None = None
     dataset: str = "auto"
-    steps: int = 10
+    decisions: int = 10
     minutes: float = 1.0
     seed: int = 0
     rates: tuple[float, ...] = (0.1, 0.2)
@@ -47,7 +47,7 @@ def resumed(path: Path, **changes: object) -> RunFolder:
 
 def test_resumed_run_keeps_its_points(tmp_path: Path) -> None:
     first = started(tmp_path / "a" / "run")
-    again = resumed(tmp_path / "a" / "run", steps=99, minutes=9.0, data_dir="elsewhere")
+    again = resumed(tmp_path / "a" / "run", decisions=99, minutes=9.0, data_dir="elsewhere")
     assert again.points == first.points
     assert again.seconds == 1.5
     assert first.path / "policy.npz" == again.policy

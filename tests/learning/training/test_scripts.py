@@ -30,7 +30,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::Deprecat
 GIVER: dict[str, Any] = {
     "receiver": "hold",
     "dataset": "synthetic",
-    "envs": 1,
+    "num_envs": 1,
     "batch_size": 4,
     "demonstrations": 4,
     "imitation_epochs": 2,
@@ -41,7 +41,7 @@ GIVER: dict[str, Any] = {
 RECEIVER: dict[str, Any] = {
     "dataset": "synthetic",
     "physics": "fast",
-    "envs": 1,
+    "num_envs": 1,
     "eval_interval": 16,
     "val_scenes": 2,
     "time_limit": 3.0,
@@ -60,15 +60,15 @@ MADE = {
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     args = {**GIVER, "out": str(tmp_path / "run")}
-    train.main(train.Args(**args, steps=4))
+    train.main(train.Args(**args, decisions=4))
     assert files(tmp_path / "run") >= MADE
     assert steps_of(tmp_path / "run") == ["steps", "0", "4"]
     givers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}")
     with pytest.raises(ResultsError, match="holds a run; pass --resume"):
-        train.main(train.Args(**args, steps=8))
+        train.main(train.Args(**args, decisions=8))
     with pytest.raises(ResultsError, match=r"other arguments \(seed\)"):
-        train.main(train.Args(**args, steps=8, seed=5, resume=True))
-    train.main(train.Args(**args, steps=8, resume=True))
+        train.main(train.Args(**args, decisions=8, seed=5, resume=True))
+    train.main(train.Args(**args, decisions=8, resume=True))
     assert steps_of(tmp_path / "run") == ["steps", "0", "4", "8"]
 
 
@@ -80,10 +80,10 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     own = "tests.learning.encodings.custom"
     args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics, "rewards": REWARDS, "time_limit": 0.6}
     args |= {"features": f"{own}:OffsetAndCount", "actions": f"{own}:FirstJoint"}
-    train.main(train.Args(**args, steps=16))
+    train.main(train.Args(**args, decisions=16))
     assert files(tmp_path / "run") >= MADE
     assert reward_terms_of(tmp_path / "run", "receiver") == {*vars(SHAPED.receiver), "approach"}
-    train.main(train.Args(**args, steps=24, resume=True))
+    train.main(train.Args(**args, decisions=24, resume=True))
     parse_policy("receiver", f"learned:{tmp_path / 'run' / 'policy.npz'}", trust=True).make(SyntheticDataset())
 
 
@@ -93,7 +93,7 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     args = {
         "out": str(tmp_path / "run"),
         "dataset": "synthetic",
-        "envs": 2,
+        "num_envs": 2,
         "batch_size": 20,
         "minibatch_size": 10,
         "eval_interval": 20,
@@ -102,11 +102,11 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "epochs": 1,
         "rewards": REWARDS,
     }
-    train.main(train.Args(**args, steps=20))
+    train.main(train.Args(**args, decisions=20))
     assert reward_terms_of(tmp_path / "run", "receiver") == {*vars(SHAPED.receiver), "approach"}
     assert reward_terms_of(tmp_path / "run", "giver") == set(vars(SHAPED.giver))
     assert (MADE | {"giver.npz", "receiver.npz"}) - {"policy.npz"} <= files(tmp_path / "run")
-    train.main(train.Args(**args, steps=40, resume=True))
+    train.main(train.Args(**args, decisions=40, resume=True))
     assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]
 
 
@@ -120,8 +120,8 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         first_receiver="hold",
         dataset="synthetic",
         val_scenes=2,
-        giver=respond.train_giver_sb3.Args(**GIVER, steps=4),
-        receiver=respond.train_receiver_sb3.Args(**RECEIVER, steps=16),
+        giver=respond.train_giver_sb3.Args(**GIVER, decisions=4),
+        receiver=respond.train_receiver_sb3.Args(**RECEIVER, decisions=16),
     )
     respond.main(args)
     table = (tmp_path / "run" / "crossplay" / "crossplay.csv").read_text().splitlines()
@@ -131,7 +131,7 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 def test_batches_smaller_than_the_environments_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     with pytest.raises(OptionError, match="batch_size must be at least the number of environments, 8, got 4"):
-        train.Args(**GIVER | {"envs": 8})
+        train.Args(**GIVER | {"num_envs": 8})
 
 
 class StoppedError(Exception):
@@ -144,7 +144,7 @@ def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeyp
     respond = script("best_response", monkeypatch)
     folder, trainer = tmp_path / "giver-1", respond.train_giver_sb3
     few = {"receiver": "yang2021", "demonstrations": 1, "val_scenes": 1, "time_limit": 2.5}
-    args, changes = trainer.Args(**GIVER | few, steps=4), {"receiver": "hold"}
+    args, changes = trainer.Args(**GIVER | few, decisions=4), {"receiver": "hold"}
 
     def stop(*_: object, **__: object) -> None:
         raise StoppedError
@@ -179,7 +179,7 @@ def test_runs_are_not_resumed_on_another_dataset(
 def test_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     train = script("train_both_ippo", monkeypatch)
-    options = {"dataset": "synthetic", "setup": "s0", "envs": 1, "batch_size": 4, "val_scenes": 1, "resume": True}
+    options = {"dataset": "synthetic", "setup": "s0", "num_envs": 1, "batch_size": 4, "val_scenes": 1, "resume": True}
     args = train.Args(out=str(tmp_path / "run"), **options)
     folder = RunFolder(tmp_path / "run", args, False, "synthetic")
     folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
@@ -202,7 +202,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return benchmark(setup, split, "hold", **how)
 
     monkeypatch.setattr(train, "benchmark", hold)
-    few = {"dataset": "synthetic", "steps": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
+    few = {"dataset": "synthetic", "updates": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))

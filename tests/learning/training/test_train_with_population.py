@@ -80,8 +80,7 @@ def test_fictitious_co_play(train: ModuleType, calls: list[Any], tmp_path: Path)
     for policy in (policies[1], parse_policy("receiver", calls[9].receiver)):
         made: Any = policy.make(SyntheticDataset())
         assert len(made.members) == 4
-    steps = [call.decisions if hasattr(call, "decisions") else call.steps for call in calls[:4]]
-    assert steps == [6144, 12288, 256, 512]
+    assert [call.decisions for call in calls[:4]] == [6144, 12288, 256, 512]
     assert calls[2].receiver == calls[3].receiver == f"learned:{tmp_path}/pairs/receiver_final_1000.npz"
     # The giver continues its own training.
     assert [call.resume for call in calls[2:4]] == [False, True]
