@@ -90,8 +90,8 @@ class Args(VisionArgs):
         out: Folder of the run.
         rounds: Number of DAgger rounds, evenly spread over the training.
         round_views: Number of views per scene in a DAgger round.
-        hand: Whether points of the person's hand are an input.
-        groups: Whether predictions use groups of neighboring points, as in PointNet++.
+        use_hand_points: Whether points of the person's hand are an input.
+        use_groups: Whether predictions use groups of neighboring points, as in PointNet++.
         auxiliary: Weight of the auxiliary losses of the object's center and displacement.
         extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
             theirs.
@@ -103,8 +103,8 @@ class Args(VisionArgs):
     out: str = "runs/vision"
     rounds: int = 2
     round_views: int = 60
-    hand: bool = True
-    groups: bool = True
+    use_hand_points: bool = True
+    use_groups: bool = True
     auxiliary: float = 1.0
     extra_datasets: tuple[str, ...] = ()
     shared_views: str | None = None
@@ -132,9 +132,9 @@ class Training:
         self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name, ("updates",))
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)
-        config = GraspTrainingConfig(center=2.0 * args.auxiliary, motion=args.auxiliary)
-        groups = GraspNetworkConfig.groups if args.groups else ()
-        network = GraspNetwork(GraspNetworkConfig(hand=args.hand, groups=groups))
+        config = GraspTrainingConfig(center_loss_weight=2.0 * args.auxiliary, motion_loss_weight=args.auxiliary)
+        group_sizes = GraspNetworkConfig.group_sizes if args.use_groups else ()
+        network = GraspNetwork(GraspNetworkConfig(uses_hand_points=args.use_hand_points, group_sizes=group_sizes))
         self._trainer = GraspTrainer(network, config, args.updates, args.seed, self._device)
         self._seconds = 0.0
         if args.resume and self._folder.checkpoint.exists():
@@ -191,7 +191,7 @@ class Training:
         with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=end, completed=trainer.done, note="")
             while trainer.done < end:
-                losses = trainer.step(views)
+                losses = trainer.update(views)
                 bar.update(task, advance=1)
                 if trainer.done % LOSS_INTERVAL and trainer.done < end:
                     continue
@@ -202,8 +202,8 @@ class Training:
                 metrics = compute_grasp_metrics(trainer.network, held_out, trainer.config)
                 for name, value in vars(metrics).items():
                     self._writer.add_scalar(f"held out/{name}", value, trainer.done)
-                note = f"within 1 cm {metrics.within_1cm:.0%}, 2 cm {metrics.within_2cm:.0%}, {metrics.grasp:.4f} m"
-                bar.update(task, note=f"held out: {note}")
+                shares = f"within 1 cm {metrics.within_1cm:.0%}, 2 cm {metrics.within_2cm:.0%}"
+                bar.update(task, note=f"held out: {shares}, {metrics.grasp_loss:.4f} m")
                 self._seconds, started = self._seconds + time.perf_counter() - started, time.perf_counter()
                 self._save()
 

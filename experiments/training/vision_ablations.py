@@ -44,7 +44,7 @@ from handover_marl.learning.training.run_folder import (
     select_training_scenes,
 )
 
-FULL = "everything"
+FULL = "complete network"
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ class Variant:
 
 VARIANTS = {
     FULL: Variant(),
-    "hand not seen": Variant({"hand": False}),
-    "PointNet": Variant({"groups": False}),
+    "no hand points": Variant({"use_hand_points": False}),
+    "PointNet": Variant({"use_groups": False}),
     "no auxiliary losses": Variant({"auxiliary": 0.0}),
-    "round of DAgger": Variant({"rounds": 1}),
+    "one DAgger round": Variant({"rounds": 1}),
     "112 x 112 pixels": Variant(camera=CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0, pixel_stride=2)),
     "realsense": Variant(camera="realsense"),
 }

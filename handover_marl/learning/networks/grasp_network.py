@@ -19,6 +19,15 @@ from handover_marl.learning.networks.weights import SavedNetwork
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
 _NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
 _N_ROTATION = 6
+# Names of the settings in weight files of earlier versions.
+_OLD_NAMES = {
+    "points": "point_width",
+    "group": "group_width",
+    "whole": "cloud_width",
+    "grasp": "head_width",
+    "hand": "uses_hand_points",
+    "groups": "group_sizes",
+}
 
 _Self = TypeVar("_Self", bound="GraspNetwork")
 
@@ -28,21 +37,21 @@ class GraspNetworkConfig:
     """Widths of the layers, and inputs of the grasp network.
 
     Attributes:
-        points: Number of features that the network computes of each point.
-        group: Number of features that the network computes of each group of points.
-        whole: Number of features that the network computes of the whole cloud.
-        grasp: Width of the layers that predict grasps.
-        hand: Whether points of the person's hand are an input.
-        groups: Numbers of points in the groups around each center, from fine to coarse; if empty,
+        point_width: Number of features that the network computes of each point.
+        group_width: Number of features that the network computes of each group of points.
+        cloud_width: Number of features that the network computes of the whole cloud.
+        head_width: Width of the layers that predict grasps.
+        uses_hand_points: Whether points of the person's hand are an input.
+        group_sizes: Numbers of points in the groups around each center, from fine to coarse; if empty,
             predictions use the center's point and the whole cloud only, as in PointNet.
     """
 
-    points: int = 128
-    group: int = 128
-    whole: int = 256
-    grasp: int = 256
-    hand: bool = True
-    groups: tuple[int, ...] = (8, 32)
+    point_width: int = 128
+    group_width: int = 128
+    cloud_width: int = 256
+    head_width: int = 256
+    uses_hand_points: bool = True
+    group_sizes: tuple[int, ...] = (8, 32)
 
 
 class GraspOutputs(NamedTuple):
@@ -105,15 +114,17 @@ class GraspNetwork(SavedNetwork):
     def __init__(self, config: GraspNetworkConfig = GraspNetworkConfig()) -> None:
         super().__init__()
         self.config = config
-        self.points = _layers(7, 64, config.points)
-        self.whole = nn.ModuleList([_layers(config.points, config.whole) for _ in range(2)])
-        self.mixed = _layers(2 * config.whole + 3, config.whole, config.whole)
+        self.points = _layers(7, 64, config.point_width)
+        self.whole = nn.ModuleList([_layers(config.point_width, config.cloud_width) for _ in range(2)])
+        self.mixed = _layers(2 * config.cloud_width + 3, config.cloud_width, config.cloud_width)
         # Linear in positions relative to the center, so that each point is encoded only once.
-        self.inner = nn.ModuleList([nn.Linear(config.points, config.group) for _ in config.groups])
-        self.outer = nn.ModuleList([nn.Linear(3, config.group, bias=False) for _ in config.groups])
-        width = config.points + len(config.groups) * config.group + config.whole + 3
-        self.grasp = nn.Sequential(_layers(width, config.grasp, config.grasp), nn.Linear(config.grasp, 4 + _N_ROTATION))
-        self.rest = nn.Sequential(_layers(config.whole, config.grasp), nn.Linear(config.grasp, 6))
+        self.inner = nn.ModuleList([nn.Linear(config.point_width, config.group_width) for _ in config.group_sizes])
+        self.outer = nn.ModuleList([nn.Linear(3, config.group_width, bias=False) for _ in config.group_sizes])
+        width = config.point_width + len(config.group_sizes) * config.group_width + config.cloud_width + 3
+        self.grasp = nn.Sequential(
+            _layers(width, config.head_width, config.head_width), nn.Linear(config.head_width, 4 + _N_ROTATION)
+        )
+        self.rest = nn.Sequential(_layers(config.cloud_width, config.head_width), nn.Linear(config.head_width, 6))
 
     def get_settings(self) -> dict[str, Any]:
         """Return the configuration in JSON types."""
@@ -122,12 +133,13 @@ class GraspNetwork(SavedNetwork):
     @classmethod
     def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
         """Create an untrained network from its arguments, as returned by `get_settings`."""
-        return cls(GraspNetworkConfig(**(settings | {"groups": tuple(settings["groups"])})))
+        named = {_OLD_NAMES.get(name, name): value for name, value in settings.items()}
+        return cls(GraspNetworkConfig(**(named | {"group_sizes": tuple(named["group_sizes"])})))
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
         """Predict grasps and their quality at the centers of clouds."""
         n_object = clouds.object_points.shape[1]
-        hand_mask = clouds.hand_mask if self.config.hand else torch.zeros_like(clouds.hand_mask)
+        hand_mask = clouds.hand_mask if self.config.uses_hand_points else torch.zeros_like(clouds.hand_mask)
         mean = clouds.object_points.mean(dim=1, keepdim=True)
         positions = torch.cat([clouds.object_points, clouds.hand_points], dim=1)
         is_hand = torch.zeros_like(positions[..., :1])
@@ -170,13 +182,13 @@ class GraspNetwork(SavedNetwork):
             mask: (B, N + M) valid points.
             centers: (B, C, 3) positions relative to the same mean (m).
         """
-        if not self.config.groups:
+        if not self.config.group_sizes:
             return []
         with torch.no_grad():
             distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
-            near = distances.topk(max(self.config.groups), dim=-1, largest=False).indices
+            near = distances.topk(max(self.config.group_sizes), dim=-1, largest=False).indices
         features = []
-        for count, inner, outer in zip(self.config.groups, self.inner, self.outer, strict=True):
+        for count, inner, outer in zip(self.config.group_sizes, self.inner, self.outer, strict=True):
             # Invalid points are never among the nearest, since the object has more points than a group.
             pooled = max_pool_groups(inner(points) + outer(_NEAR_SCALE * positions), near[..., :count])
             features.append(func.relu(pooled - outer(_NEAR_SCALE * centers)))

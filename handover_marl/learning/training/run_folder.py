@@ -26,7 +26,7 @@ _MAX_CHECKPOINT_BYTES = 20_000_000_000
 _HELD_OUT = 10
 # Arguments that the description of a policy's training omits: paths, and those without effect.
 _UNRECORDED_ARGUMENTS = ("out", "data_dir", "shared_views", "resume", "workers")
-# Present names of arguments that version 0.7 recorded under other names.
+# Present names of arguments that earlier versions recorded under other names.
 _RENAMED_ARGUMENTS = {
     "observe": "features",
     "giver_observe": "giver_features",
@@ -35,6 +35,8 @@ _RENAMED_ARGUMENTS = {
     "gripper_spread": "gripper_initial_std",
     "trace": "gae_lambda",
     "envs": "num_envs",
+    "hand": "use_hand_points",
+    "groups": "use_groups",
     "every": "eval_interval",
     "batch": "batch_size",
     "minibatch": "minibatch_size",

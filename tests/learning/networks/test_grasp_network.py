@@ -19,7 +19,7 @@ from handover_marl.learning.networks.grasp_network import (
     rotations_from_6d,
 )
 
-SMALL = GraspNetworkConfig(points=16, group=16, whole=16, grasp=16)
+SMALL = GraspNetworkConfig(point_width=16, group_width=16, cloud_width=16, head_width=16)
 
 
 def some_views(count: int = 3, seed: int = 0) -> PointCloudBatch:
@@ -81,7 +81,7 @@ def test_points_of_the_hand_that_do_not_count_do_not_matter() -> None:
 
 
 def test_who_does_not_see_hands_does_not_see_them() -> None:
-    views, net = some_views(), network(GraspNetworkConfig(16, 16, 16, 16, hand=False))
+    views, net = some_views(), network(GraspNetworkConfig(16, 16, 16, 16, uses_hand_points=False))
     for one, other in zip(
         predict(net, views), predict(net, views._replace(hand_points=views.hand_points + 0.1)), strict=True
     ):
@@ -154,3 +154,10 @@ def test_it_learns() -> None:
         optimizer.step()
         values.append(float(loss.detach()))
     assert values[-1] < 0.5 * values[0]
+
+
+def test_settings_in_files_of_earlier_versions_are_read() -> None:
+    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": False, "groups": [4]}
+    expected = GraspNetworkConfig(16, 8, 24, 32, uses_hand_points=False, group_sizes=(4,))
+    assert GraspNetwork.from_settings(old).config == expected
+    assert GraspNetwork.from_settings(network(expected).get_settings()).config == expected

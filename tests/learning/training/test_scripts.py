@@ -223,7 +223,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     ablate = script("vision_ablations", monkeypatch)
-    names = (ablate.FULL, "hand not seen", "112 x 112 pixels")
+    names = (ablate.FULL, "no hand points", "112 x 112 pixels")
     monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
     trained, cameras = [], []
 
@@ -234,7 +234,7 @@ def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         generate_views(source, held_out, Path(args.shared_views), workers=1, progress=False)
         weights = Path(args.out) / "vision.npz"
         weights.parent.mkdir(parents=True, exist_ok=True)
-        write_network_weights(weights, GraspNetwork(GraspNetworkConfig(hand=args.hand)), {})
+        write_network_weights(weights, GraspNetwork(GraspNetworkConfig(uses_hand_points=args.use_hand_points)), {})
         return weights
 
     def hold(setup: str, split: str, receiver: str, camera_noise: Any, **how: Any) -> Any:
@@ -249,9 +249,9 @@ def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
     assert [row[0] for row in rows[1:]] == list(names)
     assert rows[3][3:] == ["+0.0 (-49.0 to +49.0)", "-"], "no receiver succeeds, and a camera changes no network"
-    assert [(args.hand, Path(args.out).parent.name) for args in trained] == [
-        (True, "everything"),
-        (False, "hand_not_seen"),
-        (True, "everything"),
+    assert [(args.use_hand_points, Path(args.out).parent.name) for args in trained] == [
+        (True, "complete_network"),
+        (False, "no_hand_points"),
+        (True, "complete_network"),
     ]
     assert [camera and camera.pixel_stride for camera in cameras] == [None] * 4 + [2] * 2

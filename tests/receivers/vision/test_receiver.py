@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
 CONTEXT = make_policy_context(DATA)
-SMALL = GraspNetworkConfig(points=16, group=16, whole=16, grasp=16)
+SMALL = GraspNetworkConfig(point_width=16, group_width=16, cloud_width=16, head_width=16)
 ALLOWED = {
     "time",
     "robot_joint_position",

@@ -38,21 +38,21 @@ class ImitationRolloutConfig:
 
     Attributes:
         max_decisions: Largest number of decisions in a rollout.
-        under_way: Share of rollouts in which the arm starts at a waypoint of the planned trajectory.
+        start_on_path_probability: Probability that the arm starts at a waypoint of the planned trajectory.
         expert_decisions: Largest number of the expert's decisions before the network acts.
-        with_expert: Share of the network's rollouts in which the expert makes the first decisions.
-        disturbed: Share of the expert's decisions to whose motion random noise is added.
-        position_noise: Standard deviation of this noise on the translation along each axis (m).
-        rotation_noise: Standard deviation of this noise on the rotation about each axis (rad).
+        expert_start_probability: Probability that the expert makes the first decisions of a rollout of the network.
+        noisy_step_probability: Probability that random noise is added to a step of the expert.
+        position_noise_std: Standard deviation of this noise on the translation along each axis (m).
+        rotation_noise_std: Standard deviation of this noise on the rotation about each axis (rad).
     """
 
     max_decisions: int = 24
-    under_way: float = 0.3
+    start_on_path_probability: float = 0.3
     expert_decisions: int = 10
-    with_expert: float = 0.5
-    disturbed: float = 0.3
-    position_noise: float = 0.025
-    rotation_noise: float = 0.12
+    expert_start_probability: float = 0.5
+    noisy_step_probability: float = 0.3
+    position_noise_std: float = 0.025
+    rotation_noise_std: float = 0.12
 
 
 @dataclass(eq=False)
@@ -126,13 +126,14 @@ class ImitationRollouts:
     ) -> _Rollout:
         config, joints = self._config, scenario.joints
         memory = PointCloudMemory(PointCloudMemoryConfig(seed=int(rng.integers(2**31))))
-        if rng.random() < config.under_way:
+        if rng.random() < config.start_on_path_probability:
             # At the last waypoints the fingers already enclose the object.
             first = int(rng.integers(max(1, len(plan.trajectory) - 3)))
             joints, memory.remaining = plan.trajectory[first], max(3, memory.remaining - first)
         n_expert = config.max_decisions
         if has_network:
-            n_expert = int(rng.integers(config.expert_decisions + 1)) if rng.random() < config.with_expert else 0
+            starts = rng.random() < config.expert_start_probability
+            n_expert = int(rng.integers(config.expert_decisions + 1)) if starts else 0
         camera = RayCamera(self._load_assets(scenario.object_name), self._physics)
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
@@ -179,8 +180,8 @@ class ImitationRollouts:
         hand = self._arm.arm.compute_hand_pose(rollout.joints)
         goal = rollout.plan.choose_goal(hand, self._expert_config)
         step = self._expert.compute_step(hand, goal, rollout.memory.remaining)
-        noise = rng.standard_normal(6) * np.repeat([config.position_noise, config.rotation_noise], 3)
-        disturbed: Array = step + noise * (rng.random() < config.disturbed)
+        noise = rng.standard_normal(6) * np.repeat([config.position_noise_std, config.rotation_noise_std], 3)
+        disturbed: Array = step + noise * (rng.random() < config.noisy_step_probability)
         return disturbed
 
     def _base_from_hand(self, rollout: _Rollout) -> Array:

@@ -27,16 +27,16 @@ class ImitationScenarioConfig:
     """Distribution of the random scenarios for imitation rollouts.
 
     Attributes:
-        handover: Share of scenarios with the object at the handover pose of a recording.
-        carried: Share of scenarios with the object on the way to the handover pose; in the others it
-            is on the table.
+        handover_pose_share: Share of scenarios with the object at the handover pose of a recording.
+        on_the_way_share: Share of scenarios with the object on the way to the handover pose; in the others
+            it is on the table.
         position_std: Standard deviation of the random displacement of an object at the handover pose
             or on the way there, along each axis (m).
         rotation_std: Standard deviation of the random rotation of such an object about each axis (rad).
         table_range: Largest random displacement of an object on the table along x and along y (m); its
             rotation about the vertical is uniformly random.
-        at_start: Share of scenarios with the arm at its start pose; in the others the arm observes the
-            object from a random pose.
+        start_pose_share: Share of scenarios with the arm at its start pose; in the others the arm observes
+            the object from a random pose.
         joint_std: Standard deviation of the noise on every arm joint in half of the scenarios with the
             arm at its start pose (rad).
         min_distance: Smallest distance of the robot's hand from the object at a random pose (m).
@@ -46,23 +46,23 @@ class ImitationScenarioConfig:
             taken 11 degrees above the horizontal.
         aim_error: Largest distance along each axis of the point at which the camera aims from the
             object's origin (m).
-        occluded: Share of scenarios in which a sphere occludes the object partly.
-        radii: Smallest and largest radius of the occluding sphere (m).
+        occluded_share: Share of scenarios in which a sphere occludes the object partly.
+        occluder_radii: Smallest and largest radius of the occluding sphere (m).
     """
 
-    handover: float = 0.65
-    carried: float = 0.15
+    handover_pose_share: float = 0.65
+    on_the_way_share: float = 0.15
     position_std: float = 0.04
     rotation_std: float = 0.2
     table_range: float = 0.12
-    at_start: float = 0.6
+    start_pose_share: float = 0.6
     joint_std: float = 0.04
     min_distance: float = 0.2
     max_distance: float = 0.5
     min_cosine: float = 0.0
     aim_error: float = 0.05
-    occluded: float = 0.5
-    radii: tuple[float, float] = (0.03, 0.07)
+    occluded_share: float = 0.5
+    occluder_radii: tuple[float, float] = (0.03, 0.07)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class ImitationScenarios:
         scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
         dof = self._sample_object_pose(scene.object_dof[:, 0], rng)
         joints = self._sample_joints(dof[:3].astype(np.float64), rng)
-        radius = rng.uniform(*config.radii) if rng.random() < config.occluded else 0.0
+        radius = rng.uniform(*config.occluder_radii) if rng.random() < config.occluded_share else 0.0
         # Off center, so that a part of the object stays visible.
         direction = rng.standard_normal(3)
         center = dof[:3] + direction / np.linalg.norm(direction) * rng.uniform(0.5, 1.5) * radius
@@ -129,10 +129,10 @@ class ImitationScenarios:
 
     def _sample_object_pose(self, path: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
         config, kind = self._config, rng.random()
-        if kind >= config.handover + config.carried:
+        if kind >= config.handover_pose_share + config.on_the_way_share:
             return self._sample_table_pose(path[0], rng)
         dof = path[-1]
-        if kind >= config.handover:
+        if kind >= config.handover_pose_share:
             moving = np.flatnonzero(np.linalg.norm(path[:, :3] - path[0, :3], axis=1) > _MOVED)
             dof = path[int(rng.choice(moving))] if len(moving) else dof
         rotation = Rotation.from_rotvec(rng.normal(0.0, config.rotation_std, 3)) * Rotation.from_euler("XYZ", dof[3:])
@@ -146,7 +146,7 @@ class ImitationScenarios:
 
     def _sample_joints(self, position: Array, rng: np.random.Generator) -> Array:
         config = self._config
-        if rng.random() >= config.at_start:
+        if rng.random() >= config.start_pose_share:
             low, high = self._arm.limits
             for _ in range(4):
                 goal = self._sample_viewing_pose(position, rng)

@@ -24,30 +24,30 @@ class GraspTrainingConfig:
     """Hyperparameters of the training of the grasp network.
 
     Attributes:
-        batch: Number of views per training step.
-        centers: Number of points per view at which grasps are predicted.
+        batch_size: Number of views per gradient update.
+        n_centers: Number of points per view at which grasps are predicted.
         learning_rate: Initial learning rate of AdamW; it decays to 0 as half a cosine.
-        decay: Weight decay.
-        grasp: Weight of the loss of the predicted grasps (1/m).
-        quality: Weight of the loss of the grasps' predicted quality.
-        center: Weight of the loss of the object's predicted center (1/m).
-        motion: Weight of the loss of the object's predicted displacement (1/m).
-        roll: Standard deviation of the random rotation of each view about the line of sight (rad).
-        noise: Standard deviation of the noise that is added to the coordinates of points (m).
-        clip: Largest norm of the gradient; longer gradients are scaled down.
+        weight_decay: Weight decay of AdamW.
+        grasp_loss_weight: Weight of the loss of the predicted grasps (1/m).
+        quality_loss_weight: Weight of the loss of the grasps' predicted quality.
+        center_loss_weight: Weight of the loss of the object's predicted center (1/m).
+        motion_loss_weight: Weight of the loss of the object's predicted displacement (1/m).
+        roll_std: Standard deviation of the random rotation of each view about the line of sight (rad).
+        point_noise_std: Standard deviation of the noise that is added to the coordinates of points (m).
+        max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
     """
 
-    batch: int = 64
-    centers: int = 48
+    batch_size: int = 64
+    n_centers: int = 48
     learning_rate: float = 1e-3
-    decay: float = 1e-4
-    grasp: float = 10.0
-    quality: float = 2.0
-    center: float = 2.0
-    motion: float = 1.0
-    roll: float = 0.6
-    noise: float = 0.001
-    clip: float = 5.0
+    weight_decay: float = 1e-4
+    grasp_loss_weight: float = 10.0
+    quality_loss_weight: float = 2.0
+    center_loss_weight: float = 2.0
+    motion_loss_weight: float = 1.0
+    roll_std: float = 0.6
+    point_noise_std: float = 0.001
+    max_gradient_norm: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,16 @@ class GraspMetrics:
         within_1cm: Share of these views whose best predicted grasp is within 1 cm of a good one.
         within_2cm: Share of these views whose best predicted grasp is within 2 cm of a good one.
         median_distance: Median distance of the best predicted grasp from a good one (m).
-        grasp: Loss of the grasps (m).
-        quality: Loss of the grasps' quality.
+        grasp_loss: Loss of the grasps (m).
+        quality_loss: Loss of the grasps' quality.
     """
 
     views: int
     within_1cm: float
     within_2cm: float
     median_distance: float
-    grasp: float
-    quality: float
+    grasp_loss: float
+    quality_loss: float
 
 
 class LabelledClouds(NamedTuple):
@@ -131,39 +131,42 @@ class GraspTrainer:
     Args:
         network: Network to train.
         config: Hyperparameters.
-        steps: Number of steps, for the decay of the learning rate.
+        updates: Number of gradient updates, for the decay of the learning rate.
         seed: Seed of all random numbers.
         device: Device to train on.
 
     Attributes:
-        done: Number of steps so far.
+        done: Number of updates so far.
     """
 
     def __init__(
-        self, network: GraspNetwork, config: GraspTrainingConfig, steps: int, seed: int, device: torch.device
+        self, network: GraspNetwork, config: GraspTrainingConfig, updates: int, seed: int, device: torch.device
     ) -> None:
         self.network, self.config, self.device = network.to(device), config, device
-        self.done, self._steps = 0, steps
-        self._optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate, weight_decay=config.decay)
+        self.done, self._updates = 0, updates
+        self._optimizer = torch.optim.AdamW(
+            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
+        )
         self._generator = torch.Generator().manual_seed(seed)
 
-    def step(self, views: ViewBatches) -> GraspLosses:
+    def update(self, views: ViewBatches) -> GraspLosses:
         """Update the network on a random batch of views; return its losses before the update."""
         config = self.config
         for group in self._optimizer.param_groups:
-            group["lr"] = 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * min(1.0, self.done / self._steps)))
-        numbers = torch.randint(len(views), (config.batch,), generator=self._generator)
-        batch = self._augment(views.select(numbers, config.centers, self._generator))
+            group["lr"] = 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * min(1.0, self.done / self._updates)))
+        numbers = torch.randint(len(views), (config.batch_size,), generator=self._generator)
+        batch = self._augment(views.select(numbers, config.n_centers, self._generator))
         self.network.train()
         # Half precision suffices for training and takes a third of the time.
         with torch.autocast(self.device.type, torch.bfloat16):
             outputs = self.network(batch.clouds)
         losses = batch.compute_losses(outputs)
-        total = config.grasp * losses.grasp + config.quality * losses.quality
-        total = total + config.center * losses.object_center + config.motion * losses.object_motion
+        total = config.grasp_loss_weight * losses.grasp + config.quality_loss_weight * losses.quality
+        total = total + config.center_loss_weight * losses.object_center
+        total = total + config.motion_loss_weight * losses.object_motion
         self._optimizer.zero_grad()
         torch.autograd.backward(total)
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.clip)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient_norm)
         self._optimizer.step()
         self.done += 1
         return GraspLosses(*(value.detach() for value in losses))
@@ -187,12 +190,13 @@ class GraspTrainer:
     def _augment(self, batch: LabelledClouds) -> LabelledClouds:
         """Return the batch rotated randomly about the line of sight, with noise on points."""
         config, clouds, targets = self.config, batch.clouds, batch.targets
-        angle = config.roll * torch.randn(len(clouds.object_points), generator=self._generator).to(self.device)
+        angle = config.roll_std * torch.randn(len(clouds.object_points), generator=self._generator).to(self.device)
         cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
         rows = ([cos, -sin, zero], [sin, cos, zero], [zero, zero, zero + 1.0])
         rotation = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
         objects, hands = (
-            cloud @ rotation.mT + config.noise * torch.randn(cloud.shape, generator=self._generator).to(self.device)
+            cloud @ rotation.mT
+            + config.point_noise_std * torch.randn(cloud.shape, generator=self._generator).to(self.device)
             for cloud in (clouds.object_points, clouds.hand_points)
         )
         velocity, center, motion = (
@@ -222,8 +226,8 @@ def compute_grasp_metrics(
     distances, losses = [], []
     generator = torch.Generator().manual_seed(0)
     with torch.inference_mode():
-        for numbers in torch.split(torch.arange(len(views)), 4 * config.batch):
-            batch = views.select(numbers, 2 * config.centers, generator)
+        for numbers in torch.split(torch.arange(len(views)), 4 * config.batch_size):
+            batch = views.select(numbers, 2 * config.n_centers, generator)
             outputs = network(batch.clouds)
             losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
             distances.append(_compute_best_distances(outputs, batch.targets, min_quality))

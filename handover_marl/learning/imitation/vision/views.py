@@ -41,43 +41,43 @@ class GraspViewConfig:
     """Distribution and size of the rendered views for the grasp network.
 
     Attributes:
-        objects: Number of the object's points that a view stores.
-        hands: Largest number of the person's hand's points that a view stores.
-        grasps: Largest number of good grasps that a view stores, the best ones.
+        n_object_points: Number of the object's points that a view stores.
+        max_hand_points: Largest number of the person's hand's points that a view stores.
+        max_grasps: Largest number of good grasps that a view stores, the best ones.
         min_points: Smallest number of visible object points; views with fewer are discarded.
-        last: Share of views of the last frame of a recording, in which the object is held out.
-        lying: Share of views of frames before the object is picked up.
-        waiting: Share of views for which the arm is near one of its two waiting poses.
-        part: Share of views for which the arm is between a waiting pose and a pose before a grasp;
-            for the rest it is at a random pose before a grasp.
+        last_frame_share: Share of views of the last frame of a recording, in which the object is held out.
+        before_pickup_share: Share of views of frames before the object is picked up.
+        waiting_pose_share: Share of views for which the arm is near one of its two waiting poses.
+        between_share: Share of views for which the arm is between a waiting pose and a pose before a
+            grasp; for the rest it is at a random pose before a grasp.
         max_distance: Largest distance of such a pose from the grasp, back along the hand's z axis (m).
-        lateral: Root mean square of the length of the random displacement that is added to the pose,
+        lateral_rms: Root mean square of the length of the random displacement that is added to the pose,
             at distance 0 from the grasp (m).
-        lateral_slope: Increase of `lateral` per metre of distance from the grasp (m/m).
-        angle: Root mean square of the angle of the random rotation that is added to the pose, at
+        lateral_slope: Increase of `lateral_rms` per metre of distance from the grasp (m/m).
+        angle_rms: Root mean square of the angle of the random rotation that is added to the pose, at
             distance 0 from the grasp (rad).
-        angle_slope: Increase of `angle` per metre of distance from the grasp (rad/m).
-        joints: Standard deviation of every arm joint near a waiting pose (rad).
-        lifted: Distance from its initial position at which the object counts as picked up (m).
+        angle_slope: Increase of `angle_rms` per metre of distance from the grasp (rad/m).
+        joint_noise_std: Standard deviation of every arm joint near a waiting pose (rad).
+        pickup_distance: Distance from its initial position at which the object counts as picked up (m).
         velocity_window: Time before a frame over which the object's velocity is averaged (ms).
         motion_window: Time after a frame over which the object's displacement is measured (ms).
     """
 
-    objects: int = 256
-    hands: int = 64
-    grasps: int = 96
+    n_object_points: int = 256
+    max_hand_points: int = 64
+    max_grasps: int = 96
     min_points: int = 30
-    last: float = 0.5
-    lying: float = 0.05
-    waiting: float = 0.1
-    part: float = 0.25
+    last_frame_share: float = 0.5
+    before_pickup_share: float = 0.05
+    waiting_pose_share: float = 0.1
+    between_share: float = 0.25
     max_distance: float = 0.5
-    lateral: float = 0.015
+    lateral_rms: float = 0.015
     lateral_slope: float = 0.25
-    angle: float = 0.1
+    angle_rms: float = 0.1
     angle_slope: float = 0.7
-    joints: float = 0.08
-    lifted: float = 0.03
+    joint_noise_std: float = 0.08
+    pickup_distance: float = 0.03
     velocity_window: int = 50
     motion_window: int = 500
 
@@ -171,7 +171,8 @@ class ViewRenderer:
         views = [view for view in rendered if view is not None]
         config, half = self.config, np.float16
         kinds = (half, half, np.uint8, half, half, half, half, half)
-        sizes = ((config.objects, 3), (config.hands, 3), (), (config.grasps, 7), (config.grasps,), (3,), (3,), (3,))
+        clouds = ((config.n_object_points, 3), (config.max_hand_points, 3), ())
+        sizes = (*clouds, (config.max_grasps, 7), (config.max_grasps,), (3,), (3,), (3,))
         columns = list(zip(*views, strict=True)) if views else [() for _ in sizes]
         return GraspViews(
             *(
@@ -207,11 +208,11 @@ class ViewRenderer:
         if len(object_points) < config.min_points:
             return None
         world_from_link = self._arm.compute_hand_pose(np.asarray(joints, dtype=np.float64))
-        hands, n_hands = np.zeros((config.hands, 3)), min(len(hand_points), config.hands)
+        hands, n_hands = np.zeros((config.max_hand_points, 3)), min(len(hand_points), config.max_hand_points)
         hands[:n_hands] = hand_points[rng.choice(len(hand_points), n_hands, replace=False)]
-        best = np.argsort(-labelled.quality, kind="stable")[: config.grasps]
+        best = np.argsort(-labelled.quality, kind="stable")[: config.max_grasps]
         best = best[labelled.quality[best] > self._labels.config.min_quality]
-        grasps, quality = np.zeros((config.grasps, 7)), np.zeros(config.grasps)
+        grasps, quality = np.zeros((config.max_grasps, 7)), np.zeros(config.max_grasps)
         link_from_object = compose(invert_pose(world_from_link), labelled.object_pose)
         grasps[: len(best)] = compose(link_from_object, known.poses[best])
         quality[: len(best)] = labelled.quality[best]
@@ -219,7 +220,8 @@ class ViewRenderer:
         center = inverse_transform_points(world_from_link, center[None])[0]
         to_link = Rotation.from_quat(world_from_link[3:]).inv()
         velocity, motion = (to_link.apply(vector) for vector in self._read_motion(scene, frame))
-        chosen = rng.choice(len(object_points), config.objects, replace=len(object_points) < config.objects)
+        wanted = config.n_object_points
+        chosen = rng.choice(len(object_points), wanted, replace=len(object_points) < wanted)
         return object_points[chosen], hands, n_hands, grasps, quality, center, velocity, motion
 
     def _read_motion(self, scene: Scene, frame: int) -> tuple[Array, Array]:
@@ -230,20 +232,20 @@ class ViewRenderer:
 
     def _sample_frames(self, scene: Scene, count: int, rng: Rng) -> npt.NDArray[np.int_]:
         config, path = self.config, scene.object_dof[:, 0, :3]
-        picked = int(np.argmax(np.linalg.norm(path - path[0], axis=1) > config.lifted))
+        picked = int(np.argmax(np.linalg.norm(path - path[0], axis=1) > config.pickup_distance))
         kinds = rng.random(count)
         moving = rng.integers(picked, len(path), count)
         lying = rng.integers(0, max(picked, 1), count)
-        frames: npt.NDArray[np.int_] = np.where(kinds < config.last, len(path) - 1, moving)
-        return np.where(kinds > 1.0 - config.lying, lying, frames)
+        frames: npt.NDArray[np.int_] = np.where(kinds < config.last_frame_share, len(path) - 1, moving)
+        return np.where(kinds > 1.0 - config.before_pickup_share, lying, frames)
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
         """Return random arm joints (7,) from which to render (rad)."""
         config, kind = self.config, rng.random()
         waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
-        start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, config.joints, ARM_DOF)
+        start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, config.joint_noise_std, ARM_DOF)
         good = labelled.quality > self._labels.config.min_quality
-        if kind < config.waiting or not good.any():
+        if kind < config.waiting_pose_share or not good.any():
             return start
         goal = self._sample_pose(labelled, int(rng.choice(np.flatnonzero(good))), rng)
         seeds = np.concatenate([start[None], IK_SEEDS, FALLBACK_IK_SEEDS])
@@ -251,14 +253,15 @@ class ViewRenderer:
         if not converged.any():
             return start
         joints: Array = solutions[int(np.argmax(converged))]
-        return start + rng.random() * (joints - start) if kind < config.waiting + config.part else joints
+        is_between = kind < config.waiting_pose_share + config.between_share
+        return start + rng.random() * (joints - start) if is_between else joints
 
     def _sample_pose(self, labelled: LabelledFrame, number: int, rng: Rng) -> Array:
         """Return a random world pose (7,) of the hand link on the way to a grasp."""
         config = self.config
         distance = config.max_distance * rng.random() ** 1.5
-        lateral = (config.lateral + config.lateral_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
-        angle = (config.angle + config.angle_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
+        lateral = (config.lateral_rms + config.lateral_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
+        angle = (config.angle_rms + config.angle_slope * distance) * rng.normal(size=3) / np.sqrt(3.0)
         offset = np.concatenate([lateral - [0.0, 0.0, distance], Rotation.from_rotvec(angle).as_quat()])
         pose: Array = compose(compose(labelled.object_pose, labelled.known.poses[number]), offset)
         return pose

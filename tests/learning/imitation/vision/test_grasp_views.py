@@ -55,7 +55,7 @@ def maker(context: PolicyContext, labels: GraspLabeller) -> ViewRenderer:
         context,
         ArmInWorld.for_panda(context.panda_urdf, context.panda),
         labels,
-        GraspViewConfig(objects=64, hands=32, grasps=24),
+        GraspViewConfig(n_object_points=64, max_hand_points=32, max_grasps=24),
     )
 
 
@@ -120,7 +120,7 @@ def test_offset_grasps_are_clear_of_the_hand_and_cost_more(labels: GraspLabeller
 
 def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
     source = ViewDatasetConfig(
-        "synthetic", count=3, config=GraspViewConfig(objects=16, hands=8, grasps=4), labels=QUICK
+        "synthetic", count=3, config=GraspViewConfig(n_object_points=16, max_hand_points=8, max_grasps=4), labels=QUICK
     )
     scenes = (9, 14)
     for workers in (1, 2):
