@@ -39,7 +39,7 @@ N_STACKED = 4
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
 
 
-def handover_frame(observation: Observation) -> tuple[Array, Array]:
+def compute_handover_frame(observation: Observation) -> tuple[Array, Array]:
     """Return the frame at the object's recorded position 0.5 s later, with x towards the gripper.
 
     Returns:
@@ -53,15 +53,15 @@ def handover_frame(observation: Observation) -> tuple[Array, Array]:
     return origin, np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
 
 
-def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
+def compute_giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
     """Return the (39,) features from which a giver can choose a handover pose.
 
-    In the frame of `handover_frame`: horizontal distance and height of the gripper; origin of the
+    In the frame of `compute_handover_frame`: horizontal distance and height of the gripper; origin of the
     frame relative to the goal (in the world frame); wrist position, mean finger position and object
     orientation 0.5 s later in the recording; whether the object was released; and the YCB class
     of the object (one-hot; zeros for another class).
     """
-    origin, axes = handover_frame(observation)
+    origin, axes = compute_handover_frame(observation)
     wrist = observation["replay_wrist_poses"][-1]
     object_rotation = Rotation.from_quat(observation["replay_object_poses"][-1, 3:])
     # The fingers keep their position relative to the object until then.
@@ -81,7 +81,7 @@ def giver_features(observation: Observation, protocol: ProtocolConfig) -> Vector
     return np.concatenate(parts).astype(np.float32)
 
 
-def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
+def compute_receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vector:
     """Return the (56,) features from which a receiver can take an object to the goal.
 
     In the gripper frame: positions of the object, the person's wrist, the mean of the person's
@@ -114,7 +114,7 @@ def receiver_features(observation: Observation, protocol: ProtocolConfig) -> Vec
 
 
 class GraspFeatures:
-    """Function that appends features (8,) of the known grasp of lowest cost to `receiver_features`.
+    """Function that appends features (8,) of the known grasp of lowest cost to `compute_receiver_features`.
 
     In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
     of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
@@ -129,9 +129,9 @@ class GraspFeatures:
 
     def __call__(self, observation: Observation) -> Vector:
         """Return the features (64,) of an observation, those of the grasp last."""
-        return np.concatenate([receiver_features(observation, self._protocol), self.grasp(observation)])
+        return np.concatenate([compute_receiver_features(observation, self._protocol), self.compute_grasp(observation)])
 
-    def grasp(self, observation: Observation) -> Vector:
+    def compute_grasp(self, observation: Observation) -> Vector:
         """Return features (8,) of the known grasp of lowest cost; zeros if no grasp of the object is known."""
         chosen = self._grasp_selector.select(observation)
         if chosen is None:
@@ -167,7 +167,7 @@ class GraspProximityFeatures:
 
     def __call__(self, observation: Observation) -> Vector:
         """Return the features (12,) of the grasp and the gripper in an observation."""
-        translation, rotation, (_, exists) = np.split(self._grasp.grasp(observation), [3, 6])
+        translation, rotation, (_, exists) = np.split(self._grasp.compute_grasp(observation), [3, 6])
         distance = float(np.linalg.norm(translation)) / GRASP_SCALE
         angle = float(np.linalg.norm(rotation))
         proximity = np.exp([-distance / self.position_scale, -angle / self.angle_scale]) * exists
@@ -223,11 +223,17 @@ def _flatten(observation: Observation, space: spaces.Dict) -> Vector:
 # order in which Gymnasium and Stable-Baselines3 flatten them.
 _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction], int]]] = {
     "giver": {
-        "giver": (lambda context: functools.partial(giver_features, protocol=context.protocol), 18 + LARGEST_YCB_CLASS),
+        "giver": (
+            lambda context: functools.partial(compute_giver_features, protocol=context.protocol),
+            18 + LARGEST_YCB_CLASS,
+        ),
         "flat_giver": (lambda _: functools.partial(_flatten, space=_GIVER_SPACE), spaces.flatdim(_GIVER_SPACE)),
     },
     "receiver": {
-        "receiver": (lambda context: functools.partial(receiver_features, protocol=context.protocol), _N_RECEIVER),
+        "receiver": (
+            lambda context: functools.partial(compute_receiver_features, protocol=context.protocol),
+            _N_RECEIVER,
+        ),
         "flat_receiver": (
             lambda _: functools.partial(_flatten, space=_RECEIVER_SPACE),
             spaces.flatdim(_RECEIVER_SPACE),
@@ -242,7 +248,7 @@ _FEATURES: dict[str, dict[str, tuple[Callable[[PolicyContext], FeatureFunction],
 }
 
 
-def available_features(agent: str) -> tuple[str, ...]:
+def list_features(agent: str) -> tuple[str, ...]:
     """Return the names of an agent's built-in features.
 
     Raises:
@@ -258,7 +264,7 @@ def count_features(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    check_name(f"{KIND} of the {agent}", name, available_features(agent))
+    check_name(f"{KIND} of the {agent}", name, list_features(agent))
     return _FEATURES[agent][name][1]
 
 
@@ -278,7 +284,7 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trus
         OptionError: User-defined features declare no size, or are for the other agent.
         EncodingError: The constructor of user-defined features fails.
     """
-    available_features(agent)
+    list_features(agent)
     own: Any = choice
     if is_reference(choice):
         own = import_reference(KIND, str(choice), trust)

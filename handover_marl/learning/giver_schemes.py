@@ -10,7 +10,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
 from handover_marl.givers.cooperative import HandoverPoseVariation
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
-from handover_marl.learning.features import handover_frame
+from handover_marl.learning.features import compute_handover_frame
 from handover_marl.policies.policy import make_giver_action
 
 
@@ -55,23 +55,23 @@ class HandoverPoseScheme(GiverScheme):
     is released, because robots take resting objects best. If the gripper does not approach for two
     seconds, `HandoverPoseVariation` varies the pose.
 
-    | outputs | meaning at 1, in the frame of `handover_frame` |
+    | outputs | meaning at 1, in the frame of `compute_handover_frame` |
     |---|---|
     | 0-2 | translation of the object: 0.25 m towards the gripper, 0.25 m to its left, 0.25 m up |
     | 3-5 | rotation of hand and object by 1 rad about these axes through the object's center |
     | 6 | withdrawal of the hand by 0.3 m after the release; at -1 it stays |
 
     Attributes:
-        max_shift: Translation of the object at output 1 (m).
-        turn: Rotation of hand and object at output 1 (rad).
-        withdraw: Distance by which the hand withdraws at output 1 (m).
+        max_output_translation: Translation of the object at output 1 (m).
+        max_output_rotation: Rotation of hand and object at output 1 (rad).
+        max_withdrawal: Distance by which the hand withdraws at output 1 (m).
         arrival_tolerance: Largest distance that the recorded wrist may still move along an axis when
             outputs are requested (m).
         latest_decision_s: Episode time at which outputs are requested at the latest (s).
     """
 
     name, agent, size = "offer", "giver", 7
-    max_shift, turn, withdraw = 0.25, 1.0, 0.3
+    max_output_translation, max_output_rotation, max_withdrawal = 0.25, 1.0, 0.3
     arrival_tolerance = 0.01
     latest_decision_s = 2.5
 
@@ -117,29 +117,29 @@ class HandoverPoseScheme(GiverScheme):
         """
         target = GiverAction.from_array(action)
         center, axes, rotated = self._rotate_about_wrist(target.rotation, observation)
-        shift = axes.T @ (rotated + target.displacement - center) / self.max_shift
-        return np.asarray(np.clip([*shift, *(axes.T @ target.rotation / self.turn), 0.0], -1.0, 1.0))
+        shift = axes.T @ (rotated + target.displacement - center) / self.max_output_translation
+        return np.asarray(np.clip([*shift, *(axes.T @ target.rotation / self.max_output_rotation), 0.0], -1.0, 1.0))
 
     def _choose_pose(self, observation: Observation) -> None:
-        _, axes = handover_frame(observation)
-        self._turn = axes @ self._outputs[3:6] * self.turn
+        _, axes = compute_handover_frame(observation)
+        self._turn = axes @ self._outputs[3:6] * self.max_output_rotation
         center, _, rotated = self._rotate_about_wrist(self._turn, observation)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        self._shift = center + axes @ self._outputs[:3] * self.max_shift - rotated
+        self._shift = center + axes @ self._outputs[:3] * self.max_output_translation - rotated
         self._chosen = True
 
     def _rotate_about_wrist(
         self, rotation: npt.NDArray[np.floating], observation: Observation
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return origin (3,) and axes (3, 3) of the handover frame, and the origin rotated about the wrist."""
-        center, axes = handover_frame(observation)
+        center, axes = compute_handover_frame(observation)
         wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
         return center, axes, wrist + Rotation.from_rotvec(rotation).apply(center - wrist)
 
     def _withdraw(self, observation: Observation) -> Action:
         if self._withdrawal is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            length = (self._outputs[6] + 1.0) / 2.0 * self.withdraw
+            length = (self._outputs[6] + 1.0) / 2.0 * self.max_withdrawal
             shift = self._pose_variation.scale * self._shift
             self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
         return make_giver_action(displacement=self._withdrawal, rotation=self._pose_variation.scale * self._turn)

@@ -29,7 +29,7 @@ from handover_marl.learning.policy_spec import (
     PolicyFunction,
     PolicySpec,
 )
-from handover_marl.learning.schemes import scheme_size
+from handover_marl.learning.schemes import count_outputs
 
 # Format 2 has normalized inputs or bounded outputs; versions before 0.8 read format 1 only.
 _FORMAT, _EXTENDED_FORMAT = 1, 2
@@ -140,7 +140,7 @@ def _read_other_format(
 
         found = read_stable_baselines(path, content, agent)
         return found.function, found.control_period, found.encoding or (features, actions)
-    sizes = count_features(agent, features), scheme_size(agent, actions)
+    sizes = count_features(agent, features), count_outputs(agent, actions)
     if path.suffix == ".onnx":
         from handover_marl.learning.adapters.onnx_files import read_onnx
 

@@ -59,13 +59,14 @@ class CartesianDeltaScheme(ActionScheme):
     near as it can. The motors complete 63 % of a motion in 0.1 s.
 
     Attributes:
-        step: Translation at output 1 (m).
-        turn: Rotation at output 1 (rad).
+        max_output_translation: Translation at output 1 (m).
+        max_output_rotation: Rotation at output 1 (rad).
         damping: Damping factor of the least squares.
     """
 
     name, agent, size = "cartesian_delta", "receiver", 7
-    step, turn, damping = 0.08, 0.3, 0.05
+    max_output_translation: float | tuple[float, float, float] = 0.08
+    max_output_rotation, damping = 0.3, 0.05
 
     def __init__(self, context: PolicyContext) -> None:
         super().__init__(context)
@@ -73,7 +74,8 @@ class CartesianDeltaScheme(ActionScheme):
 
     def compute_action(self, observation: Observation) -> Action:
         """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        translation, rotation = self._outputs[:3] * self.step, self._outputs[3:6] * self.turn
+        translation = self._outputs[:3] * np.array(self.max_output_translation)
+        rotation = self._outputs[3:6] * self.max_output_rotation
         return self._move(observation, translation, rotation, self._outputs[6] > 0.0)
 
     def _move(self, observation: Observation, translation: Array, rotation: Array, closed: bool) -> Action:
@@ -102,24 +104,24 @@ class GraspServoScheme(CartesianDeltaScheme):
     | 6 | above 0.5 the gripper closes until the end of the episode |
 
     Attributes:
-        shift: Translation of the target at output 1 (m).
-        tilt: Rotation of the target at output 1 (rad).
+        max_output_translation: Translation of the target at output 1, along each axis (m).
+        max_output_rotation: Rotation of the target at output 1 (rad).
         close_threshold: Output above which the gripper closes.
         max_translation: Largest distance of the commanded from the present gripper position (m).
         max_rotation: Largest angle between commanded and present gripper orientation (rad).
-        aligned: Distance of the gripper from the grasp's z axis up to which no standoff is needed (m).
-        aligned_angle: Angle to the grasp's orientation up to which no standoff is needed (rad).
-        standoff_per_offset: Increase of the standoff per distance beyond `aligned` (m/m).
-        standoff_per_angle: Increase of the standoff per angle beyond `aligned_angle` (m/rad).
+        lateral_tolerance: Distance of the gripper from the grasp's z axis up to which no standoff is needed (m).
+        angle_tolerance: Angle to the grasp's orientation up to which no standoff is needed (rad).
+        standoff_per_offset: Increase of the standoff per distance beyond `lateral_tolerance` (m/m).
+        standoff_per_angle: Increase of the standoff per angle beyond `angle_tolerance` (m/rad).
         max_standoff: Largest distance of the standoff pose from the grasp (m).
     """
 
     name = "grasp_servo"
     wait = 2.0
-    shift, tilt = (0.01, 0.01, 0.03), 0.1
+    max_output_translation, max_output_rotation = (0.01, 0.01, 0.03), 0.1
     close_threshold = 0.5
     max_translation, max_rotation = 0.1, 0.4
-    aligned, aligned_angle = 0.01, 0.15
+    lateral_tolerance, angle_tolerance = 0.01, 0.15
     standoff_per_offset, standoff_per_angle, max_standoff = 3.0, 0.3, 0.15
 
     def __init__(self, context: PolicyContext) -> None:
@@ -148,8 +150,8 @@ class GraspServoScheme(CartesianDeltaScheme):
         gripper = observation["gripper_pose"].astype(np.float64)
         present = Rotation.from_quat(gripper[3:])
         position, target = self._target(observation, gripper, present)
-        position = position + target.apply(self._outputs[:3] * np.array(self.shift))
-        target = target * Rotation.from_rotvec(self._outputs[3:6] * self.tilt)
+        position = position + target.apply(self._outputs[:3] * np.array(self.max_output_translation))
+        target = target * Rotation.from_rotvec(self._outputs[3:6] * self.max_output_rotation)
         translation = _limit_norm(present.inv().apply(position - gripper[:3]), self.max_translation)
         rotation = _limit_norm((present.inv() * target).as_rotvec(), self.max_rotation)
         return self._move(observation, translation, rotation, self._closed)
@@ -169,8 +171,8 @@ class GraspServoScheme(CartesianDeltaScheme):
         """Return the standoff (m) for an offset (3,) from the grasp (m, world frame)."""
         lateral = float(np.hypot(*target.inv().apply(offset)[:2]))
         angle = float((present.inv() * target).magnitude())
-        standoff = self.standoff_per_offset * max(0.0, lateral - self.aligned)
-        return min(standoff + self.standoff_per_angle * max(0.0, angle - self.aligned_angle), self.max_standoff)
+        standoff = self.standoff_per_offset * max(0.0, lateral - self.lateral_tolerance)
+        return min(standoff + self.standoff_per_angle * max(0.0, angle - self.angle_tolerance), self.max_standoff)
 
 
 def _limit_norm(vector: Array, length: float) -> Array:

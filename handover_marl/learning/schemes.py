@@ -27,12 +27,12 @@ _ALL: tuple[type[ActionScheme], ...] = (
 _SCHEMES = {scheme.name: scheme for scheme in _ALL}
 
 
-def available_schemes(agent: str) -> tuple[str, ...]:
+def list_schemes(agent: str) -> tuple[str, ...]:
     """Return the names of an agent's action schemes."""
     return tuple(name for name, scheme in _SCHEMES.items() if scheme.agent == agent)
 
 
-def scheme_size(agent: str, name: str) -> int:
+def count_outputs(agent: str, name: str) -> int:
     """Return the number of outputs that a built-in action scheme decodes.
 
     The number of outputs of a user-defined scheme is `make_scheme(...).size`.
@@ -40,7 +40,7 @@ def scheme_size(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent has no scheme of that name.
     """
-    check_name(f"{KIND} of the {agent}", name, available_schemes(agent))
+    check_name(f"{KIND} of the {agent}", name, list_schemes(agent))
     return _SCHEMES[name].size
 
 
@@ -49,7 +49,7 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
 
     Args:
         agent: "giver" or "receiver".
-        choice: One of `available_schemes(agent)`; subclass of `ActionScheme`; function from outputs
+        choice: One of `list_schemes(agent)`; subclass of `ActionScheme`; function from outputs
             (size,) and an observation to an action, with a declared size (`declare_size`); or text
             `module:name` of a class or function.
         context: Robot, task and known grasps of the objects.
@@ -66,7 +66,7 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
         own = import_reference(KIND, str(choice), trust)
     if not isinstance(own, str):
         return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
-    scheme_size(agent, own)
+    count_outputs(agent, own)
     return _SCHEMES[own](context)
 
 

@@ -24,9 +24,9 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive
 from handover_marl.learning.adapters.torch_script import import_torch
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.features import available_features, count_features
+from handover_marl.learning.features import count_features, list_features
 from handover_marl.learning.policy_spec import DenseNetwork, OutputBounds, PolicyFunction
-from handover_marl.learning.schemes import available_schemes
+from handover_marl.learning.schemes import list_schemes
 from handover_marl.learning.training_record import Sb3TrainingRecord, read_training_record
 
 Array = npt.NDArray[np.float32]
@@ -147,7 +147,7 @@ def _get_recorded_encoding(path: Path, record: Sb3TrainingRecord, agent: str) ->
     owner, features, actions = record.encoding
     if owner != agent:
         raise DataFormatError(f"{path}: policy must be for the {agent}, got one for the {owner}")
-    known = (features, available_features(agent)), (actions, available_schemes(agent))
+    known = (features, list_features(agent)), (actions, list_schemes(agent))
     own = [name for name, names in known if name not in names and not is_reference(name)]
     if own:
         raise DataFormatError(

@@ -46,4 +46,4 @@ def test_other_features_are_fingers_release_and_existence() -> None:
     np.testing.assert_allclose(some[8:], [1.0, -1.0, 1.0, 1.0])
     without = replace(CONTEXT, grasps=lambda name: None)
     np.testing.assert_array_equal(GraspProximityFeatures(without)(seen())[[*range(8), 11]], 0.0)
-    np.testing.assert_array_equal(GraspFeatures(without).grasp(seen()), 0.0)
+    np.testing.assert_array_equal(GraspFeatures(without).compute_grasp(seen()), 0.0)

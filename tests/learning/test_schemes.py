@@ -11,11 +11,11 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
 from handover_marl.errors import UnknownNameError
 from handover_marl.learning import grasp_selector
-from handover_marl.learning.features import handover_frame, make_features
+from handover_marl.learning.features import compute_handover_frame, make_features
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
 from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, get_grasp_selector
 from handover_marl.learning.receiver_schemes import GraspServoScheme
-from handover_marl.learning.schemes import available_schemes, make_scheme, scheme_size
+from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
 from tests.givers.test_givers import START, seen
@@ -28,11 +28,11 @@ outputs = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
 def test_any_outputs_give_a_valid_action(agent: str) -> None:
     space = giver_action_space() if agent == "giver" else receiver_action_space()
     rng = np.random.default_rng(0)
-    for name in set(available_schemes(agent)) - {agent}:
+    for name in set(list_schemes(agent)) - {agent}:
         scheme = make_scheme(agent, name, CONTEXT)
         for _ in range(20):
             if scheme.needs_outputs(seen()):
-                scheme.set_outputs(rng.uniform(-3, 3, scheme_size(agent, name)))
+                scheme.set_outputs(rng.uniform(-3, 3, count_outputs(agent, name)))
             action = scheme.compute_action(seen())
             action = check_giver_action(action, giver_action_space()) if agent == "giver" else action
             assert space.contains(action), name
@@ -55,11 +55,13 @@ def handover_action(values: np.ndarray, **changes: object) -> np.ndarray:
 def test_handover_pose_moves_and_rotates_the_object_about_its_center(values: np.ndarray) -> None:
     observation = seen()
     action = handover_action(values).astype(np.float64)
-    item, axes = handover_frame(observation)
+    item, axes = compute_handover_frame(observation)
     wrist = observation["replay_wrist_poses"][-1, :3]
     place = wrist + action[1:4] + Rotation.from_rotvec(action[4:7]).apply(item - wrist)
-    np.testing.assert_allclose(axes.T @ (place - item), values[:3] * HandoverPoseScheme.max_shift, atol=1e-5)
-    np.testing.assert_allclose(axes.T @ action[4:7], values[3:6] * HandoverPoseScheme.turn, atol=1e-6)
+    np.testing.assert_allclose(
+        axes.T @ (place - item), values[:3] * HandoverPoseScheme.max_output_translation, atol=1e-5
+    )
+    np.testing.assert_allclose(axes.T @ action[4:7], values[3:6] * HandoverPoseScheme.max_output_rotation, atol=1e-6)
 
 
 @given(outputs)
@@ -93,7 +95,7 @@ def test_hand_withdraws_after_the_release() -> None:
     scheme.set_outputs(np.array([0, 0, 0, 0, 0, 0, 1.0]))
     np.testing.assert_allclose(scheme.compute_action(seen())[1:4], np.zeros(3), atol=1e-7)
     away = scheme.compute_action(seen(released=np.float32([1])))
-    np.testing.assert_allclose(away[1:4], [0.0, HandoverPoseScheme.withdraw, 0.0], atol=1e-6)
+    np.testing.assert_allclose(away[1:4], [0.0, HandoverPoseScheme.max_withdrawal, 0.0], atol=1e-6)
 
 
 def test_cartesian_delta_moves_the_gripper_in_its_own_frame() -> None:
@@ -229,7 +231,7 @@ def test_unknown_schemes_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"):
         make_scheme("giver", "joints", CONTEXT)
     with pytest.raises(UnknownNameError, match="action scheme of the receiver 'offer'; valid: receiver, joints"):
-        scheme_size("receiver", "offer")
+        count_outputs("receiver", "offer")
 
 
 def test_schemes_and_features_follow_the_configuration() -> None:

@@ -23,9 +23,9 @@ from handover_marl.learning.adapters.models import CallableModel, GraphModel, Mo
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
-from handover_marl.learning.features import available_features
+from handover_marl.learning.features import list_features
 from handover_marl.learning.policy_files import RAW_ENCODINGS, check_control_period, read_file, read_policy
-from handover_marl.learning.schemes import available_schemes
+from handover_marl.learning.schemes import list_schemes
 from handover_marl.policies.hashing.function_hash import hash_function, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
@@ -129,8 +129,8 @@ def _adapt(
         raise OptionError(f"name must be text that is not empty, got {name!r}")
     if control_period is not None:
         control_period = check_control_period(control_period)
-    _check_choice("features", features, (*available_features(agent), OBSERVATION))
-    _check_choice("action scheme", action_scheme, available_schemes(agent))
+    _check_choice("features", features, (*list_features(agent), OBSERVATION))
+    _check_choice("action scheme", action_scheme, list_schemes(agent))
     chosen = None if features is None and action_scheme is None else (features, action_scheme)
     model, stem, digest, trained = _make_model(agent, policy, control_period, chosen, trust)
     encoding = _complete_encoding(agent, model, trained, control_period, obs_mode, (features, action_scheme))
@@ -274,7 +274,7 @@ def _complete_encoding(
         raise OptionError(
             f"{model.path} takes vectors, not observations; pass features, or a PyTorch module that takes a dict"
         )
-    if isinstance(name, str) and name in available_features(agent) and not has_state(obs_mode):
+    if isinstance(name, str) and name in list_features(agent) and not has_state(obs_mode):
         raise OptionError(
             f"obs_mode must include the state that features {name!r} are computed from, got {obs_mode!r}; take "
             f"'state+{obs_mode}'"

@@ -10,10 +10,10 @@ import numpy as np
 
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.features import available_features, count_features
+from handover_marl.learning.features import count_features, list_features
 from handover_marl.learning.policy_files import check_control_period, write_policy
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, PolicySpec
-from handover_marl.learning.schemes import available_schemes, scheme_size
+from handover_marl.learning.schemes import count_outputs, list_schemes
 
 _DEFAULT_PERIOD = 0.1  # s, as that of environments
 # Number and scale of the random inputs on which a converted network is compared with its module.
@@ -166,8 +166,8 @@ def _make_spec(
     agent, features, actions = values.values()
     check_name("agent", agent, ("giver", "receiver"))
     for kind, value, known in (
-        (f"features of the {agent}", features, available_features(agent)),
-        (f"action scheme of the {agent}", actions, available_schemes(agent)),
+        (f"features of the {agent}", features, list_features(agent)),
+        (f"action scheme of the {agent}", actions, list_schemes(agent)),
     ):
         if not is_reference(value):
             check_name(kind, value, known)
@@ -178,7 +178,7 @@ def _make_spec(
 def _check_sizes(network: DenseNetwork, spec: PolicySpec) -> None:
     wanted = (
         network.n_inputs if is_reference(spec.features) else count_features(spec.agent, spec.features),
-        network.n_outputs if is_reference(spec.actions) else scheme_size(spec.agent, spec.actions),
+        network.n_outputs if is_reference(spec.actions) else count_outputs(spec.agent, spec.actions),
     )
     if (network.n_inputs, network.n_outputs) != wanted:
         raise DataFormatError(

@@ -64,7 +64,7 @@ class FeatureBatch(ABC):
 
 
 def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
-    """Return the handover frames of r episodes; see `features.handover_frame`.
+    """Return the handover frames of r episodes; see `features.compute_handover_frame`.
 
     Returns:
         Origins (r, 3) in the world (m), and axes as columns (r, 3, 3).
@@ -92,7 +92,7 @@ def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
 
 
 class GiverFeatureBatch(FeatureBatch):
-    """Batch of `features.giver_features`.
+    """Batch of `features.compute_giver_features`.
 
     Args:
         context: Task, with the position of the goal.
@@ -126,7 +126,7 @@ class GiverFeatureBatch(FeatureBatch):
 
 
 class ReceiverFeatureBatch(FeatureBatch):
-    """Batch of `features.receiver_features`.
+    """Batch of `features.compute_receiver_features`.
 
     Args:
         context: Task, with the position of the goal and the longest duration.
@@ -179,10 +179,10 @@ class GraspFeatureBatch(FeatureBatch):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 64), those of the grasp last."""
-        vectors = [self._receiver(rows, observation), self.grasp(rows, observation)]
+        vectors = [self._receiver(rows, observation), self.compute_grasps(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
-    def grasp(self, rows: AnyArray, observation: Observation) -> AnyArray:
+    def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
         grasps, clearances, exists = self._selection.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
@@ -212,7 +212,7 @@ class GraspProximityFeatureBatch(FeatureBatch):
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of grasps and grippers."""
-        grasp = self._grasp.grasp(rows, observation)
+        grasp = self._grasp.compute_grasps(rows, observation)
         xp, scales = get_namespace(grasp), GraspProximityFeatures
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
         distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))

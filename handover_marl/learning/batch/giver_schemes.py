@@ -90,17 +90,17 @@ class HandoverPoseBatch(SchemeBatch):
     def _choose_poses(self, rows: AnyArray, observation: Observation) -> None:
         xp, scheme, outputs = self._arrays.xp, self._scheme, self._outputs[rows]
         center, axes = compute_handover_frames(observation)
-        turn = rotate_to_world(axes, outputs[:, 3:6]) * scheme.turn
+        turn = rotate_to_world(axes, outputs[:, 3:6]) * scheme.max_output_rotation
         wrist = xp.astype(observation["replay_wrist_poses"][:, -1, :3], xp.float64)
         rotated = wrist + rotate_points(quaternions_from_rotation_vectors(turn), center - wrist)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * scheme.max_shift - rotated
+        self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * scheme.max_output_translation - rotated
         self._turn[rows], self._chosen[rows] = turn, True
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
         """Set the displacement of the hands that begin to withdraw."""
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
-        length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self._scheme.withdraw
+        length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self._scheme.max_withdrawal
         withdrawal = shift + length * away / size.clip(1e-6)
         self._withdrawal[rows[begins]], self._withdrawn[rows[begins]] = withdrawal[begins], True

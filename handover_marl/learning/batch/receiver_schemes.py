@@ -79,12 +79,14 @@ class CartesianDeltaBatch(JointSchemeBatch):
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
         self._scheme, self._damping = scheme, arrays.asarray(scheme.damping**2 * np.eye(6))
+        self._max_translation = arrays.asarray(scheme.max_output_translation)
         self._robot = ArmKinematics(read_tree(scheme.context.panda_urdf))
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the target positions (r, 9) of arms and fingers (rad, m)."""
-        outputs, scheme = self._outputs[rows], self._scheme
-        translations, rotations = outputs[:, :3] * scheme.step, outputs[:, 3:6] * scheme.turn
+        outputs = self._outputs[rows]
+        translations = outputs[:, :3] * self._max_translation
+        rotations = outputs[:, 3:6] * self._scheme.max_output_rotation
         return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
 
     def _move(
@@ -112,7 +114,7 @@ class GraspServoBatch(CartesianDeltaBatch):
     ) -> None:
         super().__init__(scheme, selection, count, arrays)
         self._servo, self._goal = scheme, arrays.asarray(scheme.context.protocol.goal_center)
-        self._shift, self._waiting = arrays.asarray(scheme.shift), arrays.asarray(WAITING_JOINTS, "float32")
+        self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
         self._closed = arrays.zeros(count, "bool")
 
     def reset(self, row: int) -> None:
@@ -144,8 +146,10 @@ class GraspServoBatch(CartesianDeltaBatch):
         gripper = xp.astype(observation["gripper_pose"], xp.float64)
         present = normalize_quaternions(gripper[:, 3:])
         position, target = self._find_targets(rows, observation, gripper, present)
-        position = position + rotate_points(target, outputs[:, :3] * self._shift)
-        target = multiply_quaternions(target, quaternions_from_rotation_vectors(outputs[:, 3:6] * servo.tilt))
+        position = position + rotate_points(target, outputs[:, :3] * self._max_translation)
+        target = multiply_quaternions(
+            target, quaternions_from_rotation_vectors(outputs[:, 3:6] * servo.max_output_rotation)
+        )
         inverse = conjugate_quaternions(present)
         translation = _limit_norm(rotate_points(inverse, position - gripper[:, :3]), servo.max_translation)
         rotation = rotation_vectors_from_quaternions(multiply_quaternions(inverse, target))
@@ -170,8 +174,8 @@ class GraspServoBatch(CartesianDeltaBatch):
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))
         lateral = xp.hypot(local[:, 0], local[:, 1])
-        standoff = servo.standoff_per_offset * (lateral - servo.aligned).clip(0.0)
-        standoff = standoff + servo.standoff_per_angle * (angle - servo.aligned_angle).clip(0.0)
+        standoff = servo.standoff_per_offset * (lateral - servo.lateral_tolerance).clip(0.0)
+        standoff = standoff + servo.standoff_per_angle * (angle - servo.angle_tolerance).clip(0.0)
         return standoff.clip(None, servo.max_standoff)
 
 

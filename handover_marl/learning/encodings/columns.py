@@ -1,7 +1,7 @@
 """Columns of the built-in features and action schemes: quantity, scale, unit and frame of every number.
 
 `docs/reference/features.md` shows these tables. Frames: "world"; "gripper" is the Panda's hand link;
-"handover" is `handover_marl.learning.features.handover_frame`; "joint" for joint coordinates; "-" for
+"handover" is `handover_marl.learning.features.compute_handover_frame`; "joint" for joint coordinates; "-" for
 numbers without a frame. Rotation matrices are given by their first two columns, row by row.
 """
 

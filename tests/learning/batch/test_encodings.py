@@ -10,9 +10,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation, giver_observation_space
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
-from handover_marl.learning.features import available_features, make_features
+from handover_marl.learning.features import list_features, make_features
 from handover_marl.learning.grasp_selector import get_grasp_selector
-from handover_marl.learning.schemes import available_schemes, make_scheme
+from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.policies.policy import make_policy_context
 from tests.givers.test_givers import START, seen
 
@@ -52,8 +52,8 @@ def choices(names: dict[str, tuple[str, ...]]) -> Iterator[tuple[str, str]]:
 
 
 AGENTS = ("giver", "receiver")
-FEATURES = list(choices({agent: available_features(agent) for agent in AGENTS}))
-SCHEMES = list(choices({agent: available_schemes(agent) for agent in AGENTS}))
+FEATURES = list(choices({agent: list_features(agent) for agent in AGENTS}))
+SCHEMES = list(choices({agent: list_schemes(agent) for agent in AGENTS}))
 
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)

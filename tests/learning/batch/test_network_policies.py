@@ -19,7 +19,7 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.batch.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
-from handover_marl.learning.features import available_features, count_features
+from handover_marl.learning.features import count_features, list_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
@@ -30,7 +30,7 @@ from handover_marl.learning.policy_spec import (
     PolicyFunction,
     PolicySpec,
 )
-from handover_marl.learning.schemes import available_schemes, scheme_size
+from handover_marl.learning.schemes import count_outputs, list_schemes
 from handover_marl.policies.batch import SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
@@ -38,8 +38,8 @@ from tests.tensors import make_device_tensors, make_observe_function
 
 PAIRS = [
     (agent, features, scheme)
-    for agent, features in choices({agent: available_features(agent) for agent in AGENTS})
-    for scheme in available_schemes(agent)
+    for agent, features in choices({agent: list_features(agent) for agent in AGENTS})
+    for scheme in list_schemes(agent)
 ]
 
 
@@ -104,7 +104,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
 
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
-    network = draw_network(count_features(agent, features), scheme_size(agent, scheme), len(features + scheme))
+    network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
     with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
@@ -130,7 +130,7 @@ def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, sch
 
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
-    network = draw_network(count_features(agent, features), scheme_size(agent, scheme), len(features + scheme))
+    network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
     singles = [LearnedPolicy(agent, CONTEXT, path) for _ in ROWS]
     batch, alone = (make_network_policy_batch(singles[0], COUNT, np.asarray) for _ in range(2))
@@ -210,7 +210,7 @@ def test_whole_episodes_equal_those_of_single_environments(agent: str, tmp_path:
     pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
     partner = "receiver" if agent == "giver" else "giver"
     features, scheme = ("close", "grasp_servo") if partner == "receiver" else ("giver", "offer")
-    network = draw_network(count_features(partner, features), scheme_size(partner, scheme), 2)
+    network = draw_network(count_features(partner, features), count_outputs(partner, scheme), 2)
     policy = f"learned:{write(tmp_path / 'policy.npz', partner, features, scheme, network)}"
 
     def make_single() -> gymnasium.Env[Any, Any]:

@@ -16,17 +16,17 @@ from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.features import available_features
+from handover_marl.learning.features import list_features
 from handover_marl.learning.receiver_schemes import JointDeltaScheme
-from handover_marl.learning.schemes import available_schemes
+from handover_marl.learning.schemes import list_schemes
 from tests.learning.batch.test_encodings import AGENTS, CONTEXT, SELECTOR, choices, draw_observation, select
 from tests.tensors import make_device_tensors
 
 COUNT = 6
 STEPS = 35
 FLAGS = ("released", "holding", "hand_present")
-FEATURES = list(choices({agent: available_features(agent) for agent in AGENTS}))
-SCHEMES = list(choices({agent: available_schemes(agent) for agent in AGENTS}))
+FEATURES = list(choices({agent: list_features(agent) for agent in AGENTS}))
+SCHEMES = list(choices({agent: list_schemes(agent) for agent in AGENTS}))
 
 
 @functools.cache

@@ -12,9 +12,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import giver_observation_space, observation_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, locate_columns
-from handover_marl.learning.features import available_features, handover_frame, make_features
+from handover_marl.learning.features import compute_handover_frame, list_features, make_features
 from handover_marl.learning.grasp_selector import get_grasp_selector
-from handover_marl.learning.schemes import available_schemes, make_scheme
+from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
 
 CONTEXT = make_policy_context(SyntheticDataset())
@@ -54,7 +54,7 @@ def in_gripper(point: Any) -> np.ndarray:
 
 
 def in_handover_frame(vector: Any) -> np.ndarray:
-    return handover_frame(OBSERVATION)[1].T @ vector
+    return compute_handover_frame(OBSERVATION)[1].T @ vector
 
 
 def grasp() -> np.ndarray:
@@ -116,7 +116,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
     ),
     "mean of the finger joints in 0.5 s, from the object": lambda: in_handover_frame(fingers_in_future()),
     "orientation of the object in 0.5 s": lambda: orientation(
-        handover_frame(OBSERVATION)[1].T @ rotation_of(FUTURE).as_matrix()
+        compute_handover_frame(OBSERVATION)[1].T @ rotation_of(FUTURE).as_matrix()
     ),
 }
 
@@ -134,8 +134,8 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_every_feature_and_scheme_is_described(agent: str) -> None:
-    assert set(FEATURE_COLUMNS[agent]) == set(available_features(agent))
-    assert set(SCHEME_COLUMNS[agent]) == set(available_schemes(agent))
+    assert set(FEATURE_COLUMNS[agent]) == set(list_features(agent))
+    assert set(SCHEME_COLUMNS[agent]) == set(list_schemes(agent))
     for name, columns in FEATURE_COLUMNS[agent].items():
         assert sum(column.size for column in columns) == make_features(agent, name, CONTEXT).size, name
     for name, columns in SCHEME_COLUMNS[agent].items():
@@ -192,7 +192,7 @@ def test_schemes_of_givers_have_the_described_scales() -> None:
         np.testing.assert_allclose(action[place], described_scale(column.value)[0], rtol=1e-6)
     offer: Any = make_scheme("giver", "offer", CONTEXT)
     scales = [described_scale(column.value)[0] for column in SCHEME_COLUMNS["giver"]["offer"]]
-    assert scales == [offer.max_shift, offer.turn, offer.withdraw]
+    assert scales == [offer.max_output_translation, offer.max_output_rotation, offer.max_withdrawal]
 
 
 def test_schemes_of_receivers_have_the_described_scales() -> None:
@@ -208,10 +208,13 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
     cartesian: Any = make_scheme("receiver", "cartesian_delta", CONTEXT)
     servo: Any = make_scheme("receiver", "grasp_servo", CONTEXT)
     assert [described_scale(column.value) for column in columns["cartesian_delta"][:2]] == [
-        [cartesian.step],
-        [cartesian.turn],
+        [cartesian.max_output_translation],
+        [cartesian.max_output_rotation],
     ]
-    assert [described_scale(column.value) for column in columns["grasp_servo"][:2]] == [list(servo.shift), [servo.tilt]]
+    assert [described_scale(column.value) for column in columns["grasp_servo"][:2]] == [
+        list(servo.max_output_translation),
+        [servo.max_output_rotation],
+    ]
     assert f"above {servo.close_threshold:g}" in columns["grasp_servo"][2].value
     joints = make_scheme("receiver", "joints", CONTEXT)
     for value, limits in ((-1.0, LOWER_LIMITS), (1.0, UPPER_LIMITS)):

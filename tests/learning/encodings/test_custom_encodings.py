@@ -12,11 +12,11 @@ from handover_marl.errors import EncodingError, OptionError, UnknownNameError, U
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
 from handover_marl.learning.encodings.custom_features import FeatureExtractor
-from handover_marl.learning.features import available_features, count_features, make_features
+from handover_marl.learning.features import count_features, list_features, make_features
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import available_schemes, make_scheme
+from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import START, seen
 from tests.learning.encodings.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
@@ -59,10 +59,10 @@ def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
 
 @pytest.mark.parametrize("agent", ["giver", "receiver"])
 def test_built_in_features_have_spaces(agent: str) -> None:
-    for name in available_features(agent):
+    for name in list_features(agent):
         made = make_features(agent, name, CONTEXT)
         assert (made.name, made.size) == (name, count_features(agent, name))
-    for name in available_schemes(agent):
+    for name in list_schemes(agent):
         assert make_scheme(agent, name, CONTEXT).name == name
 
 

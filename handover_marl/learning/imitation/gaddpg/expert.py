@@ -160,7 +160,7 @@ class GraspExpert:
         if not len(goals):
             return None
         approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > self._config.max_miss:
+        if self._compute_distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > self._config.max_miss:
             return None
         if not self._config.use_planner:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
@@ -229,7 +229,9 @@ class GraspExpert:
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
         """Return the cost of the simulated approach to a goal, with the remaining distance at its end."""
         path = self._simulate_approach(joints, goal)
-        miss = max(0.0, self._distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - self._config.tolerance)
+        miss = max(
+            0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - self._config.tolerance
+        )
         return self._config.decision_cost * len(path) + self._config.miss_cost * miss
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
@@ -237,12 +239,12 @@ class GraspExpert:
         config, path = self._config, [joints]
         for remaining in range(config.max_decisions, 0, -1):
             hand = self._arm.arm.compute_hand_pose(path[-1])
-            if self._distance(hand, goal) < config.tolerance:
+            if self._compute_distance(hand, goal) < config.tolerance:
                 break
             path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
-    def _distance(self, hand: Array, goal: Array) -> float:
+    def _compute_distance(self, hand: Array, goal: Array) -> float:
         """Return the distance of the pads between two poses (7,) of the hand, rotation included (m)."""
         relative = compose(invert_pose(goal), hand)
         rotation = Rotation.from_quat(relative[3:])
