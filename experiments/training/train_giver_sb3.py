@@ -17,13 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 import tyro
 from stable_baselines3 import PPO
 
+from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.environments import record_first_decisions
 from handover_marl.learning.training.stable_baselines import train_agent
 
@@ -69,19 +68,10 @@ def imitate(args: Args, model: PPO) -> None:
     """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
     if not args.teacher:
         return
-    wrapped: Any = model.get_env()
-    envs = wrapped.unwrapped
-    record = functools.partial(record_first_decisions, args, args.receiver, args.teacher)
-    if isinstance(envs, BatchVecEnv):
-        sizes = [len(part) for part in np.array_split(np.arange(args.demonstrations), envs.process_count)]
-        # With seeds of their own, episodes of the processes differ from each other.
-        calls = [
-            functools.partial(record, size, args.seed + 1_000 * number) for number, size in enumerate(sizes) if size
-        ]
-        found = envs.call_in_processes(calls)
-    else:
-        found = [record(args.demonstrations, args.seed)]
-    inputs, targets = (torch.as_tensor(np.concatenate(parts)) for parts in zip(*found, strict=True))
+    found = record_first_decisions(
+        args, args.receiver, args.teacher, args.demonstrations, args.seed, count_available_cores()
+    )
+    inputs, targets = map(torch.as_tensor, found)
     optimizer = torch.optim.Adam(model.policy.parameters(), lr=1e-3)
     generator = torch.Generator().manual_seed(args.seed)
     for _ in range(args.imitation_epochs):

@@ -67,8 +67,8 @@ def make_frozen_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable
     return functools.partial(_make_frozen_env, args, agent, partner, args.make_env_config())
 
 
-def make_frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> Callable[[int], HandoverVectorEnv]:
-    """Return a picklable function that makes a given number of environments of one learning agent.
+def make_frozen_vector_env(args: PpoArgs, agent: str, partner: str, processes: int) -> HandoverVectorEnv:
+    """Make `args.resolved_num_envs` environments of one learning agent.
 
     They reset in the step that ends an episode.
 
@@ -76,22 +76,23 @@ def make_frozen_vector_env_factory(args: PpoArgs, agent: str, partner: str) -> C
         args: Arguments of the training.
         agent: Agent that learns, "giver" or "receiver".
         partner: Name of the other agent's policy.
+        processes: Number of processes that simulate the environments.
     """
-    return functools.partial(
-        vector_env,
-        agent=agent,
-        partner=partner,
+    return vector_env(
+        args.resolved_num_envs,
+        agent,
+        partner,
         features=args.features,
         schemes=args.actions,
         wrappers=[EpisodeReturns],
         autoreset="same_step",
-        threads=1,
+        processes=processes,
         config=args.make_env_config(),
     )
 
 
 def record_first_decisions(
-    args: PpoArgs, partner: str, teacher: str, count: int, seed: int
+    args: PpoArgs, partner: str, teacher: str, count: int, seed: int, processes: int
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Record a giver's first decision in each of several episodes, as examples for a learning giver.
 
@@ -101,6 +102,7 @@ def record_first_decisions(
         teacher: Name of the giver whose decisions are recorded.
         count: Number of episodes.
         seed: Seed of the episodes.
+        processes: Number of processes that simulate the episodes; results do not depend on it.
 
     Returns:
         Features (count, m), and outputs (count, k) whose action is the nearest to the teacher's.
@@ -112,7 +114,7 @@ def record_first_decisions(
         features=_make_teacher_features(args, teacher),
         schemes=args.actions,
         autoreset="disabled",
-        threads=1,
+        processes=processes,
         config=args.make_env_config(),
     )
     size = (envs.single_action_space.shape or ())[0]

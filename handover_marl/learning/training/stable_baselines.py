@@ -24,7 +24,7 @@ from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.stable_baselines_files import dense_network_from_state
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env_factory
+from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env
 from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
 from handover_marl.learning.training.training_run import TrainingRun
 from handover_marl.simulation.engines import MUJOCO
@@ -74,9 +74,7 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
     """
     envs: VecEnv
     if args.physics == MUJOCO:
-        envs = BatchVecEnv(
-            args.resolved_num_envs, count_available_cores(), make_frozen_vector_env_factory(args, agent, partner)
-        )
+        envs = BatchVecEnv(make_frozen_vector_env(args, agent, partner, count_available_cores()))
     else:
         make = make_frozen_env_factory(args, agent, partner)
         envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.resolved_num_envs)

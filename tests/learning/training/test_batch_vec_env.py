@@ -1,6 +1,5 @@
 """Tests of batches of environments for Stable-Baselines3: they equal single environments."""
 
-import functools
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import handover_marl
 from handover_marl import givers
-from handover_marl.envs.vector.vector_env import HandoverVectorEnv
-from handover_marl.errors import PolicyError, WorkerError
+from handover_marl.errors import PolicyError
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.environments import make_frozen_env_factory, record_first_decisions
@@ -27,20 +25,9 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def batch(count: int) -> HandoverVectorEnv:
-    return handover_marl.vector_env(
-        count, "giver", "hold", features="giver", schemes="deviation", autoreset="same_step", threads=1, **OPTIONS
-    )
-
-
-def failing(count: int) -> HandoverVectorEnv:
-    return handover_marl.vector_env(
-        count, "giver", Failing, features="giver", schemes="deviation", autoreset="same_step", threads=1, **OPTIONS
-    )
-
-
-def impossible(count: int) -> HandoverVectorEnv:
-    raise WorkerError("there is no space")
+def batch(partner: Any = "hold", processes: int = 2) -> BatchVecEnv:
+    options: dict[str, Any] = {"features": "giver", "schemes": "deviation", "autoreset": "same_step"}
+    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", partner, processes=processes, **options, **OPTIONS))
 
 
 def alone() -> Any:
@@ -61,7 +48,7 @@ def rollout(envs: Any, steps: int = 20) -> list[Any]:
 @pytest.mark.parametrize("processes", [1, 2])
 def test_batches_equal_single_environments(processes: int) -> None:
     expected = rollout(DummyVecEnv([alone] * COUNT))
-    found = rollout(BatchVecEnv(COUNT, processes, batch))
+    found = rollout(batch(processes=processes))
     assert sum(int(ended.sum()) for ended in expected[3::4]) > COUNT
     for one, other in zip(found, expected, strict=True):
         if isinstance(one, list):
@@ -74,25 +61,13 @@ def test_batches_equal_single_environments(processes: int) -> None:
 
 
 def test_errors_of_processes_are_raised() -> None:
-    envs = BatchVecEnv(COUNT, 2, failing)
+    envs = batch(Failing)
     envs.reset()
     still = np.zeros((COUNT, *envs.action_space.shape))
     envs.step(still)
     envs.step(still)
     with pytest.raises(PolicyError, match="nonsense"):
         envs.step(still)
-    envs.close()
-    with pytest.raises(WorkerError, match="no space"):
-        BatchVecEnv(COUNT, 2, impossible)
-
-
-def test_dead_processes_are_reported() -> None:
-    envs = BatchVecEnv(COUNT, 2, batch)
-    envs.reset()
-    envs._processes[1].terminate()
-    envs._processes[1].join()
-    with pytest.raises(WorkerError, match=r"process 1 .* died"):
-        envs.step(np.zeros((COUNT, *envs.action_space.shape)))
     envs.close()
     envs.close()
 
@@ -101,18 +76,13 @@ def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> No
     args = PpoArgs(
         dataset="synthetic", features="giver", actions="offer", control_period=0.1, time_limit=3.0, discount=0.99
     )
-    envs = BatchVecEnv(COUNT, 2, batch)
-    assert envs.process_count == 2
-    record = functools.partial(record_first_decisions, args, "hold", "cooperative")
-    found = envs.call_in_processes([functools.partial(record, 2, 5), functools.partial(record, 1, 9)])
-    assert len(envs.call_in_processes([functools.partial(record, 1, 9)])) == 1
-    envs.close()
+    inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=2)
+    assert len(inputs) == len(outputs) == 3
     env, teacher = make_frozen_env_factory(args, "giver", "hold")(), givers.make("cooperative")
-    for seed, inputs, outputs in ((5, found[0][0][0], found[0][1][0]), (6, found[0][0][1], found[0][1][1])):
-        expected = env.reset(seed=seed)[0]["giver"]
+    for number in range(3):
+        expected = env.reset(seed=5 + number)[0]["giver"]
         teacher.reset()
         wanted = env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver")))
-        np.testing.assert_array_equal(inputs, expected)
-        np.testing.assert_array_equal(outputs, wanted)
-    assert [len(part) for part in found[1]] == [1, 1]
+        np.testing.assert_array_equal(inputs[number], expected)
+        np.testing.assert_array_equal(outputs[number], wanted)
     env.close()
