@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import tyro
-from bench_gpu import describe_device
-from measuring import OutputArgs, describe_conditions
+from measuring import OutputArgs, describe_conditions, describe_device
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OFFICIAL_CONFIG
 from handover_marl.datasets.dataset import Scene

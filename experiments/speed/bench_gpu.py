@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import tyro
-from measuring import OutputArgs, describe_conditions
+from measuring import OutputArgs, describe_conditions, describe_device
 
 import handover_marl
 from handover_marl.episode.spaces import STATE
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
 from handover_marl.learning.training.scene_arguments import SetupArgs
-from handover_marl.simulation.engines import CPU, CUDA, WARP
+from handover_marl.simulation.engines import CUDA, WARP
 
 # Largest change of a joint position in a control period without action scheme (rad, m).
 _LARGEST_CHANGE = 0.1
@@ -98,15 +98,6 @@ def main(args: Args) -> None:
     device = f"Device: {describe_device(args.device)}. {describe_conditions()}."
     table = format_table(("environments", "physics steps/s", "decisions/s"), rows)
     args.publish("Speed of MuJoCo Warp", f"Observation mode: {args.obs_mode}. {device}", table)
-
-
-def describe_device(device: str) -> str:
-    """Return the name of a device, and state for the processor that the figures are not those of a GPU."""
-    if device == CPU:
-        return "Warp's CPU device, which is for tests; these are no figures of a GPU"
-    import warp
-
-    return str(warp.get_device(device).name)
 
 
 if __name__ == "__main__":

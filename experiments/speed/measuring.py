@@ -9,6 +9,7 @@ from typing import Any
 
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
+from handover_marl.simulation.engines import CPU
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,15 @@ class OutputArgs:
 def describe_conditions() -> str:
     """Return machine and date as text."""
     return f"{describe_machine()}, {date.today().isoformat()}"
+
+
+def describe_device(device: str) -> str:
+    """Return the name of a device, and state for the processor that the figures are not those of a GPU."""
+    if device == CPU:
+        return "Warp's CPU device, which is for tests; these are no figures of a GPU"
+    import warp
+
+    return str(warp.get_device(device).name)
 
 
 def measure_peak_memory(function: Callable[..., Any], *arguments: Any) -> float:

@@ -21,15 +21,15 @@ from rich.progress import track
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 
+from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.training.arguments import PairArgs, ResumableArgs
-from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
+from handover_marl.learning.training.dense_networks import make_mlp
 from handover_marl.learning.training.environments import make_pair_vector_env
 from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
 from handover_marl.learning.training.training_run import TrainingRun
-
-AGENTS = ("giver", "receiver")
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def main(args: Args) -> None:
     collector = RolloutCollector(envs, args.seed + 1000 * (done // args.batch_size), run.rewards)
 
     def evaluate(steps: int) -> None:
-        point = run.evaluate(steps, {agent: dense_network_from_module(models[agent].actor) for agent in AGENTS})
+        point = run.evaluate(steps, {agent: dense_network_from_module(models[agent].actor, "tanh") for agent in AGENTS})
         for name in ("success", "contact", "drop", "timeout"):
             writer.add_scalar(f"evaluation/{name}", getattr(point, name), steps)
         state = {

@@ -22,9 +22,10 @@ from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
+from handover_marl.learning.training.dense_networks import make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
@@ -269,7 +270,7 @@ def main(args: Args) -> Path:
     model = train(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     spec = PolicySpec("receiver", args.features, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")
-    write_policy(args.out, spec, dense_network_from_module(model.actor))
+    write_policy(args.out, spec, dense_network_from_module(model.actor, "tanh"))
     print(args.out)
     if args.val_scenes:
         evaluate(args)

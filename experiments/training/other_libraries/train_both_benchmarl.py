@@ -22,13 +22,13 @@ from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDictBase
 from torchrl.modules import MultiAgentMLP
 
+from handover_marl.envs.arguments import AGENTS
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.benchmarl_task import HandoverTask, make_task_config
-from handover_marl.learning.training.dense_networks import dense_network_from_module
 from handover_marl.learning.training.training_run import TrainingRun
 
-AGENTS = ("giver", "receiver")
 ALGORITHMS = {"mappo": MappoConfig, "ippo": IppoConfig}
 
 
@@ -89,7 +89,8 @@ def extract_policy_networks(experiment: Experiment) -> dict[str, DenseNetwork]:
         agent: dense_network_from_module(
             actor_layers(experiment, agent).get_stateful_net(),
             "tanh",
-            experiment.action_spec[agent, "action"].shape[-1],
+            output="tanh",
+            n_outputs=experiment.action_spec[agent, "action"].shape[-1],
         )
         for agent in AGENTS
     }

@@ -30,15 +30,16 @@ from ray.tune.registry import register_env
 from rich.progress import track
 from torch import nn
 
+from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.episode_returns import RETURN
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
-from handover_marl.learning.training.dense_networks import dense_network_from_module, make_mlp
+from handover_marl.learning.training.dense_networks import make_mlp
 from handover_marl.learning.training.environments import make_pair_env
 from handover_marl.learning.training.reward_curve import RewardCurve
 from handover_marl.learning.training.training_run import TrainingRun
 
-AGENTS = ("giver", "receiver")
 _TERMS = "reward_terms"
 _OBJECT_STORE = 200_000_000  # bytes
 _SAMPLE_TIMEOUT = 3600.0  # s
@@ -115,7 +116,7 @@ def make_config(args: Args) -> PPOConfig:
 
 def extract_policy_networks(algorithm: Algorithm) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, which are not clipped, by agent."""
-    return {agent: dense_network_from_module(algorithm.get_module(agent).actor) for agent in AGENTS}
+    return {agent: dense_network_from_module(algorithm.get_module(agent).actor, "tanh") for agent in AGENTS}
 
 
 def main(args: Args) -> TrainingRun:

@@ -60,15 +60,6 @@ class HomogeneousEnv(ParallelWrapper):
         """Return the lengths of an agent's observation and of its action, both without padding."""
         return _size(self._own[agent]), _size(self.env.action_space(agent))
 
-    def unpad_observation(self, agent: str, vector: Array) -> Array:
-        """Return an agent's observation without padding and without the one-hot code of the agent.
-
-        Args:
-            agent: Name of the agent.
-            vector: Padded observation of the agent.
-        """
-        return vector[: self.get_sizes(agent)[0]]
-
     def unpad_action(self, agent: str, action: Any) -> Array:
         """Return an agent's action without padding, clipped to the bounds of the agent's actions.
 

@@ -197,7 +197,7 @@ def _convert_model(
 ) -> tuple[Model, str, str, Encoding | None]:
     """Return network, name, hash and encoding of a model of Stable-Baselines3."""
     # Imports Stable-Baselines3, which made the model.
-    from handover_marl.learning.adapters.sb3_models import convert_sb3_model, get_recorded_encoding
+    from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
 
     owner, features, actions, period = get_recorded_encoding(policy)
     if owner not in (None, agent):
@@ -207,7 +207,7 @@ def _convert_model(
     if features is None or actions is None:
         raise OptionError("the model does not record its encoding; pass features and action_scheme of its training")
     encoding = Encoding(features, actions, _match_period("policy", period, control_period))
-    network = convert_sb3_model(policy)
+    network = dense_network_from_sb3(policy)
     return NetworkModel(network), type(policy).__name__, hash_function(network), encoding
 
 

@@ -1,23 +1,20 @@
 """Export of trained networks to policy files."""
 
-import itertools
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from handover_marl.errors import DataFormatError, OptionError, check_name
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.features import count_features, list_features
 from handover_marl.learning.policy_files import check_control_period, write_policy
-from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, InputNormalization, PolicySpec
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
 from handover_marl.learning.schemes import count_outputs, list_schemes
 
 _DEFAULT_PERIOD = 0.1  # s, as that of environments
-# Number and scale of the random inputs on which a converted network is compared with its module.
-_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
 def export_policy(
@@ -68,12 +65,19 @@ def export_policy(
     recorded: tuple[str | None, str | None, str | None, float | None] = (None, None, None, None)
     if is_sb3_model(model):
         # Imports Stable-Baselines3, which made the model.
-        from handover_marl.learning.adapters.sb3_models import convert_sb3_model, get_recorded_encoding
+        from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
 
         recorded = get_recorded_encoding(model)
-        network = convert_sb3_model(model, normalization)
+        network = dense_network_from_sb3(model, normalization)
     else:
-        network = network_from_module(model, normalization)
+        torch = sys.modules.get("torch")  # a module can exist only if PyTorch was imported
+        if torch is None or not isinstance(model, torch.nn.Module):
+            raise OptionError(
+                f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(model).__name__}"
+            )
+        if normalization is not None and not isinstance(normalization, InputNormalization):
+            raise OptionError(f"normalization must be an InputNormalization, got {type(normalization).__name__}")
+        network = replace(dense_network_from_module(model), normalization=normalization)
     spec = _make_spec((agent, features, action_scheme, control_period), recorded, origin)
     _check_sizes(network, spec)
     write_policy(file, spec, network)
@@ -85,64 +89,6 @@ def is_sb3_model(model: object) -> bool:
     # A model can exist only if the package was imported.
     module = sys.modules.get("stable_baselines3.common.base_class")
     return module is not None and isinstance(model, module.BaseAlgorithm)
-
-
-def network_from_module(module: Any, normalization: InputNormalization | None = None) -> DenseNetwork:
-    """Convert a PyTorch module of linear layers, in the order of registration, to a network.
-
-    Activations are found by comparison of outputs for random inputs.
-
-    Args:
-        module: Module from (n, n_inputs) to (n, n_outputs).
-        normalization: Normalization of the inputs, or None.
-
-    Raises:
-        OptionError: It is not a PyTorch module, or the normalization is of another type.
-        DataFormatError: No network of linear layers and one activation has the same outputs.
-    """
-    torch = sys.modules.get("torch")  # a module can exist only if PyTorch was imported
-    if torch is None or not isinstance(module, torch.nn.Module):
-        raise OptionError(
-            f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(module).__name__}"
-        )
-    if normalization is not None and not isinstance(normalization, InputNormalization):
-        raise OptionError(f"normalization must be an InputNormalization, got {type(normalization).__name__}")
-    layers = [part for part in module.modules() if isinstance(part, torch.nn.Linear)]
-    weights = tuple(np.array(layer.weight.detach().cpu().numpy(), dtype=np.float32) for layer in layers)
-    biases = tuple(
-        np.zeros(len(weight), dtype=np.float32)
-        if layer.bias is None
-        else np.array(layer.bias.detach().cpu().numpy(), dtype=np.float32)
-        for layer, weight in zip(layers, weights, strict=True)
-    )
-    inputs, expected = _evaluate_module(module, DenseNetwork(weights, biases).n_inputs)
-    for activation, output in itertools.product(ACTIVATIONS, repeat=2):
-        network = DenseNetwork(weights, biases, activation, output)
-        found = np.stack([network(row) for row in inputs])
-        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
-            return DenseNetwork(weights, biases, activation, output, normalization)
-    raise DataFormatError(
-        f"{type(module).__name__} must consist of linear layers with one activation between them "
-        f"({', '.join(ACTIVATIONS)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
-    )
-
-
-def _evaluate_module(module: Any, n_inputs: int) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    torch, was_training = sys.modules["torch"], module.training
-    values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
-    parameter = next(module.parameters())
-    try:
-        with torch.no_grad():
-            outputs = module.eval()(torch.from_numpy(values).to(parameter))
-    except Exception as error:  # code of the user
-        raise DataFormatError(
-            f"{type(module).__name__} must accept inputs of shape (n, {n_inputs}) ({type(error).__name__}: {error})"
-        ) from error
-    finally:
-        module.train(was_training)
-    if not isinstance(outputs, torch.Tensor):
-        raise DataFormatError(f"{type(module).__name__} must return a tensor, got {type(outputs).__name__}")
-    return values, outputs.float().cpu().numpy()
 
 
 def _make_spec(

@@ -22,14 +22,16 @@ _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
 _N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
-def convert_sb3_model(
-    model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None
+def dense_network_from_sb3(
+    model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None, with_bounds: bool = True
 ) -> DenseNetwork:
-    """Convert the deterministic policy of a model to a network with normalized inputs and bounded outputs.
+    """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs.
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
+        with_bounds: Whether the network clips its outputs to the bounds of the actions, as the model does, and is
+            compared with the model.
 
     Raises:
         DataFormatError: The policy contains other layers, or computes something else than these layers.
@@ -48,8 +50,11 @@ def convert_sb3_model(
         network,
         output="tanh" if squashed else network.output,
         normalization=find_input_normalization(found) if isinstance(found, VecNormalize) else found,
-        bounds=OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=squashed),
     )
+    if not with_bounds:
+        return network
+    bounds = OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=squashed)
+    network = replace(network, bounds=bounds)
     _compare_outputs(model, network, where)
     return network
 

@@ -1,11 +1,8 @@
-"""Multilayer perceptrons in PyTorch, and their conversion to the networks of policy files."""
+"""Multilayer perceptrons in PyTorch, and networks that agents share."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
-import torch
 from torch import nn
 
 from handover_marl.envs.wrappers.homogeneous import HomogeneousEnv
@@ -29,27 +26,6 @@ def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) 
     return nn.Sequential(*layers)
 
 
-def dense_network_from_module(
-    module: nn.Module, output: str = "identity", n_outputs: int | None = None
-) -> DenseNetwork:
-    """Convert a PyTorch module of linear layers, with tanh between them, to a `DenseNetwork`.
-
-    Args:
-        module: Module that applies its linear layers in the order of registration.
-        output: Activation after the last layer, "identity" or "tanh".
-        n_outputs: Number of leading outputs to keep, such as the means before standard deviations;
-            None keeps all.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match.
-    """
-    layers = [part for part in module.modules() if isinstance(part, nn.Linear)]
-    weights, biases = _arrays(layer.weight for layer in layers), _arrays(layer.bias for layer in layers)
-    return DenseNetwork(
-        (*weights[:-1], weights[-1][:n_outputs]), (*biases[:-1], biases[-1][:n_outputs]), "tanh", output
-    )
-
-
 def extract_agent_network(network: DenseNetwork, env: HomogeneousEnv, agent: str) -> DenseNetwork:
     """Extract one agent's policy from a network that all agents share.
 
@@ -69,7 +45,3 @@ def extract_agent_network(network: DenseNetwork, env: HomogeneousEnv, agent: str
     biases = [network.biases[0] + indicator, *network.biases[1:]]
     weights[-1], biases[-1] = weights[-1][:n_outputs], biases[-1][:n_outputs]
     return replace(network, weights=tuple(weights), biases=tuple(biases))
-
-
-def _arrays(tensors: Iterable[torch.Tensor]) -> tuple[npt.NDArray[np.float32], ...]:
-    return tuple(np.array(tensor.detach().cpu().numpy(), dtype=np.float32) for tensor in tensors)

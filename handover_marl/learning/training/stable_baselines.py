@@ -6,13 +6,11 @@ callback that evaluates the policy.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
@@ -20,8 +18,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.execution.options import count_available_cores
-from handover_marl.learning.policy_spec import DenseNetwork
-from handover_marl.learning.stable_baselines_files import dense_network_from_state
+from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env
@@ -101,18 +98,6 @@ def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
     )
 
 
-def dense_network_from_model(model: BaseAlgorithm) -> DenseNetwork:
-    """Convert the deterministic policy of a PPO model to the network of a policy file.
-
-    Raises:
-        DataFormatError: The policy contains a layer that is not dense.
-    """
-    state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
-    about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}
-    network, squashed = dense_network_from_state(state, about, "the trained policy")
-    return replace(network, output="tanh") if squashed else network
-
-
 def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     """Write a checkpoint of a PPO model, from which training can be resumed."""
     state = {
@@ -182,7 +167,9 @@ class EvaluationCallback(BaseCallback):
         """Write the policy file, evaluate the policy and write a checkpoint."""
         if not isinstance(self.model, OnPolicyAlgorithm):
             raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
-        point = self._run.evaluate(self.num_timesteps, {self._agent: dense_network_from_model(self.model)})
+        # Action schemes clip the outputs.
+        network = dense_network_from_sb3(self.model, with_bounds=False)
+        point = self._run.evaluate(self.num_timesteps, {self._agent: network})
         for name in ("success", "contact", "drop", "timeout"):
             self.logger.record(f"evaluation/{name}", getattr(point, name))
         self.logger.dump(self.num_timesteps)
