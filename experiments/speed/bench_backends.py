@@ -33,7 +33,7 @@ class Args(EvaluationArgs, OutputArgs):
         receiver: Name of the receiver, with options if there are any.
         split: Split of the setup: train, val or test.
         episodes: Number of episodes per measurement.
-        turns: Number of measurements of each backend.
+        repetitions: Number of measurements of each backend.
         workers: Number of workers of each backend; default: one per core.
         ray_address: Address of a Ray cluster; default: a running cluster, or a new local one.
     """
@@ -41,7 +41,7 @@ class Args(EvaluationArgs, OutputArgs):
     receiver: str = "yang2021"
     split: str = "test"
     episodes: int = 100
-    turns: int = 3
+    repetitions: int = 3
     ray_address: str | None = None
 
 
@@ -60,9 +60,9 @@ def main(args: Args) -> None:
     open_pool(configs[RAY])
     connecting = time.perf_counter() - started
     seconds: dict[str, list[float]] = {LOCAL: [], RAY: []}
-    for turn in track(range(2 * args.turns), "turns", console=Console(stderr=True)):
+    for number in track(range(2 * args.repetitions), "measurements", console=Console(stderr=True)):
         # Local, Ray, Ray, local, ...: so that neither is always the first.
-        backend = (LOCAL, RAY, RAY, LOCAL)[turn % 4]
+        backend = (LOCAL, RAY, RAY, LOCAL)[number % 4]
         started = time.perf_counter()
         finished = list(run_episodes(replace(run, scenes=scenes), tasks, open_pool(configs[backend])))
         seconds[backend].append(time.perf_counter() - started)
@@ -76,7 +76,7 @@ def main(args: Args) -> None:
         "Backends",
         f"{describe_conditions()}, load {os.getloadavg()[0]:.1f} at the end. {played}, "
         f"{workers} workers; seconds of every turn, start of workers included. Ray started in {connecting:.1f} s.",
-        format_table(["", *(f"turn {n + 1}" for n in range(args.turns))], rows),
+        format_table(["", *(f"turn {n + 1}" for n in range(args.repetitions))], rows),
         f"Ratio of all turns together {whole:.3f}, median {np.median(ratios):.3f}.",
     )
 

@@ -31,22 +31,22 @@ class Args(DatasetArgs, OutputArgs):
 
     Attributes:
         physics: Simulation: mujoco, fast or exact.
-        envs: Number of environments in each batch.
+        num_envs: Number of environments in each batch.
         control_period: Time between two decisions (s).
-        steps: Number of decisions of each environment in a run.
-        turn: Number of decisions for which one batch is measured before the next one.
-        repeats: Number of runs; the table gives medians and ranges.
+        decisions: Number of decisions of each environment in a run.
+        steps_per_turn: Number of decisions for which one batch is measured before the next one.
+        repetitions: Number of runs; the table gives medians and ranges.
         features: Name of the receiver's features.
         actions: Name of the receiver's action scheme.
         giver: Name of the frozen giver.
     """
 
     physics: str = MUJOCO
-    envs: int = 32
+    num_envs: int = 32
     control_period: float = 0.2
-    steps: int = 60
-    turn: int = 2
-    repeats: int = 5
+    decisions: int = 60
+    steps_per_turn: int = 2
+    repetitions: int = 5
     features: str = "close"
     actions: str = "grasp_servo"
     giver: str = "cooperative"
@@ -75,19 +75,19 @@ VARIANTS: dict[str, Any] = {
 
 
 def main(args: Args) -> None:
-    seconds = np.array([measure_run(args, run) for run in track(range(args.repeats), description="runs")])
+    seconds = np.array([measure_run(args, run) for run in track(range(args.repetitions), description="runs")])
     rows = []
     for number, name in enumerate(VARIANTS):
         extra = 100.0 * (seconds[:, number] / seconds[:, 0] - 1.0)
-        rate = args.envs * args.steps / np.median(seconds[:, number])
+        rate = args.num_envs * args.decisions / np.median(seconds[:, number])
         rows.append([name, f"{rate:.0f}", f"{np.median(extra):+.1f}", f"{extra.min():+.1f} to {extra.max():+.1f}"])
     head = ["rewards", "decisions/s of one core", "additional time %", "range %"]
     args.publish(
         "Speed of rewards",
-        f"{describe_conditions()}, {args.envs} environments, {args.physics} physics, s0 train of "
+        f"{describe_conditions()}, {args.num_envs} environments, {args.physics} physics, s0 train of "
         f"{args.open_dataset().name}, giver `{args.giver}`, features `{args.features}`, actions `{args.actions}`, "
-        f"{args.control_period:g} s control period, {args.steps} decisions in turns of {args.turn}, "
-        f"{args.repeats} runs.",
+        f"{args.control_period:g} s control period, {args.decisions} decisions in turns of {args.steps_per_turn}, "
+        f"{args.repetitions} runs.",
         format_table(head, rows),
     )
 
@@ -100,12 +100,12 @@ def measure_run(args: Args, run: int) -> list[float]:
     for envs in batches:
         envs.reset(seed=1000 * run)
     seconds = np.zeros(len(batches))
-    for turn in range(args.steps // args.turn):
+    for turn in range(args.decisions // args.steps_per_turn):
         # The order changes, so that no variant always follows the same one.
         for number in (0, *(1 + np.roll(np.arange(len(VARIANTS)), turn)).tolist()):
             envs, rng = batches[number], generators[number]
             started = time.process_time()
-            for _ in range(args.turn):
+            for _ in range(args.steps_per_turn):
                 envs.step(rng.uniform(-0.3, 0.3, envs.action_space.shape).astype(np.float32))
             seconds[number] += time.process_time() - started
     for envs in batches:
@@ -117,7 +117,7 @@ def measure_run(args: Args, run: int) -> list[float]:
 def make_batch(args: Args, rewards: Any) -> HandoverVectorEnv:
     """Make the environments of one variant, as the training scripts do."""
     return handover_marl.vector_env(
-        args.envs,
+        args.num_envs,
         "receiver",
         args.giver,
         features=args.features,

@@ -41,7 +41,7 @@ from handover_marl.simulation.bullet.client import BulletClient
 from handover_marl.simulation.engines import MUJOCO, list_available_physics
 
 REAL_TIME = 1000  # physics steps in a second
-STIR = 0.05  # rad
+MAX_TARGET_OFFSET = 0.05  # of joint targets from the start pose (rad)
 PHYSICS = list_available_physics()
 
 
@@ -53,8 +53,8 @@ class Args(DatasetArgs, OutputArgs):
         scene: Scene number in s0 train that is simulated.
         steps: Number of physics steps of one run; the episode must last that long.
         control_period: Time (s) for which an action is applied.
-        turn: Number of control steps for which one environment is measured before the next one.
-        repeats: Number of runs; the table gives median ratios and their range.
+        steps_per_turn: Number of control steps for which one environment is measured before the next one.
+        repetitions: Number of runs; the table gives median ratios and their range.
         episodes: Number of scenes of s0 val for whole episodes of `yang2021`; 0 skips them.
         workers: Numbers of worker processes to compare; empty skips this comparison.
         vector_envs: Number of environments in a MuJoCo batch; 0 skips this measurement.
@@ -63,8 +63,8 @@ class Args(DatasetArgs, OutputArgs):
     scene: int = 105
     steps: int = 6000
     control_period: float = 0.1
-    turn: int = 5
-    repeats: int = 5
+    steps_per_turn: int = 5
+    repetitions: int = 5
     episodes: int = 36
     workers: tuple[int, ...] = (1, 2)
     vector_envs: int = 256
@@ -78,7 +78,7 @@ class MeasuredEnv:
         label: Name in the table.
         physics: Physics engine.
         engine_only: Whether only PyBullet's `stepSimulation` is timed.
-        envs: Number of environments in the batch.
+        num_envs: Number of environments in the batch.
         mixed: Whether the environments of a batch simulate different scenes.
         seconds: CPU time of each run, per environment (s).
     """
@@ -86,7 +86,7 @@ class MeasuredEnv:
     label: str
     physics: str
     engine_only: bool = False
-    envs: int = 1
+    num_envs: int = 1
     mixed: bool = False
     seconds: list[float] = field(default_factory=list)
 
@@ -112,13 +112,13 @@ def make_step_table(args: Args) -> str:
     ]
     if MUJOCO in PHYSICS:
         many = [
-            MeasuredEnv(f"mujoco, batch of {args.vector_envs}", MUJOCO, envs=args.vector_envs),
+            MeasuredEnv(f"mujoco, batch of {args.vector_envs}", MUJOCO, num_envs=args.vector_envs),
             MeasuredEnv(
-                f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, envs=args.vector_envs, mixed=True
+                f"mujoco, batch of {args.vector_envs}, mixed scenes", MUJOCO, num_envs=args.vector_envs, mixed=True
             ),
         ]
         variants[2:2] = [MeasuredEnv("mujoco, env.step", MUJOCO), *(many if args.vector_envs else [])]
-    for _ in progress(range(args.repeats), "steps"):
+    for _ in progress(range(args.repetitions), "steps"):
         measure_run(args, variants)
     exact, fast = (np.array(variant.seconds) for variant in variants[:2])
     rows = []
@@ -126,7 +126,7 @@ def make_step_table(args: Args) -> str:
         seconds = np.array(variant.seconds)
         rate, ratios = args.steps / np.median(seconds), exact / seconds
         memory = "-"
-        if not variant.engine_only and variant.envs == 1:
+        if not variant.engine_only and variant.num_envs == 1:
             memory = f"{measure_peak_memory(step_single_env, args, variant.physics):.0f} MB"
         rows.append(
             [
@@ -142,7 +142,7 @@ def make_step_table(args: Args) -> str:
     head = ["", "steps/s", "ratio to exact", "range", "ratio to fast", "real-time factor", "peak memory"]
     return (
         f"Scene {args.scene}, {args.steps} steps, {args.control_period:g} s control period, each with another target "
-        f"within {STIR:g} rad of the start, {args.repeats} runs in turns, time of one core:\n\n"
+        f"within {MAX_TARGET_OFFSET:g} rad of the start, {args.repetitions} runs in turns, time of one core:\n\n"
         + format_table(head, rows)
     )
 
@@ -159,12 +159,12 @@ def make_batch_table(args: Args) -> str:
     counts = np.array([1, *(batch.num_envs for batch in batches.values())])
     control_steps = args.steps // round(args.control_period * REAL_TIME)
     rates = []
-    for run in progress(range(args.repeats), "batches"):
+    for run in progress(range(args.repetitions), "batches"):
         seconds, generators = np.zeros(len(envs)), [np.random.default_rng(run) for _ in envs]
-        for first in range(0, control_steps, args.turn):
+        for first in range(0, control_steps, args.steps_per_turn):
             for number, env in enumerate(envs):
                 started = time.perf_counter()
-                step_randomly(env, min(args.turn, control_steps - first), generators[number])
+                step_randomly(env, min(args.steps_per_turn, control_steps - first), generators[number])
                 seconds[number] += time.perf_counter() - started
             fast.reset(options={"scene_id": args.scene})
             for batch in batches.values():
@@ -176,8 +176,8 @@ def make_batch_table(args: Args) -> str:
     labels = ["fast, one environment", *batches]
     rows = [[label, f"{rate:.0f}", f"{ratio:.2f}"] for label, rate, ratio in zip(labels, medians, ratios, strict=True)]
     return (
-        f"Batches of {args.vector_envs} environments with scenes of s0 train, in wall-clock time, {args.repeats} runs "
-        "in turns:\n\n" + format_table(["", "steps/s", "ratio to fast"], rows)
+        f"Batches of {args.vector_envs} environments with scenes of s0 train, in wall-clock time, {args.repetitions} "
+        "runs in turns:\n\n" + format_table(["", "steps/s", "ratio to fast"], rows)
     )
 
 
@@ -193,11 +193,11 @@ def measure_run(args: Args, variants: list[MeasuredEnv]) -> None:
     seconds = np.zeros(len(variants))
     generators = [np.random.default_rng(0) for _ in envs]
     control_steps = args.steps // round(args.control_period * REAL_TIME)
-    for first in range(0, control_steps, args.turn):
+    for first in range(0, control_steps, args.steps_per_turn):
         for number, env in enumerate(envs):
             started = time.process_time()
-            step_randomly(env, min(args.turn, control_steps - first), generators[number])
-            seconds[number] += (time.process_time() - started) / variants[number].envs
+            step_randomly(env, min(args.steps_per_turn, control_steps - first), generators[number])
+            seconds[number] += (time.process_time() - started) / variants[number].num_envs
     for variant, env, clock, taken in zip(variants, envs, clocks, seconds, strict=True):
         variant.seconds.append(float(taken) if clock is None else clock[0])
         env.close()
@@ -205,9 +205,9 @@ def measure_run(args: Args, variants: list[MeasuredEnv]) -> None:
 
 def make_measured_env(args: Args, variant: MeasuredEnv) -> HandoverEnv | ParallelVectorEnv:
     """Create and reset the environment, or batch of environments, of a variant."""
-    if variant.envs == 1:
+    if variant.num_envs == 1:
         return make_env(args, variant.physics)
-    envs = make_batch(args, variant.envs, threads=1)
+    envs = make_batch(args, variant.num_envs, threads=1)
     envs.reset(seed=0, options=None if variant.mixed else {"scene_id": args.scene})
     return envs
 
@@ -349,7 +349,7 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, control_steps: int, rng:
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     for _ in range(control_steps):
         targets = np.tile(start, (*shape, 1))
-        targets[..., :ARM_DOF] += rng.uniform(-STIR, STIR, (*shape, ARM_DOF))
+        targets[..., :ARM_DOF] += rng.uniform(-MAX_TARGET_OFFSET, MAX_TARGET_OFFSET, (*shape, ARM_DOF))
         env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
 
 

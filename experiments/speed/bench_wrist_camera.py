@@ -42,8 +42,8 @@ class Args(DatasetArgs, OutputArgs):
         views: Number of rendered frames per scene.
         receiver: Name of the receiver that moves the camera.
         period: Time (s) between two point clouds.
-        steps: Number of control steps for which one environment is measured before the next one.
-        turns: Number of times that each environment is measured, in turn; 0 measures the renderers
+        steps_per_turn: Number of control steps for which one environment is measured before the next one.
+        repetitions: Number of times that each environment is measured, in turn; 0 measures the renderers
             alone, not the steps of complete environments.
     """
 
@@ -52,8 +52,8 @@ class Args(DatasetArgs, OutputArgs):
     views: int = 4
     receiver: str = "yang2021"
     period: float = 0.15
-    steps: int = 20
-    turns: int = 10
+    steps_per_turn: int = 20
+    repetitions: int = 10
 
 
 class PointCloudTimer(EpisodeCallback):
@@ -149,22 +149,22 @@ def make_agreement_table(pairs: list[tuple[CameraImage, CameraImage]]) -> str:
         pairs: Images of the same frames by both renderers.
     """
     rows = []
-    for seen in SegmentationLabel:
-        shown = [(first.compute_mask(seen), second.compute_mask(seen)) for first, second in pairs]
-        either = sum(int((one | other).sum()) for one, other in shown)
-        both = sum(int((one & other).sum()) for one, other in shown)
+    for label in SegmentationLabel:
+        masks = [(first.compute_mask(label), second.compute_mask(label)) for first, second in pairs]
+        either = sum(int((one | other).sum()) for one, other in masks)
+        both = sum(int((one & other).sum()) for one, other in masks)
         if not either:
             continue
-        apart = np.concatenate(
+        depth_errors = np.concatenate(
             [
                 np.abs(first.depth - second.depth)[one & other]
-                for (first, second), (one, other) in zip(pairs, shown, strict=True)
+                for (first, second), (one, other) in zip(pairs, masks, strict=True)
             ]
         )
-        near = f"{100.0 * np.mean(apart <= 1e-4):.3f}"
-        spread = [f"{value:.1e}" for value in (np.median(apart), np.percentile(apart, 99), apart.max())]
-        rows.append([seen.name.lower(), either, f"{100.0 * both / either:.4f}", near, *spread])
-    header = ["seen", "pixels", "alike %", "depth within 1e-4 m %", "median m", "99 % m", "most m"]
+        near = f"{100.0 * np.mean(depth_errors <= 1e-4):.3f}"
+        spread = [f"{value:.1e}" for value in (*np.percentile(depth_errors, [50, 99]), depth_errors.max())]
+        rows.append([label.name.lower(), either, f"{100.0 * both / either:.4f}", near, *spread])
+    header = ["label", "pixels", "mask IoU %", "depth within 1e-4 m %", "median m", "99 % m", "max m"]
     return format_table(header, rows)
 
 
@@ -175,11 +175,10 @@ def make_time_table(cloud_timer: PointCloudTimer, comparison: RendererComparison
     for name, seconds in (
         ("cloud of a decision (rays)", cloud_timer.times),
         ("object and hand (rays)", targets),
-        ("whole picture (rays)", whole),
-        ("whole picture (bullet)", bullet),
+        ("whole image (rays)", whole),
+        ("whole image (bullet)", bullet),
     ):
-        middle, most = np.percentile(seconds, [50, 95])
-        times = [f"{1000.0 * value:.2f}" for value in (middle, most, np.mean(seconds))]
+        times = [f"{1000.0 * value:.2f}" for value in (*np.percentile(seconds, [50, 95]), np.mean(seconds))]
         rows.append([name, len(seconds), *times])
     return format_table(["224 x 224", "views", "median ms", "95 % ms", "mean ms"], rows)
 
@@ -216,7 +215,7 @@ def simulate_single_env(args: Args, physics: str) -> None:
     env = make_env(args, physics)
     for seed in range(3):
         env.reset(seed=seed)
-        time_steps(env, args.steps)
+        time_steps(env, args.steps_per_turn)
 
 
 def make_env_table(args: Args) -> str:
@@ -226,19 +225,19 @@ def make_env_table(args: Args) -> str:
         rows.append([name, f"{measure_peak_memory(simulate_single_env, args, physics):.0f}"])
         envs[name] = make_env(args, physics)
         envs[name].reset(seed=0)
-        time_steps(envs[name], args.steps)
+        time_steps(envs[name], args.steps_per_turn)
     seconds: dict[str, list[float]] = {name: [] for name in envs}
-    for _ in track(range(args.turns), "turns", console=Console(stderr=True)):
+    for _ in track(range(args.repetitions), "repetitions", console=Console(stderr=True)):
         for name, env in envs.items():
-            seconds[name].append(time_steps(env, args.steps))
+            seconds[name].append(time_steps(env, args.steps_per_turn))
     ratios = np.array(seconds["exact, bullet"]) / np.array(seconds["fast, rays"])
     for row in rows:
-        times = 1000.0 * np.array(seconds[row[0]]) / args.steps
+        times = 1000.0 * np.array(seconds[row[0]]) / args.steps_per_turn
         row.insert(1, f"{np.median(times):.2f}")
     rows[0].append("1")
     rows[1].append(f"{np.median(ratios):.1f} ({ratios.min():.1f} to {ratios.max():.1f})")
     return format_table(
-        [f"points every {args.period} s", "ms a step", "MiB of a process with one", "times as fast"], rows
+        [f"points every {args.period} s", "ms per step", "MiB of a process with one", "times as fast"], rows
     )
 
 
@@ -253,7 +252,7 @@ def main(args: Args) -> None:
         make_agreement_table(found.pairs),
         make_time_table(cloud_timer, found),
     ]
-    if args.turns:
+    if args.repetitions:
         parts.append(make_env_table(args))
     args.publish("The wrist camera", *parts)
 

@@ -45,7 +45,7 @@ def main(args: Args) -> None:
         spread = f"{mean:.1f} ({min(seconds):.1f} to {max(seconds):.1f})"
         rows.append([f"`{receiver}`", spread, f"{preparing:.1f}", *hours, f"{total:.2f}"])
         print(rows[-1], flush=True)
-    head = ["receiver", "s a scene", "s an object, once", *(f"{setup} h" for setup in SETUPS), "all h"]
+    head = ["receiver", "s per scene", "s per object, once", *(f"{setup} h" for setup in SETUPS), "all h"]
     args.publish(
         "Costs",
         f"{describe_conditions()}, {args.scenes} scenes of s0 test, {args.physics} physics, "

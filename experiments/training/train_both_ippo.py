@@ -57,10 +57,10 @@ class ActorCritic(nn.Module):
         self.critic = make_mlp(n_inputs, 1, args.width)
         self.log_std = nn.Parameter(torch.full((n_outputs,), float(np.log(args.initial_std))))
 
-    def distribution(self, observations: torch.Tensor) -> torch.distributions.Normal:
+    def compute_distribution(self, observations: torch.Tensor) -> torch.distributions.Normal:
         return torch.distributions.Normal(self.actor(observations), self.log_std.exp())
 
-    def value(self, observations: torch.Tensor) -> torch.Tensor:
+    def compute_value(self, observations: torch.Tensor) -> torch.Tensor:
         return self.critic(observations).squeeze(-1)
 
 
@@ -92,7 +92,7 @@ class RolloutCollector:
                 # The value of the last state stands for the rewards after the truncation.
                 with torch.no_grad():
                     last = torch.as_tensor(infos[agent]["final_obs"][number])
-                    reward[number] += discount * float(model.value(last))
+                    reward[number] += discount * float(model.compute_value(last))
             for number in np.flatnonzero(ended):
                 self.rewards.add_episode(agent, infos[agent]["final_info"][number])
             step[agent] |= {"reward": reward, "end": ended.astype(np.float32)}
@@ -103,10 +103,10 @@ class RolloutCollector:
     def _act(self, agent: str, model: ActorCritic) -> dict[str, np.ndarray]:
         observations = torch.as_tensor(self.observations[agent])
         with torch.no_grad():
-            distribution = model.distribution(observations)
+            distribution = model.compute_distribution(observations)
             action = distribution.sample()
             log_prob = distribution.log_prob(action).sum(-1)
-            value = model.value(observations)
+            value = model.compute_value(observations)
         parts = {"observation": observations, "action": action, "log_prob": log_prob, "value": value}
         return {key: part.numpy() for key, part in parts.items()}
 
@@ -150,12 +150,12 @@ def update(
     advantages = advantages.flatten()
     for _ in range(args.epochs):
         for part in torch.randperm(len(advantages)).split(args.minibatch_size):
-            distribution = model.distribution(observations[part])
+            distribution = model.compute_distribution(observations[part])
             ratio = (distribution.log_prob(actions[part]).sum(-1) - old_log_probs[part]).exp()
             gain = (advantages[part] - advantages[part].mean()) / (advantages[part].std() + 1e-8)
             clipped = ratio.clamp(1.0 - args.clip_range, 1.0 + args.clip_range)
             surrogate = torch.min(ratio * gain, clipped * gain).mean()
-            value_loss = (model.value(observations[part]) - targets[part]).square().mean()
+            value_loss = (model.compute_value(observations[part]) - targets[part]).square().mean()
             loss = 0.5 * value_loss - surrogate - args.entropy * distribution.entropy().sum(-1).mean()
             optimizer.zero_grad()
             loss.backward()
@@ -164,68 +164,95 @@ def update(
     return {"value_loss": value_loss.item(), "std": model.log_std.exp().mean().item()}
 
 
-def main(args: Args) -> None:
-    args = args.shrink_for_smoke_test()
-    torch.manual_seed(args.seed)
-    torch.set_num_threads(1)
-    run = TrainingRun(args, "train_both_ippo", args.encodings)
-    folder = run.folder
-    envs = make_pair_vector_env(args)
-    models = {
-        agent: ActorCritic(
-            envs.single_observation_space(agent).shape[0], envs.single_action_space(agent).shape[0], args
-        )
-        for agent in AGENTS
-    }
-    optimizers = {agent: torch.optim.Adam(models[agent].parameters(), lr=args.learning_rate) for agent in AGENTS}
+class Learners:
+    """Networks and optimizers of both agents.
+
+    Args:
+        envs: Environments, whose spaces determine the sizes of the networks.
+        args: Arguments of the training.
+    """
+
+    def __init__(self, envs: ParallelVectorEnv, args: Args) -> None:
+        self.models = {
+            agent: ActorCritic(
+                envs.single_observation_space(agent).shape[0], envs.single_action_space(agent).shape[0], args
+            )
+            for agent in AGENTS
+        }
+        self.optimizers = {
+            agent: torch.optim.Adam(model.parameters(), lr=args.learning_rate) for agent, model in self.models.items()
+        }
+
+    def update(self, collector: RolloutCollector, args: Args) -> dict[str, float]:
+        """Update both agents on a new batch of transitions; return losses and statistics for the log."""
+        batches, logged = collector.collect(self.models, args), {}
+        for agent, model in self.models.items():
+            with torch.no_grad():
+                last_value = model.compute_value(torch.as_tensor(collector.observations[agent]))
+            advantages = compute_advantages(batches[agent], last_value, args)
+            found = update(model, self.optimizers[agent], batches[agent], advantages, args)
+            logged |= {f"{agent}/{key}": value for key, value in found.items()}
+        return logged
+
+
+def restore_training(run: TrainingRun, learners: Learners) -> int:
+    """Restore networks and optimizers from the checkpoint of a run; return its number of decisions."""
     done = 0
 
     def restore(state: dict[str, Any]) -> None:
         nonlocal done
         for agent in AGENTS:
-            models[agent].load_state_dict(state["models"][agent])
-            optimizers[agent].load_state_dict(state["optimizers"][agent])
+            learners.models[agent].load_state_dict(state["models"][agent])
+            learners.optimizers[agent].load_state_dict(state["optimizers"][agent])
         done = int(state["steps"])
 
-    if args.resume and folder.checkpoint.exists():
-        read_checkpoint(folder.checkpoint, restore)
-        run.discard_points_after(done)
-    writer = SummaryWriter(str(folder.path / "tensorboard"))
+    read_checkpoint(run.folder.checkpoint, restore)
+    run.discard_points_after(done)
+    return done
+
+
+def save_evaluation(run: TrainingRun, learners: Learners, decisions: int, writer: SummaryWriter) -> None:
+    """Evaluate the policies, and write the results and a checkpoint."""
+    networks = {agent: dense_network_from_module(learners.models[agent].actor, "tanh") for agent in AGENTS}
+    point = run.evaluate(decisions, networks)
+    for name in ("success", "contact", "drop", "timeout"):
+        writer.add_scalar(f"evaluation/{name}", getattr(point, name), decisions)
+    state = {
+        "steps": decisions,
+        "models": {agent: learners.models[agent].state_dict() for agent in AGENTS},
+        "optimizers": {agent: learners.optimizers[agent].state_dict() for agent in AGENTS},
+    }
+    write_checkpoint(run.folder.checkpoint, state)
+
+
+def main(args: Args) -> None:
+    args = args.shrink_for_smoke_test()
+    torch.manual_seed(args.seed)
+    torch.set_num_threads(1)
+    run = TrainingRun(args, "train_both_ippo", args.encodings)
+    envs = make_pair_vector_env(args)
+    learners = Learners(envs, args)
+    done = restore_training(run, learners) if args.resume and run.folder.checkpoint.exists() else 0
+    writer = SummaryWriter(str(run.folder.path / "tensorboard"))
     collector = RolloutCollector(envs, args.seed + 1000 * (done // args.batch_size), run.rewards)
-
-    def evaluate(steps: int) -> None:
-        point = run.evaluate(steps, {agent: dense_network_from_module(models[agent].actor, "tanh") for agent in AGENTS})
-        for name in ("success", "contact", "drop", "timeout"):
-            writer.add_scalar(f"evaluation/{name}", getattr(point, name), steps)
-        state = {
-            "steps": steps,
-            "models": {agent: models[agent].state_dict() for agent in AGENTS},
-            "optimizers": {agent: optimizers[agent].state_dict() for agent in AGENTS},
-        }
-        write_checkpoint(folder.checkpoint, state)
-
-    if not folder.points:
-        evaluate(0)
-    for steps in track(range(done + args.batch_size, args.decisions + 1, args.batch_size), description="updates"):
-        batches = collector.collect(models, args)
-        for agent in AGENTS:
-            with torch.no_grad():
-                last_value = models[agent].value(torch.as_tensor(collector.observations[agent]))
-            advantages = compute_advantages(batches[agent], last_value, args)
-            for key, value in update(models[agent], optimizers[agent], batches[agent], advantages, args).items():
-                writer.add_scalar(f"{agent}/{key}", value, steps)
-        for name, mean in run.rewards.write_point(steps).items():
-            writer.add_scalar(f"rewards/{name}", mean, steps)
+    if not run.folder.points:
+        save_evaluation(run, learners, 0, writer)
+    numbers = range(done + args.batch_size, args.decisions + 1, args.batch_size)
+    for decisions in track(numbers, description="updates"):
+        logged = learners.update(collector, args)
+        logged |= {f"rewards/{name}": mean for name, mean in run.rewards.write_point(decisions).items()}
         if collector.finished_returns:
-            writer.add_scalar("rollout/receiver_return", np.mean(collector.finished_returns), steps)
+            logged["rollout/receiver_return"] = float(np.mean(collector.finished_returns))
             collector.finished_returns.clear()
-        if run.is_evaluation_due(steps):
-            evaluate(steps)
-        if run.is_finished(steps):
+        for name, value in logged.items():
+            writer.add_scalar(name, value, decisions)
+        if run.is_evaluation_due(decisions):
+            save_evaluation(run, learners, decisions, writer)
+        if run.is_finished(decisions):
             break
     writer.close()
     envs.close()
-    print(folder.path)
+    print(run.folder.path)
 
 
 if __name__ == "__main__":

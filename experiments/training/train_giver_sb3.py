@@ -76,16 +76,16 @@ def imitate(args: Args, model: PPO) -> None:
     generator = torch.Generator().manual_seed(args.seed)
     for _ in range(args.imitation_epochs):
         for part in torch.randperm(args.demonstrations, generator=generator).chunk(max(1, args.demonstrations // 64)):
-            loss = (means(model, inputs[part]) - targets[part]).square().mean()
+            loss = (compute_means(model, inputs[part]) - targets[part]).square().mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
     with torch.no_grad():
-        error = float((means(model, inputs) - targets).square().mean().sqrt())
+        error = float((compute_means(model, inputs) - targets).square().mean().sqrt())
     print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
 
 
-def means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:
+def compute_means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:
     distribution: Any = model.policy.get_distribution(inputs).distribution
     return distribution.mean
 
