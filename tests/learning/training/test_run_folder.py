@@ -80,13 +80,21 @@ def test_run_is_resumed_on_its_dataset_only(tmp_path: Path) -> None:
 @dataclass(frozen=True)
 class RenamedArgs:
     eval_interval: int = 512
+    num_envs: int = 8
+    use_groups: bool = False
     expert: str = "GraspExpertConfig(candidates=24, pads=(0.1, 0.2))"
 
 
-def test_runs_of_version_0_7_can_be_resumed(tmp_path: Path) -> None:
-    """A run of version 0.7, where arguments and configurations have other names, is resumed if the values are equal."""
+def test_runs_of_earlier_versions_can_be_resumed(tmp_path: Path) -> None:
+    """A run whose arguments and configurations have other names is resumed if the values are equal."""
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
-    old = {"every": 512, "expert": "ExpertConfig(options=24, way=(0.1, 0.2))", "dataset": "synthetic"}
+    old = {
+        "every": 512,
+        "envs": 8,
+        "groups": False,
+        "expert": "ExpertConfig(options=24, way=(0.1, 0.2))",
+        "dataset": "synthetic",
+    }
     for values, is_same in ((old, True), (old | {"every": 256}, False), (old | {"expert": "E(options=23)"}, False)):
         (tmp_path / "arguments.json").write_text(json.dumps(values))
         with contextlib.nullcontext() if is_same else pytest.raises(ResultsError, match="other arguments"):
