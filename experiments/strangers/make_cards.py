@@ -144,7 +144,7 @@ This page describes every giver of the population {population.label}, with which
   recording; its path of the wrist is orange in the other rows, the path of the giver is blue. Cells after the end of an
   episode are white.
 - **Events**: means of three episodes with `reactive` on DexYCB, from the
-  [selection of the population](../results/strangers.md); they describe the giver and are no estimates of success rates.
+  [selection of the population](../results/population.md); they describe the giver and are no estimates of success rates.
 - **Outcomes changed by a perturbation**: the noise floor, see [controls](#controls); n is the number of perturbed
   episodes.
 
@@ -194,7 +194,7 @@ population act the same without it. Tests verify both.
 The giver `learned` was trained with `yang2021`. Its gain over `replay` with this receiver is on the page
 [results](../results/index.md#adaptive-givers), its gain with a receiver that it has not met in the table of
 [`reactive` with other givers](../results/reactive.md#other-givers). The page
-[results with unseen partners](../results/strangers.md#settings-of-a-receiver) has receivers that were chosen with one
+[results with unseen partners](../results/population_training.md#settings-of-a-receiver) has receivers that were chosen with one
 giver or with a population. To compare your own teams:
 
 ```bash
