@@ -144,7 +144,8 @@ This page describes every giver of the population {population.label}, with which
   recording; its path of the wrist is orange in the other rows, the path of the giver is blue. Cells after the end of an
   episode are white.
 - **Events**: means of three episodes with `reactive` on DexYCB, from the
-  [selection of the population](../results/population.md); they describe the giver and are no estimates of success rates.
+  [selection of the population](../results/population.md); they describe the giver and are no estimates of success
+  rates.
 - **Outcomes changed by a perturbation**: the noise floor, see [controls](#controls); n is the number of perturbed
   episodes.
 
@@ -194,8 +195,8 @@ population act the same without it. Tests verify both.
 The giver `learned` was trained with `yang2021`. Its gain over `replay` with this receiver is on the page
 [results](../results/index.md#adaptive-givers), its gain with a receiver that it has not met in the table of
 [`reactive` with other givers](../results/reactive.md#other-givers). The page
-[results with unseen partners](../results/population_training.md#settings-of-a-receiver) has receivers that were chosen with one
-giver or with a population. To compare your own teams:
+[training with a population](../results/population_training.md#settings-of-a-receiver) has receivers that were chosen
+with one giver or with a population. To compare your own teams:
 
 ```bash
 handover-marl crossplay --givers replay,learned --receivers yang2021,reactive --setup s0 --split val --physics fast
