@@ -122,7 +122,7 @@ def play_partner(
         schemes=spec.actions,
         wrappers=(),
         trust=False,
-        prepares_episodes=False,
+        prefetch_episodes=False,
         backend=BatchBackend(),
     )
     envs = factory.make(len(functions) * len(scenes))

@@ -41,7 +41,7 @@ class Args:
 
     out: Path
     population: str = DEFAULT_POPULATION
-    events: Path = Path("docs/results/strangers.md")
+    events: Path = Path("docs/results/population.md")
     controls: Path = Path("docs/results/data/strangers_controls.json")
 
 
