@@ -48,8 +48,8 @@ class Args(SetupArgs):
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
         rollout: Number of decisions in each environment between updates.
-        overlap: Whether the next rollout starts before the update, with the networks of the update before. Simulation
-            and learning then take place at the same time.
+        overlap: Whether the next rollout starts before the update, so that simulation and learning take place at the
+            same time. Each update then learns from a rollout of networks that are one update older.
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
@@ -224,15 +224,19 @@ def train(args: Args) -> ActorCritic:
         model = ActorCritic(*sizes, args).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
-        running = start_rollouts(pool, collectors, model)
+
+        def start_next() -> list[Future[Rollout]]:
+            within_limits = decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes
+            return start_rollouts(pool, collectors, model) if within_limits else []
+
+        running = start_next()
         while running:
             rollouts = [rollout.result() for rollout in running]
             batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*(each.batch for each in rollouts), strict=True)))
             collected, decisions = time.monotonic(), decisions + batch.advantages.numel()
-            ends = decisions >= args.decisions or collected - started >= 60.0 * args.minutes
             if not args.overlap:
                 update(model, optimizer, batch, args)
-            running = [] if ends else start_rollouts(pool, collectors, model)
+            running = start_next()
             if args.overlap:
                 update(model, optimizer, batch, args)
             now = time.monotonic()

@@ -88,7 +88,7 @@ def test_model_variants_are_shared_while_worlds_hold_them() -> None:
     simulation = BatchSimulation()
     worlds = [simulation.load_scene(model), simulation.load_scene(model)]
     shared = worlds[0].select_model(hand_collides=False)
-    assert shared is worlds[1].select_model(hand_collides=False) is worlds[0].select_model(hand=False)
+    assert shared is worlds[1].select_model(hand_collides=False) is worlds[0].select_model(hand_collides=False)
     assert worlds[0].select_model(hand_collides=True) is model.model
     held = weakref.ref(shared)
     del shared
