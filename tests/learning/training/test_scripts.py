@@ -35,7 +35,7 @@ GIVER: dict[str, Any] = {
     "demonstrations": 4,
     "imitation_epochs": 2,
     "eval_interval": 4,
-    "val_scenes": 2,
+    "val_scenes": 1,
     "time_limit": 3.0,
 }
 RECEIVER: dict[str, Any] = {
@@ -43,7 +43,7 @@ RECEIVER: dict[str, Any] = {
     "physics": "fast",
     "num_envs": 1,
     "eval_interval": 16,
-    "val_scenes": 2,
+    "val_scenes": 1,
     "time_limit": 3.0,
     "batch_size": 8,
 }
@@ -97,7 +97,7 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "batch_size": 20,
         "minibatch_size": 10,
         "eval_interval": 20,
-        "val_scenes": 2,
+        "val_scenes": 1,
         "time_limit": 1.5,
         "epochs": 1,
         "rewards": REWARDS,
@@ -119,7 +119,7 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         rounds=1,
         first_receiver="hold",
         dataset="synthetic",
-        val_scenes=2,
+        val_scenes=1,
         giver=respond.train_giver_sb3.Args(**GIVER, decisions=4),
         receiver=respond.train_receiver_sb3.Args(**RECEIVER, decisions=16),
     )
