@@ -195,19 +195,28 @@ def start_rollouts(pool: ThreadPoolExecutor, collectors: list[Collector], model:
 
 
 def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
-    """Update the networks by PPO (Schulman et al., 2017)."""
+    """Update the networks by PPO (Schulman et al., 2017).
+
+    The networks of an overlapping rollout are older than those at the start of the update. The change from the latter is
+    limited, and decisions are weighted by their probability ratio (Hilton et al., NeurIPS 2022).
+    """
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
+    starts = rows.log_probs
+    if args.overlap:
+        with torch.no_grad():
+            starts = model.compute_distribution(rows.features).log_prob(rows.actions).sum(-1)
+    weights = (starts - rows.log_probs).exp()
     for _ in range(args.epochs):
         for numbers in torch.randperm(count).to(args.device).split(args.minibatch_size):
             part = Batch(*(values[numbers] for values in rows))
             policy = model.compute_distribution(part.features)
-            ratio = (policy.log_prob(part.actions).sum(-1) - part.log_probs).exp()
+            ratio = (policy.log_prob(part.actions).sum(-1) - starts[numbers]).exp()
             clipped = ratio.clamp(1.0 - args.clip_range, 1.0 + args.clip_range)
             gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
             value_loss = (model.compute_value(part.features) - part.targets).square().mean()
             optimizer.zero_grad()
-            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
+            (0.5 * value_loss - (weights[numbers] * torch.min(ratio * gain, clipped * gain)).mean()).backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
 
