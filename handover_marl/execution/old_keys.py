@@ -1,4 +1,4 @@
-"""Conversion of file keys and names of givers that earlier versions of the library wrote."""
+"""Conversion of file keys that earlier versions of the library wrote."""
 
 import re
 from collections.abc import Mapping
@@ -38,8 +38,6 @@ _REPORT_KEYS = {
     "total": "total_s",
     "interval": "interval_95",
 }
-# Givers by the name that they had in versions before 0.8.0 was released.
-_GIVERS = {"clone": "recording_spread"}
 # As version 0.7.0 wrote it, e.g. "sees points alone, rays, true geometry, CameraImperfections(...)".
 _SIGHT = re.compile(
     r"sees (points|images|clouds)(?: (alone|and poses), (\w+), (reference|true) geometry(.*))?", re.DOTALL
@@ -60,7 +58,7 @@ def upgrade_keys(section: Mapping[str, Any]) -> dict[str, Any]:
         upgraded |= _split_sight(upgraded.pop("sight"))
     if "evaluation" in upgraded:
         upgraded["evaluation"] = upgrade_keys(upgraded["evaluation"])
-    return _upgrade_giver_name(upgraded)
+    return upgraded
 
 
 def upgrade_report(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -72,23 +70,8 @@ def upgrade_report(report: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: The value under `sight` does not have the format of version 0.7.0.
     """
-    upgraded: dict[str, Any] = _upgrade_giver_name(_rename_report_keys(report))
+    upgraded: dict[str, Any] = _rename_report_keys(report)
     return upgraded | _split_sight(upgraded.pop("sight")) if "sight" in upgraded else upgraded
-
-
-def upgrade_giver(giver: str) -> str:
-    """Convert the name of a giver, which options may follow, to the current one.
-
-    Args:
-        giver: Name and options as in a file, e.g. "clone:rotation=0".
-    """
-    name, separator, options = giver.partition(":")
-    return f"{_GIVERS.get(name, name)}{separator}{options}"
-
-
-def _upgrade_giver_name(section: dict[str, Any]) -> dict[str, Any]:
-    giver = section.get("giver")
-    return section | {"giver": upgrade_giver(giver)} if isinstance(giver, str) else section
 
 
 def _rename_report_keys(value: Any) -> Any:

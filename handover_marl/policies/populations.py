@@ -16,7 +16,6 @@ from typing import Any
 import handover_marl.assets
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.old_keys import upgrade_giver
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
 
@@ -30,8 +29,7 @@ PARTNER_SPLITS = (TRAIN, TEST, ALL)
 
 _SUFFIX, _REFERENCES_SUFFIX = ".json", ".references.json"
 _FOLDER = "{folder}"
-_GIVERS = "givers"
-_KEYS = ("name", "version", "description", _GIVERS, "receivers")
+_KEYS = ("name", "version", "description", "givers", "receivers")
 _MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
 
 
@@ -204,8 +202,6 @@ def _parse_partner(path: Path, key: str, entry: object) -> Partner:
     values = {name: _check_text(path, f"{name} of {key}", entry[name]) for name in names}
     if values["split"] not in (TRAIN, TEST):
         raise DataFormatError(f"{path}: split of {key} must be {TRAIN} or {TEST}, got {values['split']!r}")
-    if key == _GIVERS:
-        values["policy"] = upgrade_giver(values["policy"])
     return Partner(**values)
 
 

@@ -63,17 +63,6 @@ def test_forged_values_under_old_keys_are_found(key: str, tmp_path: Path) -> Non
     assert check_reports(tmp_path)
 
 
-def test_givers_that_were_renamed(tmp_path: Path) -> None:
-    shutil.copytree(OLD / "benchmark", tmp_path, dirs_exist_ok=True)
-    giver = read_result_metadata(tmp_path).giver
-    for name, pattern in (("config.yaml", "giver: {}"), ("report.json", '"giver": "{}"')):
-        text = (tmp_path / name).read_text()
-        assert pattern.format(giver) in text
-        (tmp_path / name).write_text(text.replace(pattern.format(giver), pattern.format("clone:rotation=0")))
-    assert read_result_metadata(tmp_path).giver == "recording_spread:rotation=0"
-    assert check_reports(tmp_path) == []
-
-
 def test_identity_of_a_result_folder() -> None:
     metadata = read_result_metadata(OLD / "benchmark")
     assert (metadata.receiver_hash, metadata.giver_hash) == ("93ba94f9", "d7b5edc9")

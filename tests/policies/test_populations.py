@@ -24,11 +24,6 @@ def test_own_file(tmp_path: Path) -> None:
     assert found.references_path == tmp_path / "small.references.json"
 
 
-def test_givers_that_were_renamed(tmp_path: Path) -> None:
-    path = write_population(tmp_path, givers=[GIVERS[0] | {"policy": "clone:pace=0"}])
-    assert load_population(path).givers[0].policy == "recording_spread:pace=0"
-
-
 def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     first = load_population(write_population(tmp_path)).content_hash
     assert load_population(write_population(tmp_path, version="1.1")).content_hash != first

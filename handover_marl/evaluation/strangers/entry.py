@@ -13,7 +13,6 @@ from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.execution.files import shorten_text, write_atomically
-from handover_marl.execution.old_keys import upgrade_giver
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Partner, Population
 
@@ -133,11 +132,9 @@ def _get_folder(report: Report) -> str:
 
 def _parse_entry(content: Any) -> StrangersEntry:
     texts = {key: content[key] for key in ("population", "population_hash", "partner_split", "agent")}
-    # Results of givers that were renamed have the current name when they are read.
-    current = upgrade_giver if texts["agent"] == "giver" else str
-    policies = tuple(current(policy) for policy in content["policies"])
+    policies = tuple(content["policies"])
     partners = tuple(Partner(**partner) for partner in content["partners"])
-    folders = {current(policy): dict(content["folders"][policy]) for policy in content["policies"]}
+    folders = {policy: dict(content["folders"][policy]) for policy in policies}
     names = [name for part in folders.values() for name in part.values()]
     plain = [*texts.values(), *policies, *names, *(value for each in partners for value in asdict(each).values())]
     if not policies or not partners or not all(isinstance(text, str) and text.isprintable() for text in plain):

@@ -144,6 +144,10 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     (out / "strangers.json").write_text(json.dumps(shortened))
     with pytest.raises(ResultsError, match="must have the partners of 'test', got others"):
         make_leaderboard([out], population)
+    for policies in ([5], [None], [["hold"]], "hold", 5):
+        (out / "strangers.json").write_text(json.dumps(content | {"policies": policies}))
+        with pytest.raises(ResultsError, match="not a readable evaluation"):
+            make_leaderboard([out], population)
     content["folders"]["hold"]["fast"] = "../other"
     (out / "strangers.json").write_text(json.dumps(content))
     with pytest.raises(ResultsError, match="not a readable evaluation"):
