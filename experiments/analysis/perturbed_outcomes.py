@@ -30,13 +30,13 @@ class Args(EvaluationArgs):
 
     Attributes:
         receiver: Name of the receiver whose joint targets are perturbed.
-        nudges: Sizes of the perturbations (rad).
+        offsets: Sizes of the perturbations (rad).
         split: Split of the setup: train or val; the test split is for final results.
         stride: Use every n-th scene of the split.
     """
 
     receiver: str = "yang2021"
-    nudges: tuple[float, ...] = (1e-4, 1e-3)
+    offsets: tuple[float, ...] = (1e-4, 1e-3)
     split: str = "train"
     stride: int = 1
 
@@ -52,7 +52,7 @@ class PerturbedSimulator:
         self._data = args.open_dataset()
         self._receiver = receivers.make(args.receiver, self._data, setup=args.setup)
         self._episode = Episode(args.physics)
-        self._nudges = args.nudges
+        self._offsets = args.offsets
 
     def simulate(self, number: int) -> list[EpisodeStatus]:
         """Simulate a scene without perturbation and with each size; return the outcomes in order.
@@ -61,9 +61,9 @@ class PerturbedSimulator:
             number: Scene number, which also seeds the signs of the perturbations.
         """
         scene, statuses = self._data.load_scene(number), []
-        for nudge in (0.0, *self._nudges):
+        for offset in (0.0, *self._offsets):
             self._episode.reset(scene)
-            run_episode(self._episode, PerturbedReceiver(self._receiver, nudge, number), seed=0)
+            run_episode(self._episode, PerturbedReceiver(self._receiver, offset, number), seed=0)
             statuses.append(self._episode.status)
         return statuses
 
@@ -78,16 +78,16 @@ def main(args: Args) -> None:
         for _, statuses in map_with_progress(lambda: PerturbedSimulator(args).simulate, numbers, "playing", pool, True)
     ]
     rows = []
-    for place, nudge in enumerate((0.0, *args.nudges)):
+    for place, offset in enumerate((0.0, *args.offsets)):
         alike = sum(statuses[place] == statuses[0] for statuses in outcomes)
         counts = Counter(statuses[place].label for statuses in outcomes)
         rates = ", ".join(f"{name} {100 * count / len(outcomes):.1f}" for name, count in sorted(counts.items()))
-        rows.append([f"{nudge:g}", format_percent_rate(alike, len(outcomes)), rates])
+        rows.append([f"{offset:g}", format_percent_rate(alike, len(outcomes)), rates])
     print(
         f"{args.setup} {args.split}, {len(outcomes)} episodes each, receiver {args.receiver}, giver replay, "
         f"{data.name}, {args.physics} physics, version {__version__}; Wilson's 95 % intervals.\n"
     )
-    print(format_table(["nudge (rad)", "ends as without, %", "ends, %"], rows))
+    print(format_table(["perturbation (rad)", "ends as without, %", "ends, %"], rows))
 
 
 if __name__ == "__main__":

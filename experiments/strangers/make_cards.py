@@ -166,7 +166,7 @@ The controls show how much of a difference between partners or methods may come 
 | no preview | change of the success rate if a giver does not observe its recording's next half second |
 | self-play against cross-play | difference between policies that were trained together and the same with others |
 
-A perturbation adds {nudge:g} rad with random signs to the seven joint targets of the whole episode; the giver's random
+A perturbation adds {offset:g} rad with random signs to the seven joint targets of the whole episode; the giver's random
 draws stay the same. Differences below the noise floor may be chance. {n_givers} of {n_all} givers have been
 measured: {total} % of {n} outcomes changed. Random starts deviate by up to {start_noise:g} rad in each joint.
 

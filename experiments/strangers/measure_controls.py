@@ -2,11 +2,11 @@
 
     python experiments/strangers/measure_controls.py --data-dir DIR --out docs/results/data/strangers_controls.json
 
-Every scene is simulated with every giver under several conditions: without changes; with a nudge of all joint targets
-of the robot, whose signs are drawn for the scene, once for each seed; from a random start position of the robot; and,
+Every scene is simulated with every giver under several conditions: without changes; with a perturbation of all joint
+targets of the robot, whose signs are drawn for the scene, once for each seed; from a random start position of the robot; and,
 for givers that observe their recording's next half second, without this preview. The noise floor is the share of
-nudged episodes whose outcome differs from the one without a nudge. A nudge of the start position alone would be
-forgotten on the way to the first waiting pose. The script prints a table and writes all outcomes after each giver and
+perturbed episodes whose outcome differs from the one without a perturbation. A perturbation of the start position
+alone would be forgotten on the way to the first waiting pose. The script prints a table and writes all outcomes after each giver and
 condition; an interrupted measurement resumes with the same command.
 """
 
@@ -45,7 +45,7 @@ from handover_marl.policies.reference import parse_policy
 # Entries of the output file by the name of the giver: policy, and outcomes by condition.
 Entries = dict[str, dict[str, Any]]
 
-NONE, NUDGE, START, NO_PREVIEW = "none", "nudge", "start", "no preview"
+NONE, PERTURBATION, START, NO_PREVIEW = "none", "perturbation", "start", "no preview"
 # Policies that observe the preview of their recording; the other givers of the library ignore it.
 _WITH_PREVIEW = ("learned", "cooperative")
 
@@ -62,8 +62,8 @@ class Args(EvaluationArgs):
         receiver: The robot's policy.
         split: Split of the setup: train or val; the test split is for final results.
         n_scenes: Number of scenes, evenly spaced over the split.
-        nudge: Size of the nudge of each joint target (rad) for the noise floor.
-        n_nudges: Number of nudges of each scene, with different seeds.
+        offset: Size of the perturbation of each joint target (rad) for the noise floor.
+        n_perturbations: Number of perturbations of each scene, with different seeds.
         start_noise: Largest deviation of each joint (rad) in random start positions.
         trust: Allow policy files to run code.
     """
@@ -75,8 +75,8 @@ class Args(EvaluationArgs):
     receiver: str = "reactive"
     split: str = "train"
     n_scenes: int = 6
-    nudge: float = 1e-3
-    n_nudges: int = 3
+    offset: float = 1e-3
+    n_perturbations: int = 3
     start_noise: float = 0.1
     trust: bool = False
 
@@ -88,13 +88,13 @@ class Condition:
     Attributes:
         kind: Kind of the condition.
         config: World and rules.
-        nudge: Size of the nudge of each joint target (rad).
-        seed: Seed of the signs of the nudge; conditions of one kind differ in it.
+        offset: Size of the perturbation of each joint target (rad).
+        seed: Seed of the signs of the perturbation; conditions of one kind differ in it.
     """
 
     kind: str
     config: WorldConfig = OFFICIAL_CONFIG
-    nudge: float = 0.0
+    offset: float = 0.0
     seed: int = 0
 
     @property
@@ -129,7 +129,7 @@ class ControlSimulator:
             return [self._play(episode, giver, condition, number) for number in self._scenes]
 
     def _play(self, episode: Episode, giver: Policy, condition: Condition, number: int) -> str:
-        receiver = PerturbedReceiver(self._receiver, condition.nudge, (condition.seed, number))
+        receiver = PerturbedReceiver(self._receiver, condition.offset, (condition.seed, number))
         episode.reset(self._data.load_scene(number), number)
         run_episode(episode, receiver, giver, seed=0)
         return episode.status.label
@@ -137,7 +137,8 @@ class ControlSimulator:
 
 def list_conditions(args: Args, partner: Partner) -> list[Condition]:
     """Return the conditions for a giver, the one without changes first."""
-    conditions = [Condition(NONE), *(Condition(NUDGE, nudge=args.nudge, seed=seed) for seed in range(args.n_nudges))]
+    conditions = [Condition(NONE)]
+    conditions += [Condition(PERTURBATION, offset=args.offset, seed=seed) for seed in range(args.n_perturbations)]
     conditions.append(Condition(START, replace(OFFICIAL_CONFIG, initial_joint_noise=args.start_noise)))
     if partner.policy.partition(":")[0] in _WITH_PREVIEW:
         n_times = len(GiverConfig().preview)
@@ -147,7 +148,7 @@ def list_conditions(args: Args, partner: Partner) -> list[Condition]:
 
 def describe(args: Args, scenes: Sequence[int]) -> dict[str, Any]:
     """Return what the outcomes of all givers have in common."""
-    names = ("setup", "split", "physics", "receiver", "nudge", "start_noise")
+    names = ("setup", "split", "physics", "receiver", "offset", "start_noise")
     return {
         "version": __version__,
         "dataset": args.open_dataset().name,
@@ -181,19 +182,19 @@ def select_outcomes(entry: dict[str, Any], kind: str) -> list[list[str]]:
 
 
 def count_changes(entries: Iterable[dict[str, Any]]) -> tuple[int, int]:
-    """Count the nudged episodes whose outcome differs from the one without a nudge, and all nudged episodes."""
+    """Count the perturbed episodes whose outcome differs from the unperturbed one, and all perturbed episodes."""
     pairs = [
         pair
         for entry in entries
         for usual in select_outcomes(entry, NONE)
-        for nudged in select_outcomes(entry, NUDGE)
-        for pair in zip(usual, nudged, strict=True)
+        for perturbed in select_outcomes(entry, PERTURBATION)
+        for pair in zip(usual, perturbed, strict=True)
     ]
     return sum(label != other for label, other in pairs), len(pairs)
 
 
 def format_noise_floor(entries: Iterable[dict[str, Any]]) -> str:
-    """Return the share of changed outcomes with interval, and the number of nudged episodes."""
+    """Return the share of changed outcomes with interval, and the number of perturbed episodes."""
     changed, n = count_changes(entries)
     return f"{format_percent_rate(changed, n)}, n = {n}" if n else NO_VALUE
 
@@ -202,7 +203,7 @@ def format_controls(entries: Entries) -> str:
     """Return the table of all givers that were simulated, and of all together."""
     measured = {name: entry for name, entry in entries.items() if select_outcomes(entry, NONE)}
     groups = {**{name: [entry] for name, entry in measured.items()}, "all": list(measured.values())}
-    header = ["giver", "success, %", "outcomes changed by a nudge, %"]
+    header = ["giver", "success, %", "outcomes changed by a perturbation, %"]
     header += [f"{kind}: success gain, points" for kind in (START, NO_PREVIEW)]
     return format_table(header, [_format_row(name, group) for name, group in groups.items()], max_width=1000)
 
@@ -231,7 +232,7 @@ def _open_simulator(args: Args, scenes: Sequence[int]) -> Iterator[Callable[[Tas
 
 
 def list_tasks(args: Args, partners: Sequence[Partner], entries: Entries) -> list[Task]:
-    """Return what is left to simulate: a first nudge of all givers before the second one."""
+    """Return what is left to simulate: a first perturbation of all givers before the second one."""
     tasks = [(partner, condition) for partner in partners for condition in list_conditions(args, partner)]
     missing = [(partner, each) for partner, each in tasks if each.key not in entries[partner.name]["outcomes"]]
     order = [condition.key for condition in list_conditions(args, replace(partners[0], policy=_WITH_PREVIEW[0]))]
@@ -259,7 +260,7 @@ def main(args: Args) -> None:
     print(format_controls(entries))
     print(
         f"\n{setting['setup']} {args.split}, {len(scenes)} scenes, receiver {args.receiver}, {setting['dataset']}, "
-        f"{args.physics} physics, version {__version__}; nudges of {args.nudge:g} rad, start positions within "
+        f"{args.physics} physics, version {__version__}; perturbations of {args.offset:g} rad, start positions within "
         f"{args.start_noise:g} rad of the usual one. 95 % intervals: Wilson; Agresti and "
         "Min for differences, paired by scene."
     )

@@ -8,8 +8,9 @@ from tests.learning.training.scripts import script
 def test_only_a_large_perturbation_changes_outcomes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    nudged = script("perturbed_outcomes", monkeypatch)
-    nudged.main(nudged.Args(dataset="synthetic", split="val", stride=12, nudges=(1e-9, 0.3), physics="fast", workers=1))
+    module = script("perturbed_outcomes", monkeypatch)
+    options = {"dataset": "synthetic", "split": "val", "stride": 12, "physics": "fast", "workers": 1}
+    module.main(module.Args(offsets=(1e-9, 0.3), **options))
     reported = capsys.readouterr().out
     assert "s0 val, 3 episodes each, receiver yang2021, giver replay, synthetic, fast physics" in reported
     rows = {line.split("|")[1].strip(): line.split("|")[2] for line in reported.splitlines() if line.startswith("|")}

@@ -29,7 +29,9 @@ _NO_GAIN = "+0.0 (-65.3 to +65.3)"
 
 
 def test_noise_floor_counts_changed_outcomes() -> None:
-    entry = {"outcomes": {"none 0": ["success", "drop"], "nudge 0": ["success"] * 2, "nudge 1": ["drop"] * 2}}
+    entry = {
+        "outcomes": {"none 0": ["success", "drop"], "perturbation 0": ["success"] * 2, "perturbation 1": ["drop"] * 2}
+    }
     assert count_changes([entry]) == (2, 4)
     assert format_noise_floor([entry]) == "50.0 (15.0 to 85.0), n = 4"
     assert format_noise_floor([{"outcomes": {"none 0": ["success"]}}]) == "-"
@@ -37,18 +39,18 @@ def test_noise_floor_counts_changed_outcomes() -> None:
 
 def test_controls_are_measured_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options: dict[str, Any] = {"dataset": "synthetic", "receiver": "hold", "names": ("hurried",), "workers": 1}
-    args = ControlArgs(out=tmp_path / "controls.json", n_scenes=1, n_nudges=1, **options)
+    args = ControlArgs(out=tmp_path / "controls.json", n_scenes=1, n_perturbations=1, **options)
     measure_controls(args)
     rows = [[cell.strip() for cell in line.split("|")] for line in capsys.readouterr().out.splitlines()]
     assert rows[2][1:6] == ["hurried", "0.0 (0.0 to 79.3)", "0.0 (0.0 to 79.3), n = 1", f"{_NO_GAIN}, n = 1", "-"]
     stored = args.out.read_text()
     outcomes = json.loads(stored)["givers"]["hurried"]["outcomes"]
-    assert outcomes == {"none 0": ["timeout"], "nudge 0": ["timeout"], "start 0": ["timeout"]}
+    assert outcomes == {"none 0": ["timeout"], "perturbation 0": ["timeout"], "start 0": ["timeout"]}
     args.out.write_text(stored.replace("timeout", "drop"))
     measure_controls(args)
     assert "timeout" not in args.out.read_text(), "nothing was simulated again"
     with pytest.raises(OptionError, match="same setting"):
-        measure_controls(replace(args, nudge=0.1))
+        measure_controls(replace(args, offset=0.1))
 
 
 def test_only_givers_with_that_control_use_the_preview(tmp_path: Path) -> None:
