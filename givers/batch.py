@@ -13,7 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.givers.cooperative import CooperativeGiver
-from handover_marl.givers.cooperative_batch import CooperativeBatch
+from handover_marl.givers.cooperative_batch import CooperativeBatch, compute_gripper_object_distances
 from handover_marl.givers.noisy import NoisyGiver
 from handover_marl.givers.replay import ReplayGiver
 from handover_marl.givers.timing import HesitantGiver, HurriedGiver, StopWhenNearGiver
@@ -22,7 +22,6 @@ from handover_marl.policies.batch import (
     Actions,
     ArrayPolicy,
     PolicyBatch,
-    compute_gripper_object_distances,
     make_giver_actions,
 )
 from handover_marl.policies.policy import Policy

@@ -11,12 +11,16 @@ from handover_marl.givers.cooperative import CooperativeGiver, HandoverPoseVaria
 from handover_marl.policies.batch import (
     Actions,
     ArrayPolicy,
-    compute_gripper_object_distances,
     make_giver_actions,
 )
 
 #: Flags (r,).
 Flags: TypeAlias = AnyArray
+
+
+def compute_gripper_object_distances(observation: Observation) -> AnyArray:
+    """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
+    return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))
 
 
 class HandoverPoseVariationBatch:
@@ -81,9 +85,9 @@ class CooperativeBatch(ArrayPolicy[CooperativeGiver]):
         if len(chooses):
             self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
         self._is_fixed[rows] |= ~released & (near | self._has_arrived(observation))
-        offers = xp.nonzero(~released & self._is_fixed[rows])[0]
-        if len(offers):
-            self._pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
+        waiting = xp.nonzero(~released & self._is_fixed[rows])[0]
+        if len(waiting):
+            self._pose_variation.update(rows[waiting], {key: value[waiting] for key, value in observation.items()})
         scale = self._pose_variation.scale[rows, None]
         displacement = scale * self._displacement[rows]
         self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import Indices, IntArray
+from handover_marl.geometry.arrays import AnyIntegers, Indices
 from handover_marl.policies.batch import ArrayPolicy, PolicyBatch
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers.yang2021 import Yang2021Receiver
@@ -36,7 +36,7 @@ class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
         """Return the next target joint positions (r, 9) (rad, m)."""
         return self._controller.act(rows, observation)
 
-    def count_hold_steps(self, rows: Indices) -> IntArray:
+    def count_hold_steps(self, rows: Indices) -> AnyIntegers:
         """Return the physics steps (r,) until the next decisions."""
         return np.array([steps_from_hold_time(time) for time in self._controller.get_hold_times(rows).tolist()])
 

@@ -60,12 +60,12 @@ class Frame:
 
     Attributes:
         scene: The scene.
-        now: Joint positions.
+        snapshot: Joint positions.
         objects: Poses (m, 7) of the objects.
     """
 
     scene: Scene
-    now: JointSnapshot
+    snapshot: JointSnapshot
     objects: npt.NDArray[np.float32]
 
 
@@ -104,11 +104,11 @@ def stack_frames(frames: list[Frame], arrays: ArrayFactory) -> JointSnapshotBatc
     objects = np.zeros((len(frames), MAX_OBJECTS, 7), dtype=np.float32)
     for own, frame in zip(objects, frames, strict=True):
         own[: len(frame.objects)] = frame.objects
-    hands = [np.zeros(HAND_DOF, np.float32) if frame.now.hand is None else frame.now.hand for frame in frames]
+    hands = [np.zeros(HAND_DOF, np.float32) if frame.snapshot.hand is None else frame.snapshot.hand for frame in frames]
     return JointSnapshotBatch(
-        robot=arrays.asarray(np.array([frame.now.robot for frame in frames])),
+        robot=arrays.asarray(np.array([frame.snapshot.robot for frame in frames])),
         hand=arrays.asarray(np.array(hands)),
-        hand_present=arrays.asarray(np.array([frame.now.hand is not None for frame in frames])),
+        hand_present=arrays.asarray(np.array([frame.snapshot.hand is not None for frame in frames])),
         objects=arrays.asarray(objects),
     )
 
@@ -150,16 +150,16 @@ def main(args: Args) -> None:
     camera, rows = WarpCamera(config, count, arrays), arrays.arange(count)
     for row, frame in enumerate(frames):
         camera.reset(row, frame.scene.assets)
-    now, singles = stack_frames(frames, arrays), [RayCamera(frame.scene.assets, config) for frame in frames]
+    snapshots, singles = stack_frames(frames, arrays), [RayCamera(frame.scene.assets, config) for frame in frames]
     finish = arrays.xp.cuda.synchronize if args.device == CUDA else lambda: None
-    pairs = list(zip(singles, (frame.now for frame in frames), strict=True))
+    pairs = list(zip(singles, (frame.snapshot for frame in frames), strict=True))
     tests: dict[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
         "whole image with colours": (
-            lambda: camera.render_wrist_camera(rows, now, color=True),
+            lambda: camera.render_wrist_camera(rows, snapshots, color=True),
             lambda: [single.render_wrist_camera(own, True) for single, own in pairs],
         ),
         "object and hand": (
-            lambda: camera.render_targets(rows, now),
+            lambda: camera.render_targets(rows, snapshots),
             lambda: [single.render_targets(own) for single, own in pairs],
         ),
     }

@@ -69,7 +69,7 @@ VARIANTS: dict[str, Any] = {
     "sparse": "sparse",
     "shaped": "shaped",
     "cheap function": reward_approach,
-    "all ready-made terms": ALL_TERMS,
+    "all reward terms": ALL_TERMS,
     "shaped, function and all terms": combine_rewards("shaped", reward_approach, ALL_TERMS),
 }
 

@@ -3,11 +3,11 @@
     python experiments/strangers/measure_controls.py --data-dir DIR --out docs/results/data/strangers_controls.json
 
 Every scene is simulated with every giver under several conditions: without changes; with a perturbation of all joint
-targets of the robot, whose signs are drawn for the scene, once for each seed; from a random start position of the robot; and,
-for givers that observe their recording's next half second, without this preview. The noise floor is the share of
-perturbed episodes whose outcome differs from the one without a perturbation. A perturbation of the start position
-alone would be forgotten on the way to the first waiting pose. The script prints a table and writes all outcomes after each giver and
-condition; an interrupted measurement resumes with the same command.
+targets of the robot, whose signs are drawn for the scene, once for each seed; from a random start position of the
+robot; and, for givers that observe their recording's next half second, without this preview. The noise floor is the
+share of perturbed episodes whose outcome differs from the one without a perturbation. A perturbation of the start
+position alone would be forgotten on the way to the first waiting pose. The script prints a table and writes all
+outcomes after each giver and condition; an interrupted measurement resumes with the same command.
 """
 
 import contextlib

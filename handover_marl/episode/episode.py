@@ -231,20 +231,10 @@ class Episode:
         return self._contacts
 
     @property
-    def grasped(self) -> bool:
-        """Whether both fingers of the robot touched the object in the last physics step."""
-        return self.contacts.both_fingers_touch
-
-    @property
     def object_offered(self) -> bool:
         """Whether the person holds the object, picked up and not released."""
         _, playback, referee = self._require_scene()
         return playback.holding and not referee.released
-
-    @property
-    def deviation(self) -> npt.NDArray[np.float32]:
-        """(7,) playback rate minus 1, wrist displacement (m) and rotation vector (rad) of the giver."""
-        return self._require_scene()[1].deviation
 
     @property
     def status(self) -> EpisodeStatus:

@@ -10,10 +10,9 @@ from handover_marl.config import TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
 from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset, track_set_point
+from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
-
-FrameIndices = npt.NDArray[np.int_]
 
 _BASE_LINK = 5
 #: Action of the giver that replays the recording.
@@ -164,7 +163,7 @@ class Playback:
         state = _PlaybackState(motion, clock, int(frames[-1]), rate, displacement, rotation, has_deviated, opened)
         return motion, state
 
-    def _advance_clock(self, target_rate: float, steps: int) -> tuple[FrameIndices, float, float]:
+    def _advance_clock(self, target_rate: float, steps: int) -> tuple[Indices, float, float]:
         """Return the frames played in the next steps, and playback time and rate after them."""
         now, last = self._now, self._last_frame
         if target_rate == 0.0 == now.rate and now.clock.is_integer():
@@ -217,7 +216,7 @@ class Playback:
         hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
         return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])
 
-    def _read_frames(self, frames: FrameIndices, consecutive: bool = False) -> ReferenceMotion:
+    def _read_frames(self, frames: Indices, consecutive: bool = False) -> ReferenceMotion:
         scene, first, last = self.scene, int(frames[0]), int(frames[-1])
         # A slice needs no copy; at the recording's end, frames repeat and are not consecutive.
         rows = slice(first, last + 1) if consecutive and last - first == len(frames) - 1 else frames

@@ -20,7 +20,7 @@ AnyArray: TypeAlias = Any
 #: NumPy array or PyTorch tensor of indices.
 AnyIndices: TypeAlias = AnyArray
 #: NumPy array or PyTorch tensor of integers that are not indices.
-IntArray: TypeAlias = AnyArray
+AnyIntegers: TypeAlias = AnyArray
 #: NumPy array of indices.
 Indices: TypeAlias = npt.NDArray[np.int_]
 

@@ -40,7 +40,7 @@ GRIPPER_OUTLINE = (
     *((0.0, 0.0, 0.05), (0.0, -0.04, 0.05), (0.0, -0.04, 0.103)),
 )
 
-#: Distance of the middle between the finger pads from the hand link's origin, along its z axis.
+#: Distance of the middle between the finger pads from the hand link's origin, along its z axis (m).
 PAD_DISTANCE = 0.1
 
 #: Point between the fingertips in the hand link's frame.

@@ -14,8 +14,7 @@ from handover_marl.config import PANDA_DOF
 from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, IntArray, to_numpy, widen
-from handover_marl.geometry.poses import compute_lengths
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
 from handover_marl.policies.policy import Giver, Policy
 
 PolicyType = TypeVar("PolicyType", bound=Policy)
@@ -42,7 +41,7 @@ class PolicyBatch(ABC):
         """
 
     @abstractmethod
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
         """Return the actions (r, ...): new ones at decisions, otherwise those of the last decision.
 
         Args:
@@ -71,7 +70,7 @@ class SequentialPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._schedulers[row].reset(seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         schedulers = [self._schedulers[row] for row in rows.tolist()]
         is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
@@ -105,7 +104,7 @@ class HostPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._batch.reset(row, seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
 
         def observe_on_host(some: AnyIndices) -> Observation:
@@ -140,7 +139,7 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
         self._due[row] = 0
         self.start(row, seed)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
@@ -192,8 +191,3 @@ def make_giver_actions(
     actions = arrays.zeros((count, GIVER_ACTION_SIZE), "float32")
     actions[:, 0], actions[:, 1:4], actions[:, 4:7], actions[:, 7] = rate, displacement, rotation, release
     return actions
-
-
-def compute_gripper_object_distances(observation: Observation) -> AnyArray:
-    """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
-    return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))

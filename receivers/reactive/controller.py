@@ -179,7 +179,7 @@ class HandoverController:
 
     def _carry(self, retreat: RetreatController) -> Action:
         scene = self._scene
-        if scene.are_fingers_empty:
+        if scene.has_empty_fingers:
             return self._start_backing_out()
         return self._motion.carry(retreat.compute_velocity(scene.time, scene.arm_joints, scene.gripper_pose))
 

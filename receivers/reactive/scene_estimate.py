@@ -117,7 +117,7 @@ class SceneEstimate(ABC):
         return False
 
     @property
-    def are_fingers_empty(self) -> bool:
+    def has_empty_fingers(self) -> bool:
         """Whether the fingers are known to have closed with nothing between them."""
         return False
 

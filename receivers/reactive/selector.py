@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
+from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
@@ -19,7 +20,6 @@ from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOM
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int_]
 
 _NO_HAND_CLEARANCE = 0.2  # m
 # Cost that no sum of other costs reaches: the grasp must not be selected (s).

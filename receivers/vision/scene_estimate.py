@@ -105,7 +105,7 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._closing_since = self._moved_at = closing_since
         moved = float(np.abs(self.fingers - self._last_fingers).max())
         self._last_fingers = self.fingers
-        if moved > self._vision.finger_rest_distance or self.are_fingers_empty:
+        if moved > self._vision.finger_rest_distance or self.has_empty_fingers:
             self._moved_at = self.time
         is_late = self.time - closing_since > self._vision.release_timeout
         is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
@@ -131,7 +131,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return self.tracker.compute_unseen_time(self.time) > self._search_timeout
 
     @property
-    def are_fingers_empty(self) -> bool:
+    def has_empty_fingers(self) -> bool:
         """Whether there is nothing between the fingers.
 
         The person may have kept the object, or the fingers may have lost it.

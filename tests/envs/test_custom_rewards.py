@@ -269,7 +269,7 @@ def test_discounts_reach_the_shaping_terms() -> None:
 
 
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
-    """The built-in terms computed from transitions equal those computed from the simulation bit for bit."""
+    """The terms of `TermWeights` computed from transitions equal those computed from the simulation bit for bit."""
     plain = rollout(make("shaped"), 12)
     combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 12)
     own = rollout(make(approach), 12)

@@ -238,7 +238,8 @@ def test_partners_are_asked_at_the_first_step_after_their_time(hold: float, expe
         partner = env.policy
         assert isinstance(partner, Slow)
         assert partner.asked == expected
-    assert env.unwrapped._episode.deviation[0] == pytest.approx(0.1 * len(expected), abs=1e-6)
+    episode = env.unwrapped._episode
+    assert episode.observe_giver(episode.observe())["deviation"][0] == pytest.approx(0.1 * len(expected), abs=1e-6)
 
 
 def test_failing_partners_are_reported() -> None:

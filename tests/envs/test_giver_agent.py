@@ -111,5 +111,6 @@ def test_the_benchmark_view_has_no_giver_to_ask() -> None:
         assert view.observation_space("receiver").contains(seen["receiver"])
         assert seen["receiver"]["released"] == 0
         assert infos["receiver"]["release"] == infos["receiver"]["release_step"] == -1
-        assert not view.unwrapped._episode.deviation.any()
+        episode = view.unwrapped._episode
+        assert not episode.observe_giver(episode.observe())["deviation"].any()
     assert infos["receiver"]["steps"] == 3100

@@ -1,4 +1,4 @@
-"""Tests of the built-in reward terms: their formulas, with constructed transitions, and their weights."""
+"""Tests of the terms of `TermWeights`: their formulas, with constructed transitions, and their weights."""
 
 import itertools
 from typing import Any

@@ -94,7 +94,7 @@ def test_voluntary_release(episode: Episode) -> None:
     assert (episode.release, episode.release_step) == (None, None), "the object is not held yet"
     episode.advance(START, HELD - 100)
     assert episode.object_offered is True
-    assert episode.grasped is False
+    assert episode.contacts.both_fingers_touch is False
     height = episode.world.read_object_joints()[0, 2]
     episode.advance(START, 1, RELEASE)
     assert (episode.release, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD)
@@ -102,7 +102,7 @@ def test_voluntary_release(episode: Episode) -> None:
     episode.advance(START, 100, RELEASE)
     assert episode.release_step == HELD
     assert episode.world.read_object_joints()[0, 2] < height - 0.02, "the object falls"
-    assert not episode.deviation.any()
+    assert not episode.observe_giver(episode.observe())["deviation"].any()
     episode.advance(START, 2000)
     assert episode.status == EpisodeStatus.OBJECT_DROP
 

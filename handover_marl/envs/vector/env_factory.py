@@ -176,7 +176,8 @@ def _check_device_camera(template: WrappableEnv) -> None:
         raise OptionError(f"renderer must be 'rays' {condition}, got {config.renderer!r}; use backend='threads'")
     if not isinstance(resolve_rewards(config.rewards), (RewardConfig, TermWeights)):
         raise OptionError(
-            f"rewards must be built-in ones with a camera {condition}, got {config.rewards!r}; use backend='threads'"
+            f"rewards must be preset rewards or TermWeights with a camera {condition}, got {config.rewards!r}; use "
+            "backend='threads'"
         )
     if isinstance(template, EncodedEnv) and RECEIVER in template.choices:
         scheme = template.choices[RECEIVER][1]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory, IntArray, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
 from handover_marl.givers.batch import make_giver_batch
 from handover_marl.learning.batch.network_policies import make_network_policy_batch
 from handover_marl.policies.batch import (
@@ -53,7 +53,7 @@ class PopulationBatch(PolicyBatch):
         self._numbers[row] = number
         self._batches[number].reset(row, member_seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: IntArray) -> Actions:
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]

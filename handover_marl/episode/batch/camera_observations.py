@@ -72,16 +72,16 @@ class WristCameraBatch:
         found = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}
         for first in range(0, count, _CHUNK):
             part = slice(first, first + _CHUNK)
-            now = JointSnapshotBatch(
+            snapshots = JointSnapshotBatch(
                 robot=state["robot_joint_position"][part],
                 hand=state["hand_dof_position"][part],
                 hand_present=state["hand_present"][part, 0] > 0.0,
                 objects=state["object_poses"][part],
             )
             if self._kind == RGBD:
-                some = self._observe_images(rows[part], now)
+                some = self._observe_images(rows[part], snapshots)
             else:
-                some = self._observe_clouds(rows[part], now, steps[part])
+                some = self._observe_clouds(rows[part], snapshots, steps[part])
             for key, values in some.items():
                 found[key][part] = values.reshape(-1, *self._formats[key][0])
         return found
@@ -90,13 +90,13 @@ class WristCameraBatch:
         """Free the models' meshes."""
         self._camera.close()
 
-    def _observe_images(self, rows: AnyArray, now: JointSnapshotBatch) -> Observation:
-        images = self._camera.render_wrist_camera(rows, now, color=True)
+    def _observe_images(self, rows: AnyArray, snapshots: JointSnapshotBatch) -> Observation:
+        images = self._camera.render_wrist_camera(rows, snapshots, color=True)
         return {"wrist_depth": images.depth, "wrist_segmentation": images.segmentation, "wrist_rgb": images.rgb}
 
-    def _observe_clouds(self, rows: AnyArray, now: JointSnapshotBatch, steps: AnyArray) -> Observation:
+    def _observe_clouds(self, rows: AnyArray, snapshots: JointSnapshotBatch, steps: AnyArray) -> Observation:
         xp, found, counts = self._arrays.xp, {}, []
-        images = self._camera.render_targets(rows, now, with_others=self._kind == SCENE_POINTCLOUD)
+        images = self._camera.render_targets(rows, snapshots, with_others=self._kind == SCENE_POINTCLOUD)
         for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)

@@ -9,7 +9,7 @@ from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMo
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices, IntArray
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIntegers, Indices
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_batch_worlds
@@ -148,7 +148,7 @@ class EpisodeBatch:
             return Contacts()
         return self._worlds[row].read_contacts(bool(self.released[row]))
 
-    def make_infos(self, rows: Indices) -> dict[str, IntArray]:
+    def make_infos(self, rows: Indices) -> dict[str, AnyIntegers]:
         """Return arrays (r,) of scene numbers, status bits, physics steps, and steps and reasons of release."""
         referees = self.referees
         return {

@@ -14,7 +14,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.recordings import NEVER
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
 from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
-from handover_marl.geometry.arrays import AnyArray, Indices, IntArray, get_namespace, make_constant
+from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices, get_namespace, make_constant
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, ReferenceMotion
 
 Array = npt.NDArray[np.float64]
@@ -136,7 +136,7 @@ class GiverMotionBatch:
             self._open_hands(opening, references, opened)
         return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, opened)
 
-    def commit(self, motion: PlannedMotion, steps: IntArray) -> None:
+    def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.
 
         Args:

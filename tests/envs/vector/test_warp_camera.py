@@ -192,7 +192,10 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
         ({"obs_mode": "state+full_pointcloud"}, "got 'state\\+full_pointcloud'; use backend='threads'"),
         ({"camera_noise": "realsense"}, "camera_noise must be None with backend='warp', got 'realsense'; use backend"),
         ({"renderer": "bullet"}, "renderer must be 'rays' with backend='warp', got 'bullet'; use backend='threads'"),
-        ({"rewards": combine_rewards("sparse")}, "rewards must be built-in ones with a camera with backend='warp'"),
+        (
+            {"rewards": combine_rewards("sparse")},
+            "rewards must be preset rewards or TermWeights with a camera",
+        ),
         ({"schemes": move, "features": count_points}, "the action scheme must be a built-in one with a camera"),
         ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "the partner must not use the camera with"),
     ],
