@@ -1,4 +1,4 @@
-"""Write the page with a card for each giver of a population: options, events, noise floor and film sheets.
+"""Write the page with a card for each giver of a population: options, events, noise floor and image grids.
 
     python experiments/strangers/make_cards.py --out docs/reference/strangers_v1.md
 
@@ -33,7 +33,7 @@ class Args:
     """Options of the page of cards.
 
     Attributes:
-        out: Page to write. The film sheets are in the folder beside it that has its name.
+        out: Page to write. The image grids are in the folder beside it that has its name.
         population: Name of a shipped population, or path of a file.
         events: Page with the table of events of the candidates.
         controls: File of `measure_controls.py`.
@@ -100,7 +100,7 @@ def format_page(
         population: Population.
         events: Mean events by name of the giver.
         controls: Content of the file of `measure_controls.py`.
-        images: Folder with a film sheet FAMILY.jpg for each family; its parent is the folder of the page.
+        images: Folder with an image grid FAMILY.jpg for each family; its parent is the folder of the page.
     """
     entries = controls["givers"]
     sections = [_INTRODUCTION.format(population=population)]
@@ -140,7 +140,7 @@ This page describes every giver of the population {population.label}, with which
 - **Limits**: `handover_marl.config.GiverConfig` limits the deviations of all givers from their recordings: at most
   0.3 m and 1 rad of displacement for each axis, 0.8 m/s, 5 m/s², 2.5 rad/s, 15 rad/s². The tables list the bounds of
   their own options.
-- **Films**: the receiver `reactive` in scene 95 of the synthetic data set, fast physics. The first row replays the
+- **Images**: the receiver `reactive` in scene 95 of the synthetic data set, fast physics. The first row replays the
   recording; its path of the wrist is orange in the other rows, the path of the giver is blue. Cells after the end of an
   episode are white.
 - **Events**: means of three episodes with `reactive` on DexYCB, from the
@@ -150,7 +150,7 @@ This page describes every giver of the population {population.label}, with which
   episodes.
 
 ```bash
-python experiments/strangers/render_film_sheets.py --out docs/reference/strangers_v1
+python experiments/strangers/render_image_grids.py --out docs/reference/strangers_v1
 python experiments/strangers/make_cards.py --out docs/reference/strangers_v1.md
 ```"""
 

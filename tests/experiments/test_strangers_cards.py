@@ -1,4 +1,4 @@
-"""Controls, cards and film sheets of the givers of a population."""
+"""Controls, cards and image grids of the givers of a population."""
 
 import json
 from dataclasses import replace
@@ -12,9 +12,9 @@ from PIL import Image
 from experiments.strangers.measure_controls import NO_PREVIEW, count_changes, format_noise_floor, list_conditions
 from experiments.strangers.measure_controls import Args as ControlArgs
 from experiments.strangers.measure_controls import main as measure_controls
-from experiments.strangers.render_film_sheets import Args as FilmArgs
-from experiments.strangers.render_film_sheets import main as render_film_sheets
-from experiments.strangers.render_film_sheets import project_points
+from experiments.strangers.render_image_grids import Args as GridArgs
+from experiments.strangers.render_image_grids import main as render_image_grids
+from experiments.strangers.render_image_grids import project_points
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
@@ -86,9 +86,9 @@ def test_cards_are_up_to_date(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -
     assert page.read_text() == (tmp_path / "strangers_v1.md").read_text(), "run make_cards.py again"
 
 
-def test_film_sheet_has_a_row_for_each_giver(tmp_path: Path) -> None:
-    args = FilmArgs(out=tmp_path, families=("place",), receiver="hold", times=(0.1, 0.2), width=80)
-    render_film_sheets(args)
+def test_image_grid_has_a_row_for_each_giver(tmp_path: Path) -> None:
+    args = GridArgs(out=tmp_path, families=("place",), receiver="hold", times=(0.1, 0.2), width=80)
+    render_image_grids(args)
     with Image.open(tmp_path / "place.jpg") as image:
         assert image.size == (160, 240)
 

@@ -1,6 +1,6 @@
-"""Render a film sheet for each family of givers: a row for each giver, a column for each time.
+"""Render a grid of images for each family of givers: a row for each giver, a column for each time.
 
-    python experiments/strangers/render_film_sheets.py --out docs/reference/strangers_v1
+    python experiments/strangers/render_image_grids.py --out docs/reference/strangers_v1
 
 All givers act with the same receiver in the same scene, seen from the same place. The first row replays the recording.
 Its path of the wrist is orange in all other rows, the path of the giver is blue.
@@ -36,7 +36,7 @@ _PATH_PERIOD = 20  # physics steps between two points of a path
 
 @dataclass(frozen=True, kw_only=True)
 class Args(DatasetArgs):
-    """Options of the film sheets.
+    """Options of the image grids.
 
     Attributes:
         out: Folder of the images FAMILY.jpg.
@@ -106,8 +106,8 @@ def draw_path(frame: Picture, pixels: Array, color: tuple[int, int, int], width:
     return np.asarray(image)
 
 
-class SheetRenderer:
-    """Renderer of the rows of film sheets.
+class GridRenderer:
+    """Renderer of the rows of image grids.
 
     Args:
         args: Options of the script.
@@ -152,7 +152,7 @@ class SheetRenderer:
         return np.concatenate(shown, axis=1)
 
 
-def encode_sheet(rows: Sequence[Picture], quality: int) -> bytes:
+def encode_grid(rows: Sequence[Picture], quality: int) -> bytes:
     """Return a JPEG image with rows one above the other."""
     stream = io.BytesIO()
     Image.fromarray(np.concatenate(rows)).save(stream, format="JPEG", quality=quality, optimize=True)
@@ -160,15 +160,15 @@ def encode_sheet(rows: Sequence[Picture], quality: int) -> bytes:
 
 
 def main(args: Args) -> None:
-    """Render the film sheets of all chosen families."""
+    """Render the image grids of all chosen families."""
     population = load_population(args.population)
     families = args.families or tuple(dict.fromkeys(giver.family for giver in population.givers))
-    renderer = SheetRenderer(args)
+    renderer = GridRenderer(args)
     args.out.mkdir(parents=True, exist_ok=True)
     for family in track(families, console=Console(stderr=True)):
         givers = [giver for giver in population.givers if giver.family == family]
         rows = [renderer.render_row(giver.name, population.get_policy(giver)) for giver in givers]
-        write_atomically(args.out / f"{family}.jpg", encode_sheet([renderer.replay_row, *rows], args.quality))
+        write_atomically(args.out / f"{family}.jpg", encode_grid([renderer.replay_row, *rows], args.quality))
 
 
 if __name__ == "__main__":
