@@ -6,9 +6,10 @@ training can be resumed.
 
 import functools
 import hashlib
+import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
@@ -27,6 +28,7 @@ from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import open_pool
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
+from handover_marl.learning.imitation.config_values import list_values
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
 from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
@@ -168,8 +170,7 @@ def make_plans(
         ResultsError: A file is damaged or cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    key = hashlib.sha256(repr((config.scenes, config.seed, config.scenarios, config.costs, config.expert)).encode())
-    paths = {first: folder / f"plans-{key.hexdigest()[:12]}-{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
+    paths = {first: folder / f"plans-{_compute_key(config)}-{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
     missing = [first for first, path in paths.items() if not path.exists()]
     report(count - CHUNK_SIZE * len(missing))
     for index, plans in _map_unordered(_plan_chunk, config, missing, pool):
@@ -202,6 +203,13 @@ def collect_states(
         found[index] = states
         report()
     return concatenate_states([found[index] for index in range(len(tasks))])
+
+
+def _compute_key(config: DataGeneratorConfig) -> str:
+    """Return the hash of the settings that plans depend on, without the names of classes and fields."""
+    parts = [asdict(part) for part in (config.scenarios, config.costs, config.expert)]
+    values = [config.scenes, config.seed, *(list_values(part) for part in parts)]
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
 
 
 def _plan_chunk(generator: DataGenerator, first: int) -> ExpertPlans:

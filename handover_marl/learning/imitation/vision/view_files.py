@@ -14,6 +14,7 @@ from handover_marl.execution.files import shorten_text, write_arrays, write_atom
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.execution.tasks import map_with_progress
+from handover_marl.learning.imitation.config_values import list_values
 from handover_marl.learning.imitation.vision.dagger import DaggerCollector
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, ViewRenderer
@@ -141,7 +142,7 @@ def _check_config(config: ViewDatasetConfig, folder: Path) -> None:
     if not file.exists():
         write_atomically(file, json.dumps(expected, indent=2))
     # Version 0.7 had other names for the same settings in the same order.
-    elif _list_values(_read_config(file)) != _list_values(expected):
+    elif list_values(_read_config(file)) != list_values(expected):
         raise ResultsError(f"{folder} has views of another configuration ({_SOURCE}); choose another folder")
 
 
@@ -150,9 +151,3 @@ def _read_config(file: Path) -> Any:
         return json.loads(read_plain_file(file))
     except (OSError, ValueError, RecursionError) as error:
         raise ResultsError(f"{file}: not the configuration of views ({shorten_text(error)}); remove it") from error
-
-
-def _list_values(settings: Any) -> list[Any]:
-    if isinstance(settings, dict):
-        return [value for part in settings.values() for value in _list_values(part)]
-    return [settings]
