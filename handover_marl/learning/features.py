@@ -26,7 +26,7 @@ from handover_marl.learning.encodings.custom_features import (
     Vector,
     make_custom_features,
 )
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.policies.policy import PolicyContext
 
 Array = npt.NDArray[np.float64]
@@ -124,7 +124,7 @@ class GraspFeatures:
     """
 
     def __init__(self, context: PolicyContext) -> None:
-        self._grasp_selector = get_grasp_selector(context)
+        self._grasp_selector = get_lowest_cost_grasp_selector(context)
         self._protocol = context.protocol
 
     def __call__(self, observation: Observation) -> Vector:

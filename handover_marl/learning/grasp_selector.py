@@ -120,6 +120,6 @@ class LowestCostGraspSelector:
 
 
 @functools.lru_cache(maxsize=16)
-def get_grasp_selector(context: PolicyContext) -> LowestCostGraspSelector:
+def get_lowest_cost_grasp_selector(context: PolicyContext) -> LowestCostGraspSelector:
     """Return the grasp selector of a policy context; all callers share one selector."""
     return LowestCostGraspSelector(context)

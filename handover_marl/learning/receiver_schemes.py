@@ -10,7 +10,7 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.policies.policy import PolicyContext
 
 Array = npt.NDArray[np.float64]
@@ -126,7 +126,7 @@ class GraspServoScheme(CartesianDeltaScheme):
 
     def __init__(self, context: PolicyContext) -> None:
         super().__init__(context)
-        self._grasp_selector = get_grasp_selector(context)
+        self._grasp_selector = get_lowest_cost_grasp_selector(context)
         self._goal = np.array(context.protocol.goal_center)
 
     def reset(self) -> None:

@@ -13,7 +13,7 @@ from handover_marl.errors import UnknownNameError
 from handover_marl.learning import grasp_selector
 from handover_marl.learning.features import compute_handover_frame, make_features
 from handover_marl.learning.giver_schemes import DeviationScheme, HandoverPoseScheme
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, get_grasp_selector
+from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector, get_lowest_cost_grasp_selector
 from handover_marl.learning.receiver_schemes import GraspServoScheme
 from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme
 from handover_marl.planning.arm_control import ArmInWorld
@@ -192,7 +192,7 @@ def test_chosen_grasp_keeps_clear_of_the_hand() -> None:
 
 def test_chosen_grasp_is_cached_while_observations_are_equal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grasp_selector, "_CACHE_SIZE", 2)
-    assert get_grasp_selector(CONTEXT) is get_grasp_selector(CONTEXT)
+    assert get_lowest_cost_grasp_selector(CONTEXT) is get_lowest_cost_grasp_selector(CONTEXT)
     observation, shared = seen(), LowestCostGraspSelector(CONTEXT)
     pose = observation["object_poses"].copy()
     pose[0, :3] += 0.1

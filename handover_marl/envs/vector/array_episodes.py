@@ -24,7 +24,7 @@ from handover_marl.learning.batch.encodings import make_feature_batch, make_sche
 from handover_marl.learning.batch.features import FeatureBatch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.engines import BatchBackend
@@ -92,10 +92,10 @@ class ArrayEpisodes:
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context, arrays = self._base.policy_context, self.arrays
-        selection = LowestCostGraspSelectorBatch(get_grasp_selector(context), count, arrays)
+        selector = LowestCostGraspSelectorBatch(get_lowest_cost_grasp_selector(context), count, arrays)
         for agent, (features, scheme) in template.choices.items():
-            self._features[agent] = make_feature_batch(agent, features, context, selection, count, arrays)
-            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selection, count, arrays)
+            self._features[agent] = make_feature_batch(agent, features, context, selector, count, arrays)
+            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selector, count, arrays)
 
     @property
     def can_wait(self) -> bool:

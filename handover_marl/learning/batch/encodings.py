@@ -47,7 +47,7 @@ def make_feature_batch(
     agent: str,
     choice: FeaturesLike,
     context: PolicyContext,
-    selection: LowestCostGraspSelectorBatch,
+    selector: LowestCostGraspSelectorBatch,
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> FeatureBatch:
@@ -57,36 +57,36 @@ def make_feature_batch(
         agent: "giver" or "receiver".
         choice: Features, see `features.make_features`.
         context: Robot, task and known grasps of the objects.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
     known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
     if known is not None:
-        return known(context, selection, count, arrays)
+        return known(context, selector, count, arrays)
     return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)], arrays)
 
 
 def find_scheme_batch(
-    scheme: ActionScheme, selection: LowestCostGraspSelectorBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
+    scheme: ActionScheme, selector: LowestCostGraspSelectorBatch, count: int, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> SchemeBatch | None:
     """Return the batch of a built-in action scheme for n episodes; None for a user-defined one.
 
     Args:
         scheme: Scheme of a single episode; its parameters apply to all episodes.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
     batch = _SCHEME_BATCHES.get(type(scheme))
-    return None if batch is None else batch(scheme, selection, count, arrays)
+    return None if batch is None else batch(scheme, selector, count, arrays)
 
 
 def make_scheme_batch(
     agent: str,
     choice: SchemeLike,
     context: PolicyContext,
-    selection: LowestCostGraspSelectorBatch,
+    selector: LowestCostGraspSelectorBatch,
     count: int,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> SchemeBatch:
@@ -96,12 +96,12 @@ def make_scheme_batch(
         agent: "giver" or "receiver".
         choice: Action scheme, see `schemes.make_scheme`.
         context: Robot, task and known grasps of the objects.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
     first = make_scheme(agent, choice, context, trust=True)
-    batch = find_scheme_batch(first, selection, count, arrays)
+    batch = find_scheme_batch(first, selector, count, arrays)
     if batch is not None:
         return batch
     others = (make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))

@@ -167,14 +167,14 @@ class GraspFeatureBatch(FeatureBatch):
 
     Args:
         context: Robot, task and known grasps of the objects.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         arrays: Creator of the arrays.
     """
 
     def __init__(
-        self, context: PolicyContext, selection: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selector: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
-        self._selection, self._receiver = selection, ReceiverFeatureBatch(context, arrays)
+        self._selector, self._receiver = selector, ReceiverFeatureBatch(context, arrays)
         self._identity = arrays.asarray(IDENTITY.copy())
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -184,7 +184,7 @@ class GraspFeatureBatch(FeatureBatch):
 
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
-        grasps, clearances, exists = self._selection.select(rows, observation)
+        grasps, clearances, exists = self._selector.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._identity)
         gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
@@ -201,14 +201,14 @@ class GraspProximityFeatureBatch(FeatureBatch):
 
     Args:
         context: Robot, task and known grasps of the objects.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         arrays: Creator of the arrays.
     """
 
     def __init__(
-        self, context: PolicyContext, selection: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selector: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
-        self._grasp = GraspFeatureBatch(context, selection, arrays)
+        self._grasp = GraspFeatureBatch(context, selector, arrays)
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of grasps and grippers."""
@@ -303,16 +303,16 @@ FEATURE_BATCHES: dict[
 ]
 FEATURE_BATCHES = {
     "giver": {
-        "giver": lambda context, selection, count, arrays: GiverFeatureBatch(context, arrays),
+        "giver": lambda context, selector, count, arrays: GiverFeatureBatch(context, arrays),
         "flat_giver": lambda *_: FlatFeatureBatch(giver_observation_space()),
     },
     "receiver": {
-        "receiver": lambda context, selection, count, arrays: ReceiverFeatureBatch(context, arrays),
+        "receiver": lambda context, selector, count, arrays: ReceiverFeatureBatch(context, arrays),
         "flat_receiver": lambda *_: FlatFeatureBatch(observation_space()),
-        "grasp": lambda context, selection, count, arrays: GraspFeatureBatch(context, selection, arrays),
-        "close": lambda context, selection, count, arrays: GraspProximityFeatureBatch(context, selection, arrays),
-        "close_stack": lambda context, selection, count, arrays: StackedFeatureBatch(
-            GraspProximityFeatureBatch(context, selection, arrays), count_features("receiver", "close"), count, arrays
+        "grasp": lambda context, selector, count, arrays: GraspFeatureBatch(context, selector, arrays),
+        "close": lambda context, selector, count, arrays: GraspProximityFeatureBatch(context, selector, arrays),
+        "close_stack": lambda context, selector, count, arrays: StackedFeatureBatch(
+            GraspProximityFeatureBatch(context, selector, arrays), count_features("receiver", "close"), count, arrays
         ),
     },
 }

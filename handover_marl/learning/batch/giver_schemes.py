@@ -19,11 +19,11 @@ class DeviationBatch(SchemeBatch):
     def __init__(
         self,
         scheme: DeviationScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(scheme, selection, count, arrays)
+        super().__init__(scheme, selector, count, arrays)
         space = giver_action_space(scheme.context.config.giver)
         self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
@@ -39,11 +39,11 @@ class HandoverPoseBatch(SchemeBatch):
     def __init__(
         self,
         scheme: HandoverPoseScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(scheme, selection, count, arrays)
+        super().__init__(scheme, selector, count, arrays)
         self._scheme, self._pose_variation = scheme, HandoverPoseVariationBatch(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))

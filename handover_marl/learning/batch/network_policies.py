@@ -17,7 +17,7 @@ from handover_marl.learning.batch.encodings import find_scheme_batch
 from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
@@ -143,10 +143,10 @@ def make_network_policy_batch(
     if not isinstance(policy.function, DenseNetwork):
         return None
     context = policy.scheme.context
-    selection = LowestCostGraspSelectorBatch(get_grasp_selector(context), count, arrays)
-    scheme = find_scheme_batch(policy.scheme, selection, count, arrays)
+    selector = LowestCostGraspSelectorBatch(get_lowest_cost_grasp_selector(context), count, arrays)
+    scheme = find_scheme_batch(policy.scheme, selector, count, arrays)
     known = FEATURE_BATCHES[policy.scheme.agent].get(policy.features) if isinstance(policy.features, str) else None
     if known is None or scheme is None:
         return None
-    features = known(context, selection, count, arrays)
+    features = known(context, selector, count, arrays)
     return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)

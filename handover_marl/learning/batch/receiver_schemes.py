@@ -33,11 +33,11 @@ class JointSchemeBatch(SchemeBatch):
     def __init__(
         self,
         scheme: ActionScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(scheme, selection, count, arrays)
+        super().__init__(scheme, selector, count, arrays)
         self._low, self._high = arrays.asarray(LOWER_LIMITS), arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
@@ -73,11 +73,11 @@ class CartesianDeltaBatch(JointSchemeBatch):
     def __init__(
         self,
         scheme: CartesianDeltaScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(scheme, selection, count, arrays)
+        super().__init__(scheme, selector, count, arrays)
         self._scheme, self._damping = scheme, arrays.asarray(scheme.damping**2 * np.eye(6))
         self._max_translation = arrays.asarray(scheme.max_output_translation)
         self._robot = ArmKinematics(read_tree(scheme.context.panda_urdf))
@@ -108,11 +108,11 @@ class GraspServoBatch(CartesianDeltaBatch):
     def __init__(
         self,
         scheme: GraspServoScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(scheme, selection, count, arrays)
+        super().__init__(scheme, selector, count, arrays)
         self._servo, self._goal = scheme, arrays.asarray(scheme.context.protocol.goal_center)
         self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
         self._closed = arrays.zeros(count, "bool")
@@ -159,7 +159,7 @@ class GraspServoBatch(CartesianDeltaBatch):
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
         """Return the target positions (r, 3) in the world (m) and the target orientations (r, 4)."""
-        xp, (grasps, _, exists) = self._arrays.xp, self._selection.select(rows, observation)
+        xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
         orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
         standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
         zeros = xp.zeros_like(standoff)

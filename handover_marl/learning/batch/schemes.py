@@ -20,7 +20,7 @@ class SchemeBatch(ABC):
 
     Args:
         scheme: Scheme of a single episode; its parameters apply to all episodes.
-        selection: Selector of grasps.
+        selector: Selector of grasps.
         count: Number n of episodes.
         arrays: Creator of the arrays.
 
@@ -31,12 +31,12 @@ class SchemeBatch(ABC):
     def __init__(
         self,
         scheme: ActionScheme,
-        selection: LowestCostGraspSelectorBatch,
+        selector: LowestCostGraspSelectorBatch,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         self.size, self.wait = scheme.size, scheme.wait
-        self._selection, self._arrays = selection, arrays
+        self._selector, self._arrays = selector, arrays
         self._outputs = arrays.zeros((count, scheme.size))
 
     def reset(self, row: int) -> None:

@@ -11,13 +11,13 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.features import list_features, make_features
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.policies.policy import make_policy_context
 from tests.givers.test_givers import START, seen
 
 CONTEXT = make_policy_context(SyntheticDataset())
-SELECTOR = get_grasp_selector(CONTEXT)
+SELECTOR = get_lowest_cost_grasp_selector(CONTEXT)
 COUNT = 24
 ROWS = np.arange(COUNT)
 

@@ -13,7 +13,7 @@ from handover_marl.episode.observations import giver_observation_space, observat
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, locate_columns
 from handover_marl.learning.features import compute_handover_frame, list_features, make_features
-from handover_marl.learning.grasp_selector import get_grasp_selector
+from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
 
@@ -58,7 +58,7 @@ def in_handover_frame(vector: Any) -> np.ndarray:
 
 
 def grasp() -> np.ndarray:
-    found = get_grasp_selector(CONTEXT).select(OBSERVATION)
+    found = get_lowest_cost_grasp_selector(CONTEXT).select(OBSERVATION)
     assert found is not None
     return found[0]
 
@@ -103,7 +103,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
         rotation_of(GRIPPER).inv() * rotation_of(grasp())
     ).as_rotvec(),
     "distance of the person's hand from the gripper at the grasp": lambda: [
-        get_grasp_selector(CONTEXT).select(OBSERVATION)[1]  # type: ignore[index]
+        get_lowest_cost_grasp_selector(CONTEXT).select(OBSERVATION)[1]  # type: ignore[index]
     ],
     "grasp exists": lambda: [1.0],
     "distance to the grasp": lambda: [np.linalg.norm(grasp()[:3] - GRIPPER[:3])],
