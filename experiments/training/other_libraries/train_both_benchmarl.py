@@ -23,7 +23,7 @@ from tensordict import TensorDictBase
 from torchrl.modules import MultiAgentMLP
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_module
+from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.benchmarl_task import HandoverTask, make_task_config
@@ -86,7 +86,7 @@ def scale_last_layers(experiment: Experiment) -> None:
 def extract_policy_networks(experiment: Experiment) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
-        agent: dense_network_from_module(
+        agent: dense_network_from_layers(
             actor_layers(experiment, agent).get_stateful_net(),
             "tanh",
             output="tanh",

@@ -33,7 +33,7 @@ from torch import nn
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.homogeneous import HomogeneousEnv, homogeneous
-from handover_marl.learning.adapters.torch_modules import dense_network_from_module
+from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.dense_networks import extract_agent_network
@@ -158,7 +158,7 @@ def _make_net(observations: Any, args: Args) -> Net:
 
 def extract_policy_networks(algorithm: PPO, world: HomogeneousEnv) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, which are not clipped, by agent."""
-    shared = dense_network_from_module(algorithm.policy.actor, "tanh")
+    shared = dense_network_from_layers(algorithm.policy.actor, "tanh")
     return {agent: extract_agent_network(shared, world, agent) for agent in AGENTS}
 
 

@@ -30,7 +30,7 @@ from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.learning.adapters.torch_modules import dense_network_from_module
+from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
 from handover_marl.learning.training.dense_networks import make_mlp
@@ -152,7 +152,7 @@ def summarize(batch: TensorDictBase, decisions: int) -> str:
 def extract_policy_networks(actors: dict[str, ProbabilisticActor]) -> dict[str, DenseNetwork]:
     """Return the network of each agent's mean actions, tanh included, by agent."""
     return {
-        group: dense_network_from_module(actor, "tanh", output="tanh", n_outputs=actor.spec[group, "action"].shape[-1])
+        group: dense_network_from_layers(actor, "tanh", output="tanh", n_outputs=actor.spec[group, "action"].shape[-1])
         for group, actor in actors.items()
     }
 

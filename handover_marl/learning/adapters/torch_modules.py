@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,22 +15,49 @@ from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork
 _N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
-def dense_network_from_module(
-    module: Any, activation: str | None = None, output: str = "identity", n_outputs: int | None = None
-) -> DenseNetwork:
+def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
+    Outputs for random inputs are compared, which also finds the activation after the last layer.
+
     Args:
-        module: Module from (n, n_inputs) to (n, m).
-        activation: Activation between the layers; None finds it, and that after the last layer, by comparison of
-            outputs for random inputs.
-        output: Activation after the last layer, if `activation` is given.
-        n_outputs: Number of leading outputs to keep, such as the means before standard deviations, if `activation` is
-            given; None keeps all.
+        module: Module from (n, n_inputs) to (n, n_outputs).
+        activation: Activation between the layers; None finds it too.
 
     Raises:
         DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
-            activation has the same outputs.
+            activation, or that with `activation`, has the same outputs.
+    """
+    bare = dense_network_from_layers(module, "identity" if activation is None else activation)
+    inputs, expected = _evaluate(module, bare.n_inputs)
+    candidates = ACTIVATIONS if activation is None else (activation,)
+    # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
+    for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
+        network = replace(bare, activation=between, output=after)
+        found = np.stack([network(row) for row in inputs])
+        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+            return network
+    raise DataFormatError(
+        f"{type(module).__name__} must consist of linear layers with one activation between them "
+        f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
+    )
+
+
+def dense_network_from_layers(
+    module: Any, activation: str, output: str = "identity", n_outputs: int | None = None
+) -> DenseNetwork:
+    """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
+
+    The module is not called, so that it may have inputs and outputs of any types; its outputs are not compared.
+
+    Args:
+        module: Module with linear layers.
+        activation: Activation between the layers.
+        output: Activation after the last layer.
+        n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
+
+    Raises:
+        DataFormatError: The shapes of consecutive layers do not match.
     """
     linear = sys.modules["torch"].nn.Linear  # a module can exist only if PyTorch was imported
     layers = [part for part in module.modules() if isinstance(part, linear)]
@@ -38,19 +66,9 @@ def dense_network_from_module(
         np.zeros(len(weight), dtype=np.float32) if layer.bias is None else _array(layer.bias)
         for layer, weight in zip(layers, weights, strict=True)
     ]
-    if activation is not None:
+    if n_outputs is not None:
         weights[-1], biases[-1] = weights[-1][:n_outputs], biases[-1][:n_outputs]
-        return DenseNetwork(tuple(weights), tuple(biases), activation, output)
-    inputs, expected = _evaluate(module, DenseNetwork(tuple(weights), tuple(biases)).n_inputs)
-    for between, after in itertools.product(ACTIVATIONS, repeat=2):
-        network = DenseNetwork(tuple(weights), tuple(biases), between, after)
-        found = np.stack([network(row) for row in inputs])
-        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
-            return network
-    raise DataFormatError(
-        f"{type(module).__name__} must consist of linear layers with one activation between them "
-        f"({', '.join(ACTIVATIONS)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
-    )
+    return DenseNetwork(tuple(weights), tuple(biases), activation, output)
 
 
 def _array(tensor: Any) -> npt.NDArray[np.float32]:

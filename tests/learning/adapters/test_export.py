@@ -15,6 +15,7 @@ import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
+from handover_marl.learning.adapters.torch_modules import dense_network_from_layers, dense_network_from_module
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds, PolicySpec
 
@@ -197,6 +198,27 @@ class Functional(torch.nn.Module):  # type: ignore[misc, name-defined]
     def forward(self, inputs: Any) -> Any:
         outputs = self.last(self.dropout(torch.relu(self.first(inputs))))
         return outputs**2 if self.faulty else outputs
+
+
+def test_given_activations_are_compared_with_the_module() -> None:
+    net = make_net(activation=torch.nn.ReLU)
+    assert dense_network_from_module(net, "relu").activation == "relu"
+    with pytest.raises(DataFormatError, match=r"one activation between them \(tanh\)"):
+        dense_network_from_module(net, "tanh")
+    squashed = dense_network_from_module(torch.nn.Sequential(net, torch.nn.Tanh()), "relu")
+    assert (squashed.activation, squashed.output) == ("relu", "tanh")
+    with torch.no_grad():
+        net[-1].weight.mul_(0.001)
+        net[-1].bias.zero_()
+    assert dense_network_from_module(net, "relu").output == "identity"
+
+
+def test_layers_of_modules_that_are_not_called() -> None:
+    net = make_net()
+    found = dense_network_from_layers(net, "tanh", output="tanh", n_outputs=3)
+    inputs = np.linspace(-1.0, 1.0, found.n_inputs, dtype=np.float32)
+    expected = torch.tanh(net(torch.from_numpy(inputs)))[:3].detach().numpy()
+    np.testing.assert_allclose(found(inputs), expected, atol=1e-5)
 
 
 def test_modules_with_functional_activations(tmp_path: Path) -> None:
