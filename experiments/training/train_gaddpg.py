@@ -53,7 +53,7 @@ from handover_marl.learning.imitation.gaddpg.states import (
 )
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.learning_curve import CurvePoint
+from handover_marl.learning.training.learning_curve import UPDATES, CurvePoint
 from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
@@ -150,7 +150,7 @@ class Training:
         data = open_dataset(args.dataset, args.data_dir, PANDA_CAMERA)
         scenes = list_shared_scenes(data, args.setups)
         self._args, self._card = args, {"made by": describe_origin("train_gaddpg", args)}
-        self._folder = RunFolder(Path(args.out), args, args.resume, data.name, FREE)
+        self._folder = RunFolder(Path(args.out), args, args.resume, data.name, FREE, UPDATES)
         self._generator = DataGeneratorConfig(
             scenes, data.name, args.data_dir, args.seed, args.scenario, args.costs, args.expert, args.rollout
         )

@@ -41,7 +41,7 @@ from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.learning_curve import CurvePoint
+from handover_marl.learning.training.learning_curve import UPDATES, CurvePoint
 from handover_marl.learning.training.run_folder import (
     RunFolder,
     describe_origin,
@@ -129,7 +129,7 @@ class Training:
             extra = open_dataset(name, robot=args.robot)
             self._scenes[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
         self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
-        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name, ("updates",))
+        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name, ("updates",), UPDATES)
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)
         config = GraspTrainingConfig(center_loss_weight=2.0 * args.auxiliary, motion_loss_weight=args.auxiliary)

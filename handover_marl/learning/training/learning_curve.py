@@ -8,13 +8,17 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 
+#: Units of the steps of learning curves.
+DECISIONS, UPDATES = "decisions", "gradient updates"
+
 
 @dataclass(frozen=True)
 class CurvePoint:
     """Point of a learning curve: one evaluation during training.
 
     Attributes:
-        steps: Number of decisions of the learning agent, or of gradient updates, before the evaluation.
+        steps: Number of decisions of the learning agents before the evaluation; in the training of networks by
+            imitation (`train_vision.py`, `train_gaddpg.py`), number of gradient updates.
         seconds: Wall-clock time since the start of training, evaluations included (s).
         episodes: Number of evaluated scenes.
         success: Share of scenes with success, from 0 to 1.
@@ -41,10 +45,10 @@ class CurvePoint:
     physics: str
     partner: str
 
-    def summarize(self) -> str:
-        """Return the step count and outcome rates as one line of text."""
+    def summarize(self, unit: str) -> str:
+        """Return the step count, in a unit such as "decisions", and outcome rates as one line of text."""
         return (
-            f"{self.steps} decisions, {self.seconds / 60.0:.1f} min: success {self.success:.1%} ({self.low:.1%} to "
+            f"{self.steps} {unit}, {self.seconds / 60.0:.1f} min: success {self.success:.1%} ({self.low:.1%} to "
             f"{self.high:.1%}), contact {self.contact:.1%}, drop {self.drop:.1%}, timeout {self.timeout:.1%} "
             f"[{self.episodes} scenes of {self.dataset}, {self.physics} physics, with {self.partner}]"
         )
@@ -70,8 +74,13 @@ class CurvePoint:
         )
 
 
-def draw_curve(points: Sequence[CurvePoint]) -> bytes:
-    """Return a PNG of outcome rates over wall-clock time, with Wilson's 95 % interval of success."""
+def draw_curve(points: Sequence[CurvePoint], unit: str) -> bytes:
+    """Return a PNG of outcome rates over wall-clock time, with Wilson's 95 % interval of success.
+
+    Args:
+        points: Points of the curve.
+        unit: Unit of their `steps`: "decisions" or "gradient updates".
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 4.2), layout="constrained")
@@ -85,8 +94,7 @@ def draw_curve(points: Sequence[CurvePoint]) -> bytes:
         axes.plot(minutes, [100.0 * getattr(point, name) for point in points], style, linewidth=1.0, label=name)
     last = points[-1]
     axes.set_title(
-        f"{last.episodes} scenes of {last.dataset}, {last.physics} physics, with {last.partner}; "
-        f"{last.steps} decisions",
+        f"{last.episodes} scenes of {last.dataset}, {last.physics} physics, with {last.partner}; {last.steps} {unit}",
         fontsize=9,
     )
     axes.set_xlabel("wall-clock time, evaluations included (min)")

@@ -17,7 +17,7 @@ import torch
 from handover_marl.errors import ResultsError
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
-from handover_marl.learning.training.learning_curve import CurvePoint, draw_curve
+from handover_marl.learning.training.learning_curve import DECISIONS, CurvePoint, draw_curve
 
 POLICY, CHECKPOINT, CURVE = "policy.npz", "checkpoint.pt", "learning_curve"
 _ARGUMENTS = "arguments.json"
@@ -110,6 +110,7 @@ class RunFolder:
         resume: Whether to continue an existing run; None if the script cannot resume runs.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
+        unit: Unit of the steps of the learning curve: "decisions" or "gradient updates".
 
     Raises:
         ResultsError: The folder contains another run, or one that must not be resumed, or it
@@ -117,15 +118,22 @@ class RunFolder:
 
     Attributes:
         points: Evaluations of the run so far.
+        unit: Unit of the steps of the learning curve.
     """
 
     #: Arguments that may change when a run is resumed: durations and paths.
     FREE = ("resume", "out", "data_dir", "decisions", "minutes")
 
     def __init__(
-        self, path: Path, arguments: object, resume: bool | None, dataset: str, free: Sequence[str] = ()
+        self,
+        path: Path,
+        arguments: object,
+        resume: bool | None,
+        dataset: str,
+        free: Sequence[str] = (),
+        unit: str = DECISIONS,
     ) -> None:
-        self.path = path
+        self.path, self.unit = path, unit
         recorded = {key: value for key, value in vars(arguments).items() if key not in (*self.FREE, *free)}
         recorded["dataset"] = dataset
         text = json.dumps(recorded, indent=1, default=repr)
@@ -171,7 +179,7 @@ class RunFolder:
         return self.points[-1].seconds if self.points else 0.0
 
     def discard_points_after(self, count: int) -> None:
-        """Discard evaluations after a number of decisions or updates; a resumed run repeats them."""
+        """Discard evaluations after a number of steps in `unit`; a resumed run repeats them."""
         self.points = [point for point in self.points if point.steps <= count]
 
     def add(self, point: CurvePoint) -> None:
@@ -182,7 +190,7 @@ class RunFolder:
         writer.writeheader()
         writer.writerows(asdict(point) for point in self.points)
         write_atomically(self.path / f"{CURVE}.csv", stream.getvalue())
-        write_atomically(self.path / f"{CURVE}.png", draw_curve(self.points))
+        write_atomically(self.path / f"{CURVE}.png", draw_curve(self.points, self.unit))
 
     def _read_curve(self) -> list[CurvePoint]:
         path = self.path / f"{CURVE}.csv"

@@ -118,5 +118,5 @@ class TrainingRun:
         partner = ", ".join(self._partners.values()) or "each other"
         point = CurvePoint.from_report(report, decisions, self.seconds, partner)
         self.folder.add(point)
-        print(point.summarize(), flush=True)
+        print(point.summarize(self.folder.unit), flush=True)
         return point

@@ -54,6 +54,10 @@ def test_resumed_run_keeps_its_points(tmp_path: Path) -> None:
     assert first.path / "checkpoint.pt" == again.checkpoint
 
 
+def test_summary_names_the_unit_of_the_steps() -> None:
+    assert POINT.summarize("gradient updates").startswith("8 gradient updates, 0.0 min: success 50.0%")
+
+
 def test_new_folder_can_be_resumed(tmp_path: Path) -> None:
     assert resumed(tmp_path / "new").points == []
     assert resumed(tmp_path / "new").seconds == 0.0
