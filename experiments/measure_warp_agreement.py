@@ -22,7 +22,7 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.tables import format_percent_rate, format_table
+from handover_marl.evaluation.reports.tables import NO_VALUE, format_percent_rate, format_table
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
 from handover_marl.geometry.arrays import to_numpy
@@ -90,7 +90,7 @@ def simulate(args: Args, scenes: Sequence[int], backend: BatchBackend) -> Outcom
     dataset = template.unwrapped.dataset
     started, rows, arrays = time.perf_counter(), np.arange(len(scenes)), episodes.arrays
     for row, scene in enumerate(scenes):
-        episodes.start(row, dataset.load_scene(scene), seed=scene, robot_seed=scene)
+        episodes.start(row, dataset.load_scene(scene), seed=scene, robot_seed=scene, camera_seed=scene)
     periods = -(-args.horizon // config.control_steps)
     for period in range(periods):
         running = rows[~to_numpy(episodes.have_ended(arrays.asarray(rows)))]
@@ -131,13 +131,14 @@ def main(args: Args) -> None:
     shift = np.abs(threads.released - warp.released)[released]
     ended = (threads.status != 0) | (warp.status != 0)
     n_same, n_ended = int(same[ended].sum()), int(ended.sum())
+    rate = format_percent_rate(n_same, n_ended) if n_ended else NO_VALUE
     n_running = [int((one.status == 0).sum()) for one in (threads, warp)]
     n_success = [int((one.status == success).sum()) for one in (threads, warp)]
     median = np.median(shift) if len(shift) else 0.0
     parts = [
         f"{args.receiver}, giver replay, {len(scenes)} scenes of {args.dataset} {args.setup} {args.split}, horizon "
         f"{args.horizon} steps, MuJoCo Warp on {args.device}, {describe_machine()}.",
-        f"Same outcome: {n_same} of {n_ended} episodes that ended ({format_percent_rate(n_same, n_ended)} %). "
+        f"Same outcome: {n_same} of {n_ended} episodes that ended ({rate} %). "
         f"Success: {n_success[0]} with MuJoCo, {n_success[1]} with MuJoCo Warp. Running at the horizon: "
         f"{n_running[0]} and {n_running[1]}. The object was released in both in {released.sum()} episodes, with a "
         f"median difference of {median:.0f} steps. Duration: {threads.seconds:.0f} s and {warp.seconds:.0f} s.",
