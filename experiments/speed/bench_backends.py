@@ -75,9 +75,10 @@ def main(args: Args) -> None:
     args.publish(
         "Backends",
         f"{describe_conditions()}, load {os.getloadavg()[0]:.1f} at the end. {played}, "
-        f"{workers} workers; seconds of every turn, start of workers included. Ray started in {connecting:.1f} s.",
-        format_table(["", *(f"turn {n + 1}" for n in range(args.repetitions))], rows),
-        f"Ratio of all turns together {whole:.3f}, median {np.median(ratios):.3f}.",
+        f"{workers} workers; seconds of every repetition, start of workers included. "
+        f"Ray started in {connecting:.1f} s.",
+        format_table(["", *(f"repetition {n + 1}" for n in range(args.repetitions))], rows),
+        f"Ratio of all repetitions together {whole:.3f}, median {np.median(ratios):.3f}.",
     )
 
 

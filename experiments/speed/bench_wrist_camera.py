@@ -42,7 +42,7 @@ class Args(DatasetArgs, OutputArgs):
         views: Number of rendered frames per scene.
         receiver: Name of the receiver that moves the camera.
         period: Time (s) between two point clouds.
-        steps_per_turn: Number of control steps for which one environment is measured before the next one.
+        steps_per_repetition: Number of control steps of one environment in a repetition.
         repetitions: Number of times that each environment is measured, in turn; 0 measures the renderers
             alone, not the steps of complete environments.
     """
@@ -52,7 +52,7 @@ class Args(DatasetArgs, OutputArgs):
     views: int = 4
     receiver: str = "yang2021"
     period: float = 0.15
-    steps_per_turn: int = 20
+    steps_per_repetition: int = 20
     repetitions: int = 10
 
 
@@ -215,7 +215,7 @@ def simulate_single_env(args: Args, physics: str) -> None:
     env = make_env(args, physics)
     for seed in range(3):
         env.reset(seed=seed)
-        time_steps(env, args.steps_per_turn)
+        time_steps(env, args.steps_per_repetition)
 
 
 def make_env_table(args: Args) -> str:
@@ -225,14 +225,14 @@ def make_env_table(args: Args) -> str:
         rows.append([name, f"{measure_peak_memory(simulate_single_env, args, physics):.0f}"])
         envs[name] = make_env(args, physics)
         envs[name].reset(seed=0)
-        time_steps(envs[name], args.steps_per_turn)
+        time_steps(envs[name], args.steps_per_repetition)
     seconds: dict[str, list[float]] = {name: [] for name in envs}
     for _ in track(range(args.repetitions), "repetitions", console=Console(stderr=True)):
         for name, env in envs.items():
-            seconds[name].append(time_steps(env, args.steps_per_turn))
+            seconds[name].append(time_steps(env, args.steps_per_repetition))
     ratios = np.array(seconds["exact, bullet"]) / np.array(seconds["fast, rays"])
     for row in rows:
-        times = 1000.0 * np.array(seconds[row[0]]) / args.steps_per_turn
+        times = 1000.0 * np.array(seconds[row[0]]) / args.steps_per_repetition
         row.insert(1, f"{np.median(times):.2f}")
     rows[0].append("1")
     rows[1].append(f"{np.median(ratios):.1f} ({ratios.min():.1f} to {ratios.max():.1f})")
