@@ -52,22 +52,27 @@ class Variant:
     """Variant of the training of `vision`, or of the camera noise in its evaluation.
 
     Attributes:
+        folder: Name of its folder.
         training: Arguments of `train_vision.py` with other values than for the complete network.
         camera: Noise of the wrist camera in the evaluation; None for no noise.
     """
 
+    folder: str
     training: dict[str, Any] = field(default_factory=dict)
     camera: CameraNoise | str | None = None
 
 
+# By label in the table.
 VARIANTS = {
-    FULL: Variant(),
-    "no hand points": Variant({"use_hand_points": False}),
-    "PointNet": Variant({"use_groups": False}),
-    "no auxiliary losses": Variant({"auxiliary": 0.0}),
-    "one DAgger round": Variant({"rounds": 1}),
-    "112 x 112 pixels": Variant(camera=CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0, pixel_stride=2)),
-    "realsense": Variant(camera="realsense"),
+    FULL: Variant("complete_network"),
+    "hand points removed": Variant("no_hand_points", {"use_hand_points": False}),
+    "PointNet instead of PointNet++": Variant("PointNet", {"use_groups": False}),
+    "auxiliary losses removed": Variant("no_auxiliary_losses", {"auxiliary": 0.0}),
+    "one DAgger round after half of the gradient updates": Variant("one_DAgger_round", {"rounds": 1}),
+    "112 x 112 pixels instead of 224 x 224": Variant(
+        "112_x_112_pixels", camera=CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=0.0, pixel_stride=2)
+    ),
+    '`camera_noise="realsense"`': Variant("realsense", camera="realsense"),
 }
 
 
@@ -142,7 +147,7 @@ def evaluate_variant(args: Args, name: str, variant: Variant) -> VariantResult:
 
 def get_variant_folder(args: Args, name: str, part: str) -> Path:
     """Return the subfolder `part` of a variant's folder."""
-    return args.out / name.replace(" ", "_") / part
+    return args.out / VARIANTS[name].folder / part
 
 
 def make_training_args(args: Args, name: str) -> train_vision.Args:
@@ -195,7 +200,7 @@ def format_page(args: Args, rows: dict[str, VariantResult]) -> str:
         ]
         found = f"{100 * this.metrics.within_2cm:.0f}" if VARIANTS[name].camera is None else NO_VALUE
         cells.append([name, *rates, gain, found])
-    header = ["training", "val, success %", "unseen, success %", "points over the first", "2 cm %"]
+    header = ["training", "val, success %", "unseen, success %", "gain over the first row, points", "2 cm %"]
     val, unseen = full.reports
     return (
         f"`vision` after {args.updates} updates on every {args.stride}. scene of {args.setup} train, seed {args.seed}; "

@@ -223,7 +223,7 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     ablate = script("vision_ablations", monkeypatch)
-    names = (ablate.FULL, "no hand points", "112 x 112 pixels")
+    names = (ablate.FULL, "hand points removed", "112 x 112 pixels instead of 224 x 224")
     monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
     trained, cameras = [], []
 
