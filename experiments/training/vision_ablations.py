@@ -208,7 +208,7 @@ def format_page(args: Args, rows: dict[str, VariantResult]) -> str:
         f"(unseen), wait 0, giver replay, {val.data_label}, {args.robot}, version {val.metadata.version}; 95 % "
         "intervals (Wilson; Agresti and Min for differences paired by scene). 2 cm: share of held-out views "
         f"({full.metrics.views}) whose best predicted grasp is within 2 cm of a good one, rotation included.\n\n"
-        f"{format_table(header, cells)}\n"
+        f"{format_table(header, cells, max_width=200)}\n"
     )
 
 
