@@ -197,8 +197,8 @@ def start_rollouts(pool: ThreadPoolExecutor, collectors: list[Collector], model:
 def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
     """Update the networks by PPO (Schulman et al., 2017).
 
-    The networks of an overlapping rollout are older than those at the start of the update. The change from the latter is
-    limited, and decisions are weighted by their probability ratio (Hilton et al., NeurIPS 2022).
+    The networks of an overlapping rollout are older than those at the start of the update. The change from the latter
+    is limited, and decisions are weighted by the ratio of both probabilities (Hilton et al., NeurIPS 2022).
     """
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))

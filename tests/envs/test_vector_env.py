@@ -18,6 +18,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
+from handover_marl.envs.vector.process_envs import ProcessEnvs
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import (
@@ -336,6 +337,17 @@ def test_errors_of_processes_are_raised_and_resets_work() -> None:
     with pytest.raises(WorkerError, match=r"process \d+ of the environments died"):
         envs.step(still)
     envs.close()
+    envs.close()
+    assert not multiprocessing.active_children()
+
+
+def test_environments_that_cannot_be_made_in_a_process() -> None:
+    def make(count: int) -> Any:
+        raise WorkerError(f"no space for {count} environments")
+
+    envs = ProcessEnvs(make, 3)
+    with pytest.raises(WorkerError, match="no space for 3 environments"):
+        envs.reset(np.arange(3), [0, 1, 2], None)
     envs.close()
     assert not multiprocessing.active_children()
 
