@@ -92,7 +92,7 @@ def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
 
 
 class GiverFeatureBatch(FeatureBatch):
-    """Batch of `features.compute_giver_features`.
+    """Features of the givers of many episodes at once; see `features.compute_giver_features`.
 
     Args:
         context: Task, with the position of the goal.
@@ -126,7 +126,7 @@ class GiverFeatureBatch(FeatureBatch):
 
 
 class ReceiverFeatureBatch(FeatureBatch):
-    """Batch of `features.compute_receiver_features`.
+    """Features of the receivers of many episodes at once; see `features.compute_receiver_features`.
 
     Args:
         context: Task, with the position of the goal and the longest duration.

@@ -41,6 +41,27 @@ _OBJECT_LINK = OBJECT_DOF - 1
 _Mtimes = tuple[int, ...]
 
 
+@dataclass(frozen=True)
+class _Workcell:
+    """What the model of ground, table and robot depends on.
+
+    Attributes:
+        table: URDF file of the table.
+        panda: URDF file of the robot.
+        mtimes: Modification times of the files of table and robot.
+        friction: Friction coefficient of the target object.
+        config: Constants of the world.
+        tuning: Engine parameters.
+    """
+
+    table: Path
+    panda: Path
+    mtimes: tuple[_Mtimes, ...]
+    friction: float
+    config: PhysicsConfig
+    tuning: MujocoTuning
+
+
 @dataclass(frozen=True, eq=False)
 class RobotOnlyModel:
     """Compiled MuJoCo model of ground, table and robot, without objects and hand.
@@ -139,8 +160,8 @@ def _load(
     padding: ModelPadding | None,
 ) -> SceneModel:
     friction = read_object_friction(assets.objects[0])
-    workcell = assets.table, assets.panda, mtimes[:2], friction, config, tuning
-    built = SceneModelBuilder(config, tuning, friction, _build_workcell(*workcell).copy(), padding)
+    workcell = _Workcell(assets.table, assets.panda, mtimes[:2], friction, config, tuning)
+    built = SceneModelBuilder(config, tuning, friction, _build_workcell(workcell).copy(), padding)
     built.add_objects_and_hand(assets.objects, assets.hand)
     model = _compile(built.spec, assets.objects[0].parent.name)
     joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]
@@ -167,7 +188,7 @@ def _load(
         rotation_references=_as_slice(model.body(name).mocapid[0] for name in references),
         hand=_as_slice(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
-        robot_only=_load_robot_only(*workcell),
+        robot_only=_load_robot_only(workcell),
         hand_reach=_compute_reach(assets.hand, mtimes[-1], BASE_JOINTS - 1),
         object_reaches=np.array(
             [_compute_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, mtimes[2:-1], strict=True)]
@@ -194,33 +215,21 @@ def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
 
 
 @functools.lru_cache(maxsize=32)
-def _build_workcell(
-    table: Path,
-    panda: Path,
-    mtimes: tuple[_Mtimes, ...],
-    friction: float,
-    config: PhysicsConfig,
-    tuning: MujocoTuning,
-) -> "mujoco.MjSpec":
+def _build_workcell(workcell: _Workcell) -> "mujoco.MjSpec":
     """Build the specification of ground, table and robot, which must not be changed."""
-    built = SceneModelBuilder(config, tuning, friction)
-    built.add_workcell(table, panda, _find_never_colliding_links(panda, mtimes[1], config, tuning))
+    panda, config, tuning = workcell.panda, workcell.config, workcell.tuning
+    built = SceneModelBuilder(config, tuning, workcell.friction)
+    built.add_workcell(workcell.table, panda, _find_never_colliding_links(panda, workcell.mtimes[1], config, tuning))
     return built.spec
 
 
 @functools.lru_cache(maxsize=32)
-def _load_robot_only(
-    table: Path,
-    panda: Path,
-    mtimes: tuple[_Mtimes, ...],
-    friction: float,
-    config: PhysicsConfig,
-    tuning: MujocoTuning,
-) -> RobotOnlyModel:
+def _load_robot_only(workcell: _Workcell) -> RobotOnlyModel:
+    panda = workcell.panda
     tree = read_tree(panda)
-    bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
+    bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), workcell.config.panda)
     names = [tree.joints[link].link for link in bounds.links]
-    spec = _build_workcell(table, panda, mtimes, friction, config, tuning).copy()
+    spec = _build_workcell(workcell).copy()
     centers = [(spec.body(name), center) for name, center in zip(names, bounds.link_centers, strict=True)]
     centers += [(spec.worldbody, center) for center in bounds.base_centers]
     # MuJoCo moves the sites in every step, which is faster than array operations.
