@@ -43,7 +43,7 @@ _Mtimes = tuple[int, ...]
 
 @dataclass(frozen=True)
 class _Workcell:
-    """What the model of ground, table and robot depends on.
+    """Files and constants of the model of ground, table and robot.
 
     Attributes:
         table: URDF file of the table.
