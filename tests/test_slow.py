@@ -27,6 +27,7 @@ def test_every_listed_test_exists() -> None:
 def test_the_slowest_are_selected(tmp_path: Path) -> None:
     cases = [("quick", 1.0), ("case[a]", 3.0), ("case[b]", 3.0), ("middle", 2.0)]
     lines = [f'<testcase classname="tests.test_x" name="{name}" time="{time}"/>' for name, time in cases]
+    lines.append('<testcase classname="tests.test_language" name="always_selected" time="9.0"/>')
     report = tmp_path / "times.xml"
     report.write_text(f"<testsuites><testsuite>{''.join(lines)}</testsuite></testsuites>")
     assert select_slow_tests(report, fast_seconds=3.0) == {"tests.test_x::case": 6.0}
