@@ -14,6 +14,7 @@ receivers and assets):
 Code that runs while modules are imported is not counted, nor are stack frames of other libraries.
 The measured calls are `benchmark()` of one scene with `yang2021` in fast physics and one worker in this process;
 one step of exact and one of MuJoCo physics after 500 steps; one decision of `vision`.
+The script needs Python 3.11 or later and the extras `mujoco` and `vision`.
 """
 
 import functools
@@ -99,12 +100,17 @@ class Profiler:
         if owner:
             self.touched.classes.add((code.co_filename, owner))
         if len(self._stack) > len(self.touched.deepest):
-            self.touched.deepest = [part.co_qualname for part in self._stack]
+            self.touched.deepest = [get_qualified_name(part) for part in self._stack]
+
+
+def get_qualified_name(code: CodeType) -> str:
+    """Return the name of a code object with those of its class and of the functions around it."""
+    return str(code.co_qualname)  # type: ignore[attr-defined]  # Python 3.10, for which types are checked, lacks it
 
 
 def get_class_name(code: CodeType) -> str:
     """Return the name of the class whose method a code object is; empty for other functions."""
-    names = code.co_qualname.split(".")
+    names = get_qualified_name(code).split(".")
     owners = [name for name in names[:-1] if name.lstrip("_")[:1].isupper()]
     return owners[-1] if owners else ""
 

@@ -179,7 +179,7 @@ def main() -> None:
     """Run the subcommand `record` or `compare`."""
     record_args = Annotated[Record, tyro.conf.subcommand("record")]
     compare_args = Annotated[Compare, tyro.conf.subcommand("compare")]
-    args = tyro.cli(record_args | compare_args)  # type: ignore[operator]
+    args = tyro.cli(record_args | compare_args)
     if isinstance(args, Record):
         record(args)
     else:

@@ -245,9 +245,9 @@ def main(args: Args) -> None:
     )
     causes = Counter(played.cause for played in finished).most_common()
     print(format_table(["cause", "episodes", "%"], [[name, n, f"{100 * n / count:.1f}"] for name, n in causes]))
-    touched = [played for played in finished if played.touched_others]
-    n_lost = sum(played.status is not EpisodeStatus.SUCCESS for played in touched)
-    print(f"touched another object: {len(touched)} episodes, {n_lost} of them failed")
+    touching = [played for played in finished if played.touched_others]
+    n_lost = sum(played.status is not EpisodeStatus.SUCCESS for played in touching)
+    print(f"touched another object: {len(touching)} episodes, {n_lost} of them failed")
     print(f"AS {100 * share / count:.1f} %; decisions: {format_times(times[:, 0])}")
     if times[:, 1].any():
         memory = max(played.memory for played in finished)

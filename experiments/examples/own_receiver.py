@@ -59,7 +59,8 @@ class ServoReceiver(Receiver):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver draws no random numbers."""
         self._scheme.reset()
-        self._last_distance, self._is_closed = np.inf, False
+        self._last_distance: float | np.floating[Any] = np.inf
+        self._is_closed = False
 
     def act(self, observation: dict[str, Any]) -> np.ndarray:
         """Return target positions of the seven arm joints (rad) and two fingers (m)."""

@@ -47,9 +47,9 @@ class Learner:
     """Actor-critic learner of one agent."""
 
     def __init__(self, n_inputs: int, n_outputs: int) -> None:
-        self._actor = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, n_outputs))
+        self._actor = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), last := nn.Linear(64, n_outputs))
         self._critic = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, 1))
-        self._actor[-1].weight.data.mul_(0.01)  # first outputs near zero, a sensible action
+        last.weight.data.mul_(0.01)  # first outputs near zero, a sensible action
         self._log_std = nn.Parameter(torch.full((n_outputs,), -1.0))
         parameters = [*self._actor.parameters(), *self._critic.parameters(), self._log_std]
         self._optimizer = torch.optim.Adam(parameters, LEARNING_RATE)
@@ -60,7 +60,7 @@ class Learner:
         """Sample an action from the policy and store it for the next update."""
         inputs = torch.as_tensor(features)
         with torch.no_grad():
-            action = Normal(self._actor(inputs), self._log_std.exp()).sample()
+            action: torch.Tensor = Normal(self._actor(inputs), self._log_std.exp()).sample()
         self._steps.append((inputs, action))
         return action.numpy()
 
@@ -99,7 +99,7 @@ def main(args: Args) -> dict[str, Learner]:
     successes = []
     for episode in range(args.episodes):
         observations, infos = env.reset(seed=args.seed if episode == 0 else None)
-        rewards = {agent: [] for agent in learners}
+        rewards: dict[str, list[float]] = {agent: [] for agent in learners}
         while env.agents:
             actions = {agent: learners[agent].act(observations[agent]) for agent in env.agents}
             observations, step_rewards, _, _, infos = env.step(actions)

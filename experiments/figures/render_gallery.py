@@ -20,6 +20,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 Picture = npt.NDArray[np.uint8]
+# One scene per object, with varied hands and subjects.
+_SCENES = tuple(100 * (n % 10) + 5 * n + (n * 7) % 5 for n in range(20))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +36,7 @@ class Args(DatasetArgs):
     """
 
     out: Path
-    scenes: SceneNumbers = tuple(100 * (n % 10) + 5 * n + (n * 7) % 5 for n in range(20))
+    scenes: SceneNumbers = _SCENES
     columns: int = 5
     size: int = 240
     dataset: str = "synthetic"
@@ -45,7 +47,7 @@ def main(args: Args) -> None:
     episode = Episode()
     pictures = [
         render_handover_pose(episode, dataset, scene, args.size)
-        for scene in track(args.scenes, console=Console(stderr=True))
+        for scene in track(args.scenes or _SCENES, console=Console(stderr=True))
     ]
     episode.close()
     rows = [

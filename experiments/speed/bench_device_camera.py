@@ -163,7 +163,8 @@ def main(args: Args) -> None:
             lambda: [single.render_targets(own) for single, own in pairs],
         ),
     }
-    lines, agreement = [], []
+    lines: list[tuple[str, str, str]] = []
+    agreement: list[str] = []
     for name, (on_device, on_processor) in tests.items():
         found, device_ms = measure(on_device, count, args.repetitions, finish)
         expected, processor_ms = measure(on_processor, count, args.repetitions, lambda: None)

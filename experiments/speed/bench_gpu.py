@@ -48,12 +48,13 @@ class Args(SetupArgs, OutputArgs):
 def measure(args: Args, count: int) -> tuple[float, float]:
     """Return the physics steps and the decisions per second of a number of environments."""
     # Images are rendered only for observations that are returned.
-    encoding = {"features": "close", "schemes": "grasp_servo"} if args.obs_mode == STATE else {}
+    is_encoded = args.obs_mode == STATE
     envs = handover_marl.vector_env(
         count,
         "receiver",
         "cooperative",
-        **encoding,
+        features="close" if is_encoded else None,
+        schemes="grasp_servo" if is_encoded else None,
         obs_mode=args.obs_mode,
         autoreset="same_step",
         backend=WARP,
@@ -67,13 +68,13 @@ def measure(args: Args, count: int) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     # On the device from the start, as those of a network.
     outputs = make_tensor_factory(args.device).asarray(
-        rng.uniform(-1.0, 1.0, (1 + args.decisions, *envs.action_space.shape)), "float32"
+        rng.uniform(-1.0, 1.0, (1 + args.decisions, count, *envs.single_action_space.shape)), "float32"
     )
 
     def step(output: AnyArray) -> AnyArray:
         """Step all environments, and return their numbers of simulated steps."""
         nonlocal observations
-        actions = output if encoding else observations["robot_joint_position"] + _LARGEST_CHANGE * output
+        actions = output if is_encoded else observations["robot_joint_position"] + _LARGEST_CHANGE * output
         observations, _, _, _, infos = envs.step(actions)
         return infos["steps"]
 

@@ -40,6 +40,7 @@ from handover_marl.policies.populations import DEFAULT_POPULATION, load_populati
 from handover_marl.simulation.engines import MUJOCO, BatchBackend
 
 Array = npt.NDArray[np.float64]
+StatusArray = npt.NDArray[np.int_]
 _OUTCOMES = {
     "success": EpisodeStatus.SUCCESS,
     "contact": EpisodeStatus.HUMAN_CONTACT,
@@ -86,7 +87,7 @@ def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunct
     return found[0].spec, [one.function for one in found]
 
 
-def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tuple[Array, Array]:
+def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tuple[StatusArray, Array]:
     """Return status bits and physics steps, each (policies, scenes), of an episode of each policy in each scene.
 
     Args:
@@ -112,7 +113,7 @@ def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tupl
 
 def play_partner(
     config: EnvConfig, partner: str, spec: PolicySpec, functions: list[PolicyFunction], scenes: list[int]
-) -> tuple[Array, Array]:
+) -> tuple[StatusArray, Array]:
     """Return status bits and physics steps, each (policies, scenes), of policies with a giver; see `play`."""
     factory = EnvFactory(
         config=replace(config, control_period=spec.control_period),
@@ -153,7 +154,7 @@ def evaluate(args: Args) -> tuple[Array, dict[str, Array]]:
     return outcomes["success"] * (1.0 - steps / OFFICIAL_CONFIG.protocol.horizon_steps), outcomes
 
 
-def print_partner(name: str, family: str, status: Array, n_first: int) -> None:
+def print_partner(name: str, family: str, status: StatusArray, n_first: int) -> None:
     """Print the outcomes of both ways with a partner."""
     cells = []
     for part in (status[:n_first], status[n_first:]):
@@ -168,12 +169,14 @@ def print_comparison(args: Args, scores: Array, outcomes: dict[str, Array]) -> N
     best = scores[scores.mean(axis=-1).argmax(axis=0), np.arange(scores.shape[1])]
     for name, way in zip(("first", "second"), ways, strict=True):
         rates = ", ".join(f"{key} {100 * values[way].mean():.1f} %" for key, values in outcomes.items())
-        proximity = format_points(estimate(compute_unclipped_proximity, scores[way], best))
+        proximity = estimate(compute_unclipped_proximity, scores[way], best)
         seeds = ", ".join(f"{100 * own.mean():.1f}" for own in scores[way])
         print(f"{name}: {rates}, AS {format_points(estimate(compute_mean, scores[way]))} (by file {seeds}), ", end="")
-        print(f"BR-Prox {proximity}, IQM of AS {100 * compute_interquartile_mean(scores[way].mean(axis=-1), 2):.1f}")
+        middle = compute_interquartile_mean(scores[way].mean(axis=-1), 2)
+        print(f"BR-Prox {format_points(proximity)}, IQM of AS {100 * middle:.1f}")
     first, second = (scores[way] for way in ways)
-    success = estimate_difference(compute_mean, *(outcomes["success"][way] for way in ways))
+    first_success, second_success = (outcomes["success"][way] for way in ways)
+    success = estimate_difference(compute_mean, first_success, second_success)
     print(f"success, first minus second: {format_points(success)} points")
     print(f"AS, first minus second: {format_points(estimate_difference(compute_mean, first, second))} points")
     proximity = estimate_difference(compute_unclipped_proximity, first, second, best)

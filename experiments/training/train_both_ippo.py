@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from gymnasium.spaces import flatdim
 from rich.progress import track
 from torch import nn
 from torch.utils.tensorboard import SummaryWriter
@@ -61,7 +62,8 @@ class ActorCritic(nn.Module):
         return torch.distributions.Normal(self.actor(observations), self.log_std.exp())
 
     def compute_value(self, observations: torch.Tensor) -> torch.Tensor:
-        return self.critic(observations).squeeze(-1)
+        values: torch.Tensor = self.critic(observations)
+        return values.squeeze(-1)
 
 
 class RolloutCollector:
@@ -175,7 +177,7 @@ class Learners:
     def __init__(self, envs: ParallelVectorEnv, args: Args) -> None:
         self.models = {
             agent: ActorCritic(
-                envs.single_observation_space(agent).shape[0], envs.single_action_space(agent).shape[0], args
+                flatdim(envs.single_observation_space(agent)), envs.single_action_space(agent).shape[0], args
             )
             for agent in AGENTS
         }
@@ -185,7 +187,8 @@ class Learners:
 
     def update(self, collector: RolloutCollector, args: Args) -> dict[str, float]:
         """Update both agents on a new batch of transitions; return losses and statistics for the log."""
-        batches, logged = collector.collect(self.models, args), {}
+        batches = collector.collect(self.models, args)
+        logged: dict[str, float] = {}
         for agent, model in self.models.items():
             with torch.no_grad():
                 last_value = model.compute_value(torch.as_tensor(collector.observations[agent]))

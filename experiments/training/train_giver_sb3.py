@@ -87,7 +87,8 @@ def imitate(args: Args, model: PPO) -> None:
 
 def compute_means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:
     distribution: Any = model.policy.get_distribution(inputs).distribution
-    return distribution.mean
+    means: torch.Tensor = distribution.mean
+    return means
 
 
 if __name__ == "__main__":

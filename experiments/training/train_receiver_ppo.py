@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import torch
 import tyro
+from gymnasium.spaces import flatdim
 from torch import nn
 from torch.distributions import Normal
 
@@ -102,7 +103,8 @@ class ActorCritic(nn.Module):
         return Normal(self.actor(features), self.log_std.exp())
 
     def compute_value(self, features: torch.Tensor) -> torch.Tensor:
-        return self.critic(features)[..., 0]
+        values: torch.Tensor = self.critic(features)
+        return values[..., 0]
 
 
 class Batch(NamedTuple):
@@ -229,7 +231,7 @@ def train(args: Args) -> ActorCritic:
     with ThreadPoolExecutor(args.workers) as pool:
         collectors = list(pool.map(lambda number: Collector(number, args), range(args.workers)))
         envs = collectors[0].envs
-        sizes = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+        sizes = flatdim(envs.single_observation_space), envs.single_action_space.shape[0]
         model = ActorCritic(*sizes, args).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
@@ -265,8 +267,16 @@ def train(args: Args) -> ActorCritic:
 def evaluate(args: Args) -> None:
     """Evaluate the policy file on the validation split, and print the success rate with its interval."""
     scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
-    where = {"dataset": args.dataset, "data_dir": args.data_dir, "scenes": scenes, "physics": args.val_physics}
-    report = handover_marl.evaluate_pair(args.giver, f"learned:{args.out}", args.setup, "val", **where)
+    report = handover_marl.evaluate_pair(
+        args.giver,
+        f"learned:{args.out}",
+        args.setup,
+        "val",
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        scenes=scenes,
+        physics=args.val_physics,
+    )
     low, high = compute_wilson_interval(report.count(handover_marl.EpisodeStatus.SUCCESS), len(scenes))
     print(
         f"success on {len(scenes)} scenes of {args.setup} val, {args.val_physics} physics, giver {args.giver}: "

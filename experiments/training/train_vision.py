@@ -147,7 +147,7 @@ class Training:
         count = self._args.rounds + 1
         ends = np.linspace(0, self._args.updates, count + 1).round().astype(int)[1:].tolist()
         others = self._load_views(self._args.dataset, self._held_out, 0)
-        held_out = ViewBatches(GraspViews(*(a[:: -(-len(a) // N_HELD_OUT)] for a in others)), self._device)
+        held_out = ViewBatches(GraspViews._make(a[:: -(-len(a) // N_HELD_OUT)] for a in others), self._device)
         views: list[GraspViews] = []
         for number, end in enumerate(ends):
             views += [self._load_views(*chosen, number) for chosen in self._select_scenes(number)]

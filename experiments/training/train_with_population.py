@@ -95,9 +95,18 @@ def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str,
         share: Share of the decisions in `args.receiver` after which the training stops.
     """
     if not path.exists():
-        decisions = round(share * args.receiver.decisions)
-        changes = {"giver": giver, "out": path, "seed": seed, "features": features, "decisions": decisions}
-        train_receiver_ppo.main(replace(args.receiver, **_get_data_options(args), **changes))
+        changed = replace(
+            args.receiver,
+            data_dir=args.data_dir,
+            dataset=args.dataset,
+            setup=args.setup,
+            giver=giver,
+            out=path,
+            seed=seed,
+            features=features,
+            decisions=round(share * args.receiver.decisions),
+        )
+        train_receiver_ppo.main(changed)
     return path
 
 
@@ -115,16 +124,20 @@ def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, 
         share: Share of the decisions in `args.giver` after which the training stops.
     """
     if not path.exists():
-        decisions = round(share * args.giver.decisions)
-        changes = {"receiver": receiver, "out": str(folder), "seed": seed, "decisions": decisions}
-        changes |= {"resume": folder.exists()}
-        policy = train_giver_sb3.main(replace(args.giver, **_get_data_options(args), **changes))
+        changed = replace(
+            args.giver,
+            data_dir=args.data_dir,
+            dataset=args.dataset,
+            setup=args.setup,
+            receiver=receiver,
+            out=str(folder),
+            seed=seed,
+            decisions=round(share * args.giver.decisions),
+            resume=folder.exists(),
+        )
+        policy = train_giver_sb3.main(changed)
         write_atomically(path, policy.read_bytes())
     return path
-
-
-def _get_data_options(args: Args) -> dict[str, str | None]:
-    return {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup}
 
 
 def open_folder(args: Args, name: str, free: tuple[str, ...]) -> Path:

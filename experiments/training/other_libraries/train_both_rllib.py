@@ -66,7 +66,8 @@ class ActorCritic(TorchRLModule, ValueFunctionAPI):
         return {Columns.ACTION_DIST_INPUTS: torch.cat([means, self.log_std.expand_as(means)], -1)}
 
     def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
-        return self.critic(batch[Columns.OBS]).squeeze(-1)
+        values: torch.Tensor = self.critic(batch[Columns.OBS])
+        return values.squeeze(-1)
 
 
 def log_reward_terms(episode: Any, metrics_logger: Any, **kwargs: Any) -> None:

@@ -103,8 +103,8 @@ class AgentsVectorEnv(BaseVectorEnv):
                 for agent, info in result[-1].items():
                     self._rewards.add_episode(agent, info)
             results |= self._by_id(number, result)
-        for each, result in results.items():
-            result[-1]["env_id"] = each
+        for each, parts in results.items():
+            parts[-1]["env_id"] = each
         return tuple(np.stack(part) for part in zip(*(results[each] for each in chosen), strict=True))
 
     def _worlds_of(self, chosen: list[int]) -> list[int]:

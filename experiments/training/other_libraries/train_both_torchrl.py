@@ -53,11 +53,16 @@ class Args(PairArgs):
     entropy: float = 1e-4
 
 
-class ConcatenatedInputs(nn.Sequential):
+class ConcatenatedInputs(nn.Module):
     """Network whose input is the concatenation of the features of several agents."""
 
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self._network = network
+
     def forward(self, *features: torch.Tensor) -> torch.Tensor:
-        return super().forward(torch.cat(features, -1))
+        outputs: torch.Tensor = self._network(torch.cat(features, -1))
+        return outputs
 
 
 def make_env(args: Args) -> EnvBase:

@@ -7,6 +7,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -52,6 +53,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
+    single_action_space: spaces.Box
 
     def __init__(self, batch: EnvBatch, template: WrappableEnv) -> None:
         agents: list[str] = list(template.possible_agents)

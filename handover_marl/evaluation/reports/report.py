@@ -5,6 +5,7 @@ The text has a heading, the official table, outcomes by object, further metrics 
 
 import functools
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from handover_marl.datasets.registry import find_dataset_note, format_dataset_title
 from handover_marl.episode.referee import EpisodeStatus
@@ -198,7 +199,7 @@ class Report(TabularResult):
         """Return the report as a Markdown page, with a table that has one row per scene."""
         return f"# Handover benchmark\n\n{self}\n\n## Scenes\n\n{build_scene_table(self.episodes)}\n"
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Any]:
         """Return metrics and episodes as JSON types; rates 0..1, 95 % intervals, times in s."""
         n, means = len(self.episodes), self.official_means
         return {

@@ -78,7 +78,7 @@ class HandoverTaskClass(PettingZooClass):  # type: ignore[misc]
 class HandoverTask(Task):  # type: ignore[misc]
     """Handover tasks that BenchMARL can train."""
 
-    TAKE = None
+    TAKE: Any = None
 
     @staticmethod
     def associated_class() -> type[HandoverTaskClass]:

@@ -117,7 +117,7 @@ def record_first_decisions(
         processes=processes,
         config=args.make_env_config(),
     )
-    size = (envs.single_action_space.shape or ())[0]
+    size = envs.single_action_space.shape[0]
     seeds = [seed, *[None] * ((count - 1) // envs.num_envs)]
     found = np.concatenate([envs.reset(seed=one)[0] for one in seeds])[:count]
     envs.close()

@@ -9,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -64,7 +65,7 @@ def test_networks_of_each_rollout(
 
     class Collector:
         def __init__(self, number: int, args: object) -> None:
-            space = types.SimpleNamespace(shape=(3,))
+            space = spaces.Box(-1.0, 1.0, (3,))
             self.envs = types.SimpleNamespace(
                 single_observation_space=space, single_action_space=space, close=lambda: None
             )
