@@ -175,7 +175,7 @@ class GaddpgLearner:
         action, goal, weighted_goal = self._compute_losses(self._network, batch)
         loss = self._config.action * action + weighted_goal
         self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._config.clip)
         self._optimizer.step()
         self.done += 1
