@@ -21,7 +21,7 @@ EXTRAS ?= assets,demonstrations,dev,docs,import,lerobot,mujoco,onnx,planning,plo
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
-# Exact physics reproduces published results, which exist for DexYCB only. It takes 16 times as long as fast physics.
+# Exact physics reproduces published results, which exist for DexYCB only. Evaluations with it take nine times as long.
 PHYSICS ?= $(if $(DATA),exact,fast)
 OUT ?= results/$(DATASET)-$(SETUP)-yang2021-$(PHYSICS)
 
