@@ -59,15 +59,14 @@ class ServoReceiver(Receiver):
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver draws no random numbers."""
         self._scheme.reset()
-        self._last_distance: float | np.floating[Any] = np.inf
-        self._is_closed = False
+        self._last_distance, self._is_closed = np.inf, False
 
     def act(self, observation: dict[str, Any]) -> np.ndarray:
         """Return target positions of the seven arm joints (rad) and two fingers (m)."""
         # Positions are in the world frame; the first object is the one to be handed over.
-        distance = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
+        distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
         has_arrived = abs(distance - self._last_distance) < self._tolerance and distance < self._max_distance
-        self._last_distance, self._is_closed = distance, self._is_closed or bool(has_arrived)
+        self._last_distance, self._is_closed = distance, self._is_closed or has_arrived
         # Outputs 0 to 5 would correct the approach; the last one closes the gripper.
         self._scheme.set_outputs(np.array([0.0] * 6 + [float(self._is_closed)]))
         return self._scheme.compute_action(observation)

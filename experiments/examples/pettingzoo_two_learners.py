@@ -47,9 +47,10 @@ class Learner:
     """Actor-critic learner of one agent."""
 
     def __init__(self, n_inputs: int, n_outputs: int) -> None:
-        self._actor = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), last := nn.Linear(64, n_outputs))
-        self._critic = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, 1))
+        hidden, last = nn.Linear(n_inputs, 64), nn.Linear(64, n_outputs)
         last.weight.data.mul_(0.01)  # first outputs near zero, a sensible action
+        self._actor = nn.Sequential(hidden, nn.Tanh(), last)
+        self._critic = nn.Sequential(nn.Linear(n_inputs, 64), nn.Tanh(), nn.Linear(64, 1))
         self._log_std = nn.Parameter(torch.full((n_outputs,), -1.0))
         parameters = [*self._actor.parameters(), *self._critic.parameters(), self._log_std]
         self._optimizer = torch.optim.Adam(parameters, LEARNING_RATE)
