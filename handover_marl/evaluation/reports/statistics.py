@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy  # loads scipy.stats, which takes a second, at its first use
 
 _N_RESAMPLES = 2000
 _MIN_RANKED, _MAX_RANKED = 3, 9  # items; the permutation test visits all orders
@@ -39,7 +39,7 @@ def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
         count: Number of occurrences.
         n: Number of trials.
     """
-    interval = stats.binomtest(count, n).proportion_ci(0.95, method="wilson")
+    interval = scipy.stats.binomtest(count, n).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 
 
@@ -79,7 +79,7 @@ def compute_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> 
     lost = sum(other and not one for one, other in pairs)
     n = len(pairs) + 2.0
     center = (gained - lost) / n
-    half = stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - center**2) / np.sqrt(n)
+    half = scipy.stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - center**2) / np.sqrt(n)
     low, high = max(-1.0, center - half), min(1.0, center + half)
     return (gained - lost) / len(pairs), float(low), float(high)
 
@@ -119,11 +119,11 @@ def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) ->
             f"first and second must have {_MIN_RANKED} to {_MAX_RANKED} values each, not all equal, got {n} and "
             f"{len(second)} values"
         )
-    ranks = stats.rankdata(first), stats.rankdata(second)
+    ranks = scipy.stats.rankdata(first), scipy.stats.rankdata(second)
     return RankCorrelation(
         n,
-        float(stats.spearmanr(first, second).statistic),
-        float(stats.kendalltau(first, second).statistic),
+        float(scipy.stats.spearmanr(first, second).statistic),
+        float(scipy.stats.kendalltau(first, second).statistic),
         _compute_permutation_p(*ranks),
         _compute_permutation_p(np.sort(ranks[0]), np.sort(ranks[1])),
     )
@@ -136,7 +136,7 @@ def _compute_permutation_p(first: npt.NDArray[np.float64], second: npt.NDArray[n
         # Rho of ranks increases with this sum: their means and variances are those of every order.
         return (permuted * first).sum(axis=axis)
 
-    test = stats.permutation_test(
+    test = scipy.stats.permutation_test(
         (second,), sum_products, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
     )
     return float(test.pvalue)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 Array = npt.NDArray[np.float64]
 #: Function from returns (..., policies, partners) and reference returns (..., partners) to numbers (...).
@@ -45,7 +45,7 @@ def compute_interquartile_mean(values: npt.ArrayLike, n_axes: int = 1) -> Array:
     """
     array = np.asarray(values, dtype=np.float64)
     flat = array.reshape(*array.shape[: array.ndim - n_axes], -1)
-    return np.asarray(stats.trim_mean(flat, _TRIMMED, axis=-1), dtype=np.float64)
+    return np.asarray(scipy.stats.trim_mean(flat, _TRIMMED, axis=-1), dtype=np.float64)
 
 
 def compute_proximities(returns: Array, references: Array, clipped: bool = True) -> Array:
