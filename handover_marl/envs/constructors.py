@@ -5,7 +5,6 @@ from typing import Any
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
-from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig, make_env_config
@@ -43,7 +42,7 @@ def env(config: EnvConfig | None = None, **fields: Any) -> AECEnv:
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
-    return OrderEnforcingWrapper(parallel_to_aec(parallel_env(config, **fields)))
+    return parallel_to_aec(parallel_env(config, **fields))
 
 
 @forward_signature(EnvConfig)
