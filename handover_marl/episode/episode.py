@@ -8,7 +8,7 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
-from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
+from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, Playback
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import (
     MotionPreview,
@@ -24,9 +24,6 @@ from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World
-
-# Physics steps for which the giver's motion is planned at a time.
-_PLANNED_STEPS = 200
 
 
 class Episode:
@@ -112,7 +109,7 @@ class Episode:
             referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:
-            planned = min(steps, _PLANNED_STEPS)
+            planned = min(steps, PLANNED_STEPS)
             is_voluntary = referee.release is ReleaseReason.VOLUNTARY
             world.set_reference(playback.plan(planned, giver_action, referee.released, opening=is_voluntary))
             steps -= planned

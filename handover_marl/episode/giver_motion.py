@@ -14,6 +14,8 @@ from handover_marl.geometry.arrays import Indices
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
+#: Number of physics steps for which the giver's motion is planned at a time.
+PLANNED_STEPS = 200
 _BASE_LINK = 5
 #: Action of the giver that replays the recording.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)

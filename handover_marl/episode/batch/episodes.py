@@ -6,6 +6,7 @@ import numpy.typing as npt
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMotion
+from handover_marl.episode.giver_motion import PLANNED_STEPS
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
@@ -17,8 +18,6 @@ from handover_marl.simulation.engines import make_batch_worlds
 Flags = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
 
-# Physics steps for which the givers' motion is planned at a time.
-_PLANNED_STEPS = 200
 _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 _GIVER_KEYS = ("replay_wrist_poses", "replay_object_poses", "deviation", "holding")
 
@@ -100,7 +99,7 @@ class EpisodeBatch:
         """
         self._release_voluntarily(rows[(giver_actions[:, 7] > 0.5) & self.motion.holding[rows]])
         while steps > 0 and len(rows):
-            planned = min(steps, _PLANNED_STEPS)
+            planned = min(steps, PLANNED_STEPS)
             release = self.referees.release[rows]
             motion = self.motion.plan(rows, planned, giver_actions, release >= 0, release == _VOLUNTARY)
             self._simulate(motion, robot_targets, planned)

@@ -5,6 +5,7 @@ import numpy as np
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
+from handover_marl.episode.giver_motion import PLANNED_STEPS
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.observations import Observation, observation_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
@@ -14,8 +15,6 @@ from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.engines import make_device_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
-# Physics steps for which the givers' motion is planned at a time.
-_PLANNED_STEPS = 200
 _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 
 
@@ -87,8 +86,8 @@ class TensorEpisodeBatch:
         for places in self._worlds.split(to_numpy(rows)):
             some = self.arrays.asarray(places)
             own, targets, actions = rows[some], robot_targets[some], giver_actions[some]
-            for first in range(0, steps, _PLANNED_STEPS):
-                self._advance_planned(own, targets, min(steps - first, _PLANNED_STEPS), actions)
+            for first in range(0, steps, PLANNED_STEPS):
+                self._advance_planned(own, targets, min(steps - first, PLANNED_STEPS), actions)
                 running = self.referees.status[own] == 0
                 own, targets, actions = own[running], targets[running], actions[running]
                 if not len(own):
