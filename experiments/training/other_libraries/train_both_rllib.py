@@ -31,7 +31,7 @@ from rich.progress import track
 from torch import nn
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.wrappers.episode_returns import RETURN
+from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX
 from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.training.arguments import PairArgs
@@ -74,7 +74,7 @@ def log_reward_terms(episode: Any, metrics_logger: Any, **kwargs: Any) -> None:
     """Log the sums of the reward terms of a finished episode, for `add_reward_terms`."""
     for agent in AGENTS:
         for key, value in (episode.agent_episodes[agent].get_infos(-1) or {}).items():
-            if key.startswith(RETURN):
+            if key.startswith(RETURN_PREFIX):
                 metrics_logger.log_value((_TERMS, agent, key), value, reduce="item_series")
 
 

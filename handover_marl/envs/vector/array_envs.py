@@ -12,15 +12,12 @@ from handover_marl.envs.arguments import check_scene_option
 from handover_marl.envs.handover_env import draw_robot_seed, spawn_camera_seed
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
 from handover_marl.envs.vector.results import EnvResult
-from handover_marl.envs.wrappers.encode import EncodedEnv
+from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import Indices, to_numpy
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import BatchBackend
 
-# Episodes in a row that may end before an action scheme needs outputs.
-_MAX_EPISODES = 100
 _NONE = -1
 
 
@@ -88,7 +85,7 @@ class ArrayEnvs:
             if seed is not None:
                 self._rngs[row], self._partner_rngs[row] = (seeding.np_random(seed)[0] for _ in range(2))
         left, episodes = rows, self._episodes
-        for _ in range(_MAX_EPISODES):
+        for _ in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             for row in left.tolist():
                 if self._next[row] == _NONE:
                     self._start(row, int(self._current[row]), options)
@@ -102,10 +99,7 @@ class ArrayEnvs:
             if not len(left):
                 break
         else:
-            raise OptionError(
-                f"no outputs of the {self._agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
-                "another partner or action scheme"
-            )
+            raise make_no_outputs_error(self._agents[0])
         result = episodes.make_result(self.arrays.asarray(self._current[rows]))
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 

@@ -10,6 +10,7 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.wrappers.episode_returns import REWARD_PREFIX
 from handover_marl.envs.wrappers.wrapper import (
     Api,
     ByAgent,
@@ -33,8 +34,8 @@ Vector = npt.NDArray[np.float32]
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
 _SCHEMES_FROM_STATE = ("grasp_servo",)
-# Episodes in a row that may end before an action scheme needs outputs.
-_MAX_EPISODES = 100
+#: Episodes in a row that may end before an action scheme needs outputs.
+MAX_EPISODES_WITHOUT_OUTPUTS = 100
 
 
 class EncodedEnv(ParallelWrapper):
@@ -148,7 +149,7 @@ class EncodedEnv(ParallelWrapper):
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.
         """
-        for attempt in range(_MAX_EPISODES):
+        for attempt in range(MAX_EPISODES_WITHOUT_OUTPUTS):
             self._observations, infos = self.env.reset(seed=seed if attempt == 0 else None, options=options)
             for scheme in self._schemes.values():
                 scheme.reset()
@@ -158,10 +159,7 @@ class EncodedEnv(ParallelWrapper):
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
                 return self._convert_observations(self._observations), infos
-        raise OptionError(
-            f"no outputs of the {self.possible_agents[0]} were needed in {_MAX_EPISODES} episodes in a row; choose "
-            "another partner or action scheme"
-        )
+        raise make_no_outputs_error(self.possible_agents[0])
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
         """Let the agents act until an action scheme needs outputs again or the episode ends.
@@ -193,7 +191,7 @@ class EncodedEnv(ParallelWrapper):
             self._observations, more, terminations, truncations, infos = self._advance()
             rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
             for agent, info in infos.items():
-                terms = [key for key in info if key.startswith("reward/")]
+                terms = [key for key in info if key.startswith(REWARD_PREFIX)]
                 info.update({key: info[key] + before[agent][key] for key in terms})
         return self._convert_observations(self._observations), rewards, terminations, truncations, infos
 
@@ -254,6 +252,14 @@ def encode(
         EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
     return convert_api(EncodedEnv(env, features, schemes), api)
+
+
+def make_no_outputs_error(agent: str) -> OptionError:
+    """Return the error for an agent whose action scheme needed no outputs in many episodes in a row."""
+    return OptionError(
+        f"no outputs of the {agent} were needed in {MAX_EPISODES_WITHOUT_OUTPUTS} episodes in a row; choose another "
+        "partner or action scheme"
+    )
 
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:

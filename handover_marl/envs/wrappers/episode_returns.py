@@ -6,7 +6,10 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.wrappers.wrapper import ByAgent, ParallelStep, ParallelWrapper, WrappableEnv
 
-TERM, RETURN = "reward/", "return/"
+#: Key of the sum of all reward terms in infos.
+RETURN = "return"
+#: Prefixes of the keys of a reward term, and of its sum.
+REWARD_PREFIX, RETURN_PREFIX = "reward/", "return/"
 
 
 class EpisodeReturns(ParallelWrapper):
@@ -37,10 +40,10 @@ class EpisodeReturns(ParallelWrapper):
 
     def _add_sums(self, infos: ByAgent, rewards: dict[str, float]) -> ByAgent:
         for agent, info in infos.items():
-            sums = self._sums.setdefault(agent, {"return": 0.0})
-            sums["return"] += rewards[agent]
+            sums = self._sums.setdefault(agent, {RETURN: 0.0})
+            sums[RETURN] += rewards[agent]
             for key, value in info.items():
-                if key.startswith(TERM):
-                    name = RETURN + key[len(TERM) :]
+                if key.startswith(REWARD_PREFIX):
+                    name = RETURN_PREFIX + key[len(REWARD_PREFIX) :]
                     sums[name] = sums.get(name, 0.0) + value
         return {agent: {**info, **self._sums[agent]} for agent, info in infos.items()}

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from handover_marl.envs.wrappers.episode_returns import RETURN
+from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX
 from handover_marl.errors import ResultsError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.reading import read_plain_file
@@ -60,8 +60,8 @@ class RewardCurve:
             info: Last info of this agent, with the sums that `EpisodeReturns` adds (`return/NAME`).
         """
         for key, value in info.items():
-            if key.startswith(RETURN):
-                self._sums[agent, key[len(RETURN) :]].append(float(value))
+            if key.startswith(RETURN_PREFIX):
+                self._sums[agent, key[len(RETURN_PREFIX) :]].append(float(value))
 
     def add_batch(self, agent: str, infos: Mapping[Any, Any], ended: Any) -> None:
         """Add the episodes that have ended in a batch of transitions.
@@ -71,7 +71,7 @@ class RewardCurve:
             infos: Tensors of infos after each transition by name, with n numbers each.
             ended: (n,) tensor, whether an episode ended with a transition.
         """
-        names = [key for key in infos.keys() if key.startswith(RETURN)]  # noqa: SIM118, a TensorDict iterates over rows
+        names = [key for key in infos.keys() if key.startswith(RETURN_PREFIX)]  # noqa: SIM118, a TensorDict iterates over rows
         columns = [infos[name].flatten()[ended].tolist() for name in names]
         for values in zip(*columns, strict=True):
             self.add_episode(agent, dict(zip(names, values, strict=True)))
