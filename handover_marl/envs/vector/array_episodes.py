@@ -122,7 +122,8 @@ class ArrayEpisodes:
                 check_vector(f"outputs of the {agent}", row, len(row), "within [-1, 1]")
             elif agent == RECEIVER:
                 check_receiver_action(row)
-            check_giver_action(row, self._base.action_space(GIVER))
+            else:
+                check_giver_action(row, self._base.action_space(GIVER))
         return values
 
     def start(self, row: int, scene: Scene, seed: int | None, robot_seed: int, camera_seed: int) -> None:

@@ -53,12 +53,13 @@ class BatchStep(NamedTuple):
     Attributes:
         result: Result of the step; for environments that were reset, it has the observations and infos
             of the reset.
-        ended: Environments (e,) that were reset in the step that ended their episodes, a NumPy array.
-        final: Result (e, ...) of the steps that ended these episodes; None if there are none.
+        reset_rows: Numbers (e,) of the environments whose episodes ended and that were reset in this step, a NumPy
+            array; empty unless the mode of the resets is "same_step".
+        final: Result (e, ...) of the step that ended these episodes; None if there are none.
     """
 
     result: EnvResult
-    ended: Indices
+    reset_rows: Indices
     final: EnvResult | None
 
 
@@ -89,13 +90,13 @@ class _ThreadEnvs:
         """Step the environments, and reset those whose episode has ended as the mode specifies."""
         count = len(self.rows)
         waiting = np.flatnonzero(self._ended)
-        parts = []
+        row_results = []
         if len(waiting):
-            parts.append((waiting, self.reset(waiting, [None] * len(waiting), None)))
+            row_results.append((waiting, self.reset(waiting, [None] * len(waiting), None)))
         running = np.setdiff1d(np.arange(count), waiting)
         if len(running):
-            parts.append((running, self.envs.step(running, select_rows(actions, running))))
-        result = merge_results(count, parts)
+            row_results.append((running, self.envs.step(running, select_rows(actions, running))))
+        result = merge_results(count, row_results)
         ended = np.flatnonzero(result.ended)
         if self._autoreset is not AutoresetMode.SAME_STEP or not len(ended):
             self._ended = result.ended
@@ -127,10 +128,10 @@ class EnvBatch:
     def __init__(self, make: Callable[[int], Envs], num_envs: int, autoreset: AutoresetMode, threads: int) -> None:
         self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
-        parts = np.array_split(np.arange(num_envs), min(threads, num_envs))
-        self._thread_envs = [_ThreadEnvs(make(len(rows)), rows, autoreset) for rows in parts]
+        rows_by_thread = np.array_split(np.arange(num_envs), min(threads, num_envs))
+        self._thread_envs = [_ThreadEnvs(make(len(rows)), rows, autoreset) for rows in rows_by_thread]
         self.arrays = self._thread_envs[0].envs.arrays
-        self._pool = ThreadPoolExecutor(len(parts)) if len(parts) > 1 else None
+        self._pool = ThreadPoolExecutor(len(rows_by_thread)) if len(rows_by_thread) > 1 else None
         self._latest: EnvResult | None = None
 
     def reset(
@@ -166,15 +167,16 @@ class EnvBatch:
             is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
 
             def reset(envs: _ThreadEnvs) -> tuple[Indices, EnvResult] | None:
-                own = envs.rows[np.isin(envs.rows, rows)]
-                if not len(own):
+                reset_rows = envs.rows[np.isin(envs.rows, rows)]
+                if not len(reset_rows):
                     return None
-                return own, envs.reset(own - envs.rows[0], [seeds[row] for row in own.tolist()], options or None)
+                own_seeds = [seeds[row] for row in reset_rows.tolist()]
+                return reset_rows, envs.reset(reset_rows - envs.rows[0], own_seeds, options or None)
 
-            parts = [part for part in self._map(reset) if part is not None]
+            row_results = [row_result for row_result in self._map(reset) if row_result is not None]
             if self._latest is not None and len(rows) < self.num_envs:
-                parts.insert(0, (np.arange(self.num_envs), self._latest))
-            self.is_running, self._latest = is_running, merge_results(self.num_envs, parts)
+                row_results.insert(0, (np.arange(self.num_envs), self._latest))
+            self.is_running, self._latest = is_running, merge_results(self.num_envs, row_results)
         return self._latest
 
     def require_running(self) -> None:
@@ -202,17 +204,16 @@ class EnvBatch:
         checked = self._thread_envs[0].envs.check_actions(actions)
         with self._exclude_other_threads():
             self.is_running = False
-            parts = self._map(lambda envs: envs.step(select_rows(checked, envs.rows)))
+            steps: list[BatchStep] = self._map(lambda envs: envs.step(select_rows(checked, envs.rows)))
             self.is_running = True
-        results = [(envs.rows, part.result) for envs, part in zip(self._thread_envs, parts, strict=True)]
-        self._latest = merge_results(self.num_envs, results)
-        finals = [(len(part.ended), part.final) for part in parts if part.final is not None]
-        ended, final = np.concatenate([part.ended for part in parts]), None
-        if finals:
-            starts = np.cumsum([0, *(count for count, _ in finals)])
-            places = [(start + np.arange(count), one) for start, (count, one) in zip(starts, finals, strict=False)]
-            final = merge_results(len(ended), places)
-        return BatchStep(self._latest, ended, final)
+        row_results = [(envs.rows, step.result) for envs, step in zip(self._thread_envs, steps, strict=True)]
+        self._latest = merge_results(self.num_envs, row_results)
+        reset_rows, final = np.concatenate([step.reset_rows for step in steps]), None
+        if len(reset_rows):
+            places = np.split(np.arange(len(reset_rows)), np.cumsum([len(step.reset_rows) for step in steps])[:-1])
+            finals = [(rows, step.final) for rows, step in zip(places, steps, strict=True) if step.final is not None]
+            final = merge_results(len(reset_rows), finals)
+        return BatchStep(self._latest, reset_rows, final)
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -264,9 +265,9 @@ class EnvBatch:
         if isinstance(seed, (int, np.integer)):
             return list(range(int(seed), int(seed) + count))
         seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [seed]
-        if len(seeds) != count or not all(one is None or isinstance(one, (int, np.integer)) for one in seeds):
+        if len(seeds) != count or not all(value is None or isinstance(value, (int, np.integer)) for value in seeds):
             raise OptionError(f"seed must be an integer or {count} seeds (integers), got {seed!r}")
-        return [None if one is None else int(one) for one in seeds]
+        return [None if value is None else int(value) for value in seeds]
 
 
 def check_action_array(

@@ -130,11 +130,11 @@ class ParallelVectorEnv:
         infos = {agent: dict(own) for agent, own in step.result.infos.items()}
         if step.final is None:
             return infos
-        mask = np.isin(np.arange(self.num_envs), step.ended)
+        mask = np.isin(np.arange(self.num_envs), step.reset_rows)
         for agent, own in infos.items():
             final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
             last = {key: to_numpy(values) for key, values in step.final.infos[agent].items()}
-            for place, number in enumerate(step.ended.tolist()):
+            for place, number in enumerate(step.reset_rows.tolist()):
                 final_obs[number] = select_rows(step.final.observations[agent], place)
                 final_info[number] = {key: values[place].item() for key, values in last.items()}
             own.update({"final_obs": final_obs, "final_info": final_info, "_final_obs": mask})

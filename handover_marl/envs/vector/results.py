@@ -36,16 +36,16 @@ class EnvResult(NamedTuple):
     @property
     def ended(self) -> Flags:
         """Whether each episode has ended, a NumPy array (r,)."""
-        parts = [*self.terminated.values(), *self.truncated.values()]
-        xp = get_namespace(*parts)
-        return to_numpy(xp.any(xp.stack(parts), axis=0))
+        flags = [*self.terminated.values(), *self.truncated.values()]
+        xp = get_namespace(*flags)
+        return to_numpy(xp.any(xp.stack(flags), axis=0))
 
 
-def merge_results(count: int, parts: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
-    """Join results of different rows to one result of `count` rows; a later part replaces earlier parts."""
-    if len(parts) == 1 and len(parts[0][0]) == count:
-        return parts[0][1]
-    placed = [(move_to_device(rows, result.rewards), result) for rows, result in parts]
+def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
+    """Join results of different rows to one result of `count` rows; later results replace earlier ones."""
+    if len(row_results) == 1 and len(row_results[0][0]) == count:
+        return row_results[0][1]
+    placed = [(move_to_device(rows, result.rewards), result) for rows, result in row_results]
     return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
@@ -66,8 +66,8 @@ def _select(values: Any, rows: AnyArray) -> Any:
 def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
     """Return copies of the arrays in dictionaries and tuples, with some rows replaced."""
     count = len(_first_array(values))
-    everything, some = (move_to_device(own, values) for own in (np.arange(count), rows))
-    return _merge(count, [(everything, values), (some, others)])
+    all_rows, replaced_rows = (move_to_device(indices, values) for indices in (np.arange(count), rows))
+    return _merge(count, [(all_rows, values), (replaced_rows, others)])
 
 
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
@@ -76,16 +76,16 @@ def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
     return get_namespace(like).asarray(array, device=get_device(like))
 
 
-def _merge(count: int, parts: list[tuple[AnyArray, Any]]) -> Any:
-    first = parts[0][1]
+def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
+    first = row_values[0][1]
     if isinstance(first, Mapping):
-        return {key: _merge(count, [(rows, values[key]) for rows, values in parts]) for key in first}
+        return {key: _merge(count, [(rows, values[key]) for rows, values in row_values]) for key in first}
     if isinstance(first, tuple):
-        return tuple(_merge(count, [(rows, values[k]) for rows, values in parts]) for k in range(len(first)))
+        return tuple(_merge(count, [(rows, values[k]) for rows, values in row_values]) for k in range(len(first)))
     xp, shape = get_namespace(first), (count, *first.shape[1:])
-    dtype = xp.result_type(*(values.dtype for _, values in parts))
+    dtype = xp.result_type(*(values.dtype for _, values in row_values))
     merged = xp.empty(shape, dtype=dtype, device=get_device(first))
-    for rows, values in parts:
+    for rows, values in row_values:
         merged[rows] = xp.astype(values, dtype, copy=False)
     return merged
 

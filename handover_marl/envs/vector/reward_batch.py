@@ -16,13 +16,12 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
 from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms, make_reward_state
 from handover_marl.envs.transition import TransitionRecorder
+from handover_marl.envs.vector.results import select_rows
+from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
 from handover_marl.episode.batch.make_episodes import AnyEpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, to_numpy
-
-#: Name of the sum of rewards in infos; the sum of a term is `return/NAME`.
-RETURN = "return"
 
 #: Flags (r,).
 Flags: TypeAlias = AnyArray
@@ -81,9 +80,9 @@ class RewardBatch:
         else:
             (observations,), (infos,) = self._observe(rows), self._make_infos(rows)
             terms = self._sources[row].start(self._recorders[row].start(observations, infos))
-        for agent, own in terms.items():
+        for agent, agent_terms in terms.items():
             names = self._names[agent]
-            new = [name for name in own if name not in names]
+            new = [name for name in agent_terms if name not in names]
             if new:
                 names += new
                 zeros = self._arrays.zeros((self._count, 2, len(new)))
@@ -99,10 +98,10 @@ class RewardBatch:
             has_returns: Whether to include the sums since the starts of the episodes, see `EpisodeReturns`.
         """
         names, sums = self._names[agent], self._sums[agent][rows]
-        infos = {f"reward/{name}": sums[:, _SINCE_CLEAR, 1 + number] for number, name in enumerate(names)}
+        infos = {f"{REWARD_PREFIX}{name}": sums[:, _SINCE_CLEAR, 1 + number] for number, name in enumerate(names)}
         if has_returns:
             infos[RETURN] = sums[:, _SINCE_START, 0]
-            infos |= {f"{RETURN}/{name}": sums[:, _SINCE_START, 1 + number] for number, name in enumerate(names)}
+            infos |= {f"{RETURN_PREFIX}{name}": sums[:, _SINCE_START, 1 + number] for number, name in enumerate(names)}
         return infos
 
     def clear(self, rows: AnyIndices) -> None:
@@ -130,11 +129,14 @@ class RewardBatch:
                 columns = [terms[name] for name in self._names[agent]]
                 values[agent] = xp.stack([sum(columns[1:], columns[0]), *columns], axis=1)
         else:
-            found = self._compute_terms(rows, actions, terminated, truncated)
+            terms_by_episode = self._compute_terms(rows, actions, terminated, truncated)
             for agent, names in self._names.items():
-                own = [terms[agent] for terms in found]
-                lines = [[sum(one.values(), 0.0), *(one.get(name, 0.0) for name in names)] for one in own]
-                values[agent] = self._arrays.asarray(np.array(lines))
+                all_agent_terms = [episode_terms[agent] for episode_terms in terms_by_episode]
+                value_rows = [
+                    [sum(agent_terms.values(), 0.0), *(agent_terms.get(name, 0.0) for name in names)]
+                    for agent_terms in all_agent_terms
+                ]
+                values[agent] = self._arrays.asarray(np.array(value_rows))
         for agent, sums in self._sums.items():
             sums[rows] += values[agent][:, None]
 
@@ -142,42 +144,40 @@ class RewardBatch:
         self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags
     ) -> list[dict[str, Terms]]:
         """Return the terms of each episode by agent."""
-        found, numbers = [], rows.tolist()
-        status = [EpisodeStatus(bits) for bits in self._episodes.referees.status[rows].tolist()]
+        numbers = rows.tolist()
+        statuses = [EpisodeStatus(bits) for bits in self._episodes.referees.status[rows].tolist()]
         if self._functions:
-            for row, own in zip(numbers, status, strict=True):
-                found.append(self._functions[row].compute_terms(own, functools.partial(self._read_state, row)))
-            return found
-        observations, infos = self._observe(rows), self._make_infos(rows)
-        given = {agent: to_numpy(values) for agent, values in actions.items()}
+            return [
+                self._functions[row].compute_terms(status, functools.partial(self._read_state, row))
+                for row, status in zip(numbers, statuses, strict=True)
+            ]
+        terms_by_episode, observations, infos = [], self._observe(rows), self._make_infos(rows)
+        actions = {agent: to_numpy(values) for agent, values in actions.items()}
         ends = list(zip(terminated.tolist(), truncated.tolist(), strict=True))
         for number, row in enumerate(numbers):
             transition = self._recorders[row].record(
                 observations[number],
-                {agent: values[number] for agent, values in given.items()},
+                {agent: values[number] for agent, values in actions.items()},
                 infos=infos[number],
                 contacts=self._episodes.read_contacts(row),
-                status=status[number],
+                status=statuses[number],
                 terminated=ends[number][0],
                 truncated=ends[number][1],
             )
-            found.append(self._sources[row].compute(transition))
-        return found
+            terms_by_episode.append(self._sources[row].compute(transition))
+        return terms_by_episode
 
     def _observe(self, rows: AnyIndices) -> list[dict[str, Observation]]:
         """Return the observations of both agents in each episode."""
-        found = {RECEIVER: self._episodes.select_state(rows), GIVER: self._episodes.select_giver_observation(rows)}
-        own = {agent: {key: to_numpy(values) for key, values in one.items()} for agent, one in found.items()}
-        return [
-            {agent: {key: values[number] for key, values in one.items()} for agent, one in own.items()}
-            for number in range(len(rows))
-        ]
+        batches = {RECEIVER: self._episodes.select_state(rows), GIVER: self._episodes.select_giver_observation(rows)}
+        columns = {agent: {key: to_numpy(values) for key, values in batch.items()} for agent, batch in batches.items()}
+        return [select_rows(columns, number) for number in range(len(rows))]
 
     def _make_infos(self, rows: AnyIndices) -> list[dict[str, dict[str, float]]]:
         """Return the infos of both agents in each episode."""
         columns = {key: values.tolist() for key, values in self._episodes.make_infos(rows).items()}
-        own = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
-        return [{agent: dict(one) for agent in AGENTS} for one in own]
+        infos = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        return [{agent: dict(info) for agent in AGENTS} for info in infos]
 
     def _read_state(self, row: int) -> RewardState:
         episodes = self._episodes

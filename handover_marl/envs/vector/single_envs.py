@@ -33,13 +33,15 @@ class SingleEnvs:
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
         """Start episodes in the environments `rows` (r,), with a seed for each."""
-        own = None if options is None else dict(options)
-        found = [self.envs[row].reset(seed=seed, options=own) for row, seed in zip(rows.tolist(), seeds, strict=True)]
-        observations, infos = zip(*found, strict=True)
+        own_options = None if options is None else dict(options)
+        starts = [
+            self.envs[row].reset(seed=seed, options=own_options) for row, seed in zip(rows.tolist(), seeds, strict=True)
+        ]
+        observations, infos = zip(*starts, strict=True)
         agents, count = list(observations[0]), len(rows)
-        nothing = {agent: np.zeros(count, dtype=bool) for agent in agents}
+        flags = {agent: np.zeros(count, dtype=bool) for agent in agents}
         rewards = {agent: np.zeros(count) for agent in agents}
-        return EnvResult(self._stack(observations), rewards, nothing, nothing, _stack_infos(infos))
+        return EnvResult(self._stack(observations), rewards, flags, flags, _stack_infos(infos))
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
         """Return the actions unchanged; each environment checks its own."""
@@ -47,13 +49,13 @@ class SingleEnvs:
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
         """Step the environments `rows` (r,) with actions (r, ...) by agent."""
-        found = [
+        steps = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})
             for number, row in enumerate(rows.tolist())
         ]
-        observations, *flags, infos = zip(*found, strict=True)
+        observations, *scalars, infos = zip(*steps, strict=True)
         rewards, terminated, truncated = (
-            {agent: np.array([one[agent] for one in part]) for agent in part[0]} for part in flags
+            {agent: np.array([by_agent[agent] for by_agent in column]) for agent in column[0]} for column in scalars
         )
         return EnvResult(self._stack(observations), rewards, terminated, truncated, _stack_infos(infos))
 
@@ -71,12 +73,14 @@ class SingleEnvs:
         for agent in observations[0]:
             space = self.envs[0].observation_space(agent)
             buffer: Any = create_empty_array(space, n=len(observations))
-            stacked[agent] = concatenate(space, [one[agent] for one in observations], buffer)
+            stacked[agent] = concatenate(space, [by_agent[agent] for by_agent in observations], buffer)
         return stacked
 
 
 def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
-    return {agent: {key: np.array([one[agent][key] for one in infos]) for key in infos[0][agent]} for agent in infos[0]}
+    return {
+        agent: {key: np.array([info[agent][key] for info in infos]) for key in infos[0][agent]} for agent in infos[0]
+    }
 
 
 def apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:

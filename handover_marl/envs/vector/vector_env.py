@@ -115,7 +115,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         observations, rewards, terminated, truncated, infos = (part[agent] for part in step.result)
         infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool), self._batch.arrays)
         if step.final is not None:
-            infos |= self._make_final_infos(step.ended, step.final)
+            infos |= self._make_final_infos(step.reset_rows, step.final)
         return observations, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
@@ -126,14 +126,14 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         """Free the simulations of all environments."""
         self._batch.close()
 
-    def _make_final_infos(self, ended: npt.NDArray[np.int_], final: EnvResult) -> dict[str, Any]:
+    def _make_final_infos(self, reset_rows: npt.NDArray[np.int_], final: EnvResult) -> dict[str, Any]:
         """Return the last observations and infos of the episodes that have ended in this step."""
-        mask = np.isin(np.arange(self.num_envs), ended)
+        mask = np.isin(np.arange(self.num_envs), reset_rows)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        for place, number in enumerate(ended.tolist()):
+        for place, number in enumerate(reset_rows.tolist()):
             final_obs[number] = select_rows(final.observations[self._agent], place)
         arrays, infos = self._batch.arrays, {}
-        rows = arrays.asarray(ended)
+        rows = arrays.asarray(reset_rows)
         for key, values in final.infos[self._agent].items():
             shape = (self.num_envs, *values.shape[1:])
             infos[key] = arrays.xp.zeros(shape, dtype=values.dtype, device=arrays.device)
