@@ -139,18 +139,19 @@ class _PolicyPair:
         self._episode, self._seed = episode, seed
         scene = episode.scene.info
         self._objects = scene.object_names
-        self._receiver, self._policy, self._has_started = PolicyScheduler(receiver), receiver, False
+        self._receiver, self._receiver_scheduler, self._receiver_started = receiver, PolicyScheduler(receiver), False
         self._receiver_observes = getattr(receiver, "obs_mode", STATE) is not None
-        self._giver = None if giver is None else PolicyScheduler(giver)
-        if self._giver is not None:
-            self._giver.reset(derive_scene_seed(seed, scene.scene_id, "giver"), self._objects)
+        self._giver_scheduler = None if giver is None else PolicyScheduler(giver)
+        if self._giver_scheduler is not None:
+            self._giver_scheduler.reset(derive_scene_seed(seed, scene.scene_id, "giver"), self._objects)
         self._giver_space = giver_action_space(episode.config.giver)
         self._receiver_action, self._giver_action = np.zeros(0, dtype=np.float32), NO_DEVIATION
 
     @property
     def due(self) -> int:
         """Physics step from which on a policy is to be called again."""
-        return min(scheduler.due for scheduler in (self._receiver, self._giver) if scheduler is not None)
+        schedulers = self._receiver_scheduler, self._giver_scheduler
+        return min(scheduler.due for scheduler in schedulers if scheduler is not None)
 
     def decide(self) -> PolicyDecision:
         """Call the policies that are due, and return the actions of both agents.
@@ -161,23 +162,23 @@ class _PolicyPair:
             OptionError: The hold time of a policy is not a positive number.
         """
         episode, now, planning_time, rendering_time = self._episode, self._episode.steps, 0.0, 0.0
-        giver_decides = self._giver is not None and now >= self._giver.due
-        receiver_decides = now >= self._receiver.due
+        giver_decides = self._giver_scheduler is not None and now >= self._giver_scheduler.due
+        receiver_decides = now >= self._receiver_scheduler.due
         state = episode.observe() if self._receiver_observes or giver_decides else {}
-        if self._giver is not None and giver_decides:
+        if self._giver_scheduler is not None and giver_decides:
             observation = episode.observe_giver(state)
             # Copies, so that a policy that writes into its arrays does not change the other's.
             observation = {key: value.copy() for key, value in observation.items()}
-            self._giver_action = check_giver_action(self._giver.decide(observation, now), self._giver_space)
+            self._giver_action = check_giver_action(self._giver_scheduler.decide(observation, now), self._giver_space)
         if receiver_decides:
             started = time.perf_counter()
-            observation = episode.observe_for_policy(self._policy, state) if self._receiver_observes else {}
+            observation = episode.observe_for_policy(self._receiver, state) if self._receiver_observes else {}
             rendering_time = time.perf_counter() - started
-            if not self._has_started:
-                self._receiver.reset(derive_receiver_seed(self._seed, observation), self._objects)
-                self._has_started = True
+            if not self._receiver_started:
+                self._receiver_scheduler.reset(derive_receiver_seed(self._seed, observation), self._objects)
+                self._receiver_started = True
             started = time.perf_counter()
-            action = self._receiver.decide(observation, now)
+            action = self._receiver_scheduler.decide(observation, now)
             planning_time = time.perf_counter() - started
             self._receiver_action = check_receiver_action(action)
         return PolicyDecision(
