@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,8 +45,14 @@ CLOUDS = (
 #: Number of clouds by kind of camera data.
 N_CLOUDS = {POINTCLOUD: 2, FULL_POINTCLOUD: 2, SCENE_POINTCLOUD: 3}
 _NOISE_STREAM = 2
-# Contents of an image; a later one contains the pixels of those before it.
-_TARGETS, _OBJECTS, _WHOLE = range(3)
+
+
+class _ImageContent(IntEnum):
+    """Content of a rendered image; each contains the pixels of those before it."""
+
+    TARGETS = 0
+    OBJECTS = 1
+    WHOLE = 2
 
 
 def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
@@ -171,14 +178,14 @@ class WristCamera:
     Args:
         config: Configuration of the camera.
         physics: Kind of physics.
-        world_config: Poses of robot and table.
+        physics_config: Poses of robot and table.
 
     Attributes:
         has_latency: Whether `record_snapshot` must be called every step, because images arrive late.
     """
 
-    def __init__(self, config: WristCameraConfig, physics: str, world_config: PhysicsConfig) -> None:
-        self._config, self._physics, self._world_config = config, physics, world_config
+    def __init__(self, config: WristCameraConfig, physics: str, physics_config: PhysicsConfig) -> None:
+        self._config, self._physics, self._physics_config = config, physics, physics_config
         self._noise = config.noise
         self._delay = 0 if self._noise is None else round(self._noise.latency / TIME_STEP)
         self.has_latency = self._delay > 0
@@ -211,7 +218,7 @@ class WristCamera:
 
     def capture(self, world: World, steps: int) -> CameraCapture:
         """Return images and point clouds that are available after `steps` physics steps."""
-        image = self._get_image(world, steps, _WHOLE)
+        image = self._get_image(world, steps, _ImageContent.WHOLE)
         # Whole images have colours.
         rgb = np.array(image.rgb, dtype=np.uint8)
         return CameraCapture(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
@@ -228,7 +235,7 @@ class WristCamera:
                 "wrist_segmentation": frame.segmentation[..., None],
                 "wrist_rgb": frame.rgb,
             }
-        content = _OBJECTS if data == SCENE_POINTCLOUD else _TARGETS
+        content = _ImageContent.OBJECTS if data == SCENE_POINTCLOUD else _ImageContent.TARGETS
         clouds = self._compute_clouds(self._get_image(world, steps, content), world, N_CLOUDS[data])
         counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
         if data == FULL_POINTCLOUD:
@@ -261,20 +268,21 @@ class WristCamera:
         (old_origin, origin), (old_rotation, rotation) = chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0)
         return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
 
-    def _get_image(self, world: World, steps: int, content: int) -> CameraImage:
+    def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
         """Return an image of this step with at least some content, rendered if necessary."""
-        for kind in range(content, _WHOLE + 1):
+        for kind in range(content, _ImageContent.WHOLE + 1):
             known = self._images.get(kind)
             if known is not None and known[0] == steps:
                 return known[1]
         # Noise at edges needs the whole image.
-        image = self._render(world, color=content == _WHOLE, content=content if self._noise is None else _WHOLE)
+        rendered = content if self._noise is None else _ImageContent.WHOLE
+        image = self._render(world, color=content == _ImageContent.WHOLE, content=rendered)
         if self._noise is not None:
             image = apply_camera_noise(image, self._noise, self._rng(steps, _NOISE_STREAM))
         self._images[content] = (steps, image)
         return image
 
-    def _render(self, world: World, color: bool, content: int) -> CameraImage:
+    def _render(self, world: World, color: bool, content: _ImageContent) -> CameraImage:
         if self._scene is None:
             raise ResetNeededError("the episode has not started; call reset() first")
         if self._renderer is None:
@@ -286,11 +294,11 @@ class WristCamera:
             # Imported here: ray casting needs an extra.
             from handover_marl.simulation.camera.ray_camera import RayCamera
 
-            self._ray_camera = RayCamera(self._scene.assets, self._world_config)
+            self._ray_camera = RayCamera(self._scene.assets, self._physics_config)
         snapshot = earlier or world.read_joint_snapshot()
-        if content == _WHOLE:
+        if content == _ImageContent.WHOLE:
             return self._ray_camera.render_wrist_camera(snapshot, color)
-        return self._ray_camera.render_targets(snapshot, with_others=content == _OBJECTS)
+        return self._ray_camera.render_targets(snapshot, with_others=content == _ImageContent.OBJECTS)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""
