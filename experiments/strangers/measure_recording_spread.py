@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import TIME_STEP
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
+from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.poses import quaternions_from_euler
@@ -74,7 +74,7 @@ def measure_handover(scene: Scene) -> RecordedHandover | None:
     if pick_up is None or scene.hand_last is None:
         return None
     hand = scene.hand_dof[: scene.hand_last + 1]
-    positions = compute_wrist_positions(hand, find_wrist_offset(scene))
+    positions = compute_wrist_positions(hand, find_wrist_in_base(scene))
     distances = np.linalg.norm(positions - positions[-1], axis=1)
     moving = np.flatnonzero(distances > ARRIVAL_TOLERANCE)
     steps = int(moving[-1]) + 1 - pick_up if len(moving) else 0

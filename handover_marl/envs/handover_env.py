@@ -23,9 +23,9 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import (
     Observation,
     giver_observation_space,
-    observation_space,
     receiver_observation_space,
     select_receiver_observation,
+    state_space,
 )
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
@@ -128,7 +128,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         for space in self._action_spaces.values():
             # Libraries that save spaces with a policy save the control period with them.
             space.control_period = config.control_period  # type: ignore[attr-defined]
-        flat: Any = spaces.flatten_space(observation_space(self._largest_class))
+        flat: Any = spaces.flatten_space(state_space(self._largest_class))
         self.state_space: spaces.Box = flat
         modes = [mode for mode in RENDER_MODES if mode != "human" or mode == config.render_mode or has_display()]
         fps = max(1, round(1.0 / config.control_period))
@@ -252,7 +252,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             ResetNeededError: No episode has been started.
         """
-        return np.asarray(spaces.flatten(observation_space(self._largest_class), self._require_observation()))
+        return np.asarray(spaces.flatten(state_space(self._largest_class), self._require_observation()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.

@@ -83,7 +83,7 @@ class Playback:
         self.scene = scene
         self._config = config
         self._pick_up_frame = find_pick_up_frame(scene)
-        self._base_from_wrist = find_wrist_offset(scene)
+        self._wrist_in_base = find_wrist_in_base(scene)
         self._last_frame = scene.n_frames - 1
         self._hand_present = scene.is_hand_present(np.arange(scene.n_frames))
         self._now = _PlaybackState(self.start())
@@ -203,7 +203,7 @@ class Playback:
             displacements, rotations, bases, objects = displacements[:1], rotations[:1], bases[:1], objects[:1]
         bodies = [bases] if command.is_released else [bases, objects]
         previous = [now.motion.hand[-1, :BASE_JOINTS], now.motion.objects[-1, 0]][: len(bodies)]
-        moved = apply_wrist_offset(bodies, self._base_from_wrist, displacements, rotations, previous)
+        moved = apply_wrist_offset(bodies, self._wrist_in_base, displacements, rotations, previous)
         moved_hand, moved_objects = motion.hand.copy(), motion.objects.copy()
         moved_hand[:, :BASE_JOINTS] = moved[0]
         if not command.is_released:
@@ -230,17 +230,17 @@ def _round_frames(clock: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return np.rint(np.round(np.asarray(clock, dtype=np.float64), 9))
 
 
-def find_wrist_offset(scene: Scene) -> npt.NDArray[np.float64]:
+def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:
     """Return the (3,) position of the human wrist in the frame of the hand's base (m)."""
-    offset: npt.NDArray[np.float64] = _compute_wrist_offset(read_tree(scene.assets.hand)).copy()
-    return offset
+    wrist_in_base: npt.NDArray[np.float64] = _compute_wrist_in_base(read_tree(scene.assets.hand)).copy()
+    return wrist_in_base
 
 
 @functools.lru_cache(maxsize=64)
-def _compute_wrist_offset(tree: KinematicTree) -> npt.NDArray[np.float64]:
+def _compute_wrist_in_base(tree: KinematicTree) -> npt.NDArray[np.float64]:
     origins, _ = tree.compute_link_frames(np.zeros((1, tree.n_dof)))
-    base_from_wrist: npt.NDArray[np.float64] = origins[0, WRIST_LINK] - origins[0, _BASE_LINK]
-    return base_from_wrist
+    wrist_in_base: npt.NDArray[np.float64] = origins[0, WRIST_LINK] - origins[0, _BASE_LINK]
+    return wrist_in_base
 
 
 def find_pick_up_frame(scene: Scene, distance: float = 0.005) -> int | None:

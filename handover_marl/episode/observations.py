@@ -12,7 +12,7 @@ from gymnasium import spaces
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import camera_observation_space
-from handover_marl.episode.giver_motion import Playback, find_wrist_offset
+from handover_marl.episode.giver_motion import Playback, find_wrist_in_base
 from handover_marl.episode.spaces import STATE, has_state
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.geometry.poses import quaternions_from_euler
@@ -29,7 +29,7 @@ _POSE = 7
 _BLOCK_FRAMES = 1000
 
 
-def observation_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
+def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
     """Return the space of the full state, which both agents share.
 
     Args:
@@ -77,7 +77,7 @@ def receiver_observation_space(obs_mode: str = STATE, largest_class: int = LARGE
         UnknownNameError: There is no such observation mode.
     """
     camera = camera_observation_space(obs_mode)
-    state = observation_space(largest_class).spaces
+    state = state_space(largest_class).spaces
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
     return spaces.Dict({**own, **camera})
 
@@ -97,7 +97,7 @@ def giver_observation_space(
     ahead = len(config.preview)
     return spaces.Dict(
         {
-            **observation_space(largest_class).spaces,
+            **state_space(largest_class).spaces,
             "replay_wrist_poses": _unbounded((ahead, _POSE)),
             "replay_object_poses": _unbounded((ahead, _POSE)),
             "deviation": _unbounded((7,)),
@@ -115,7 +115,7 @@ class MotionPreview:
     """
 
     def __init__(self, scene: Scene, config: GiverConfig) -> None:
-        self._scene, self._base_from_wrist = scene, find_wrist_offset(scene)
+        self._scene, self._wrist_in_base = scene, find_wrist_in_base(scene)
         self._ahead = np.array([round(time / TIME_STEP) for time in config.preview])
         self._first = self._end = 0
         self._wrist = self._object = np.zeros((0, _POSE), dtype=np.float32)
@@ -141,7 +141,7 @@ class MotionPreview:
         scene, self._first, self._end = self._scene, first, end
         hand, item = scene.hand_dof[first:end], scene.object_dof[first:end, 0]
         present = scene.is_hand_present(np.arange(first, end))
-        wrist = _stack_poses(compute_wrist_positions(hand, self._base_from_wrist), hand[:, 3:6])
+        wrist = _stack_poses(compute_wrist_positions(hand, self._wrist_in_base), hand[:, 3:6])
         self._wrist = np.where(present[:, None], wrist, np.float32(0.0))
         self._object = _stack_poses(item[:, :3], item[:, 3:])
 

@@ -22,7 +22,7 @@ _TOLERANCE = 1e-6  # units of the tracked vector
 
 def apply_wrist_offset(
     bodies: Sequence[npt.NDArray[np.float32]],
-    base_from_wrist: Array,
+    wrist_in_base: Array,
     displacements: Array,
     rotations: Array,
     previous: Sequence[npt.NDArray[np.float32]],
@@ -32,7 +32,7 @@ def apply_wrist_offset(
     Args:
         bodies: Joint positions of the hand's base and of the bodies that move with it, (n, 6) each: xyz
             (m) and Euler angles (rad).
-        base_from_wrist: (3,) position of the wrist in the frame of the hand's base (m).
+        wrist_in_base: (3,) position of the wrist in the frame of the hand's base (m).
         displacements: (n, 3) displacements of the wrist, world frame (m).
         rotations: (n, 3) rotation vectors about the wrist, world frame (rad).
         previous: (6,) joint positions of each body before the first row; Euler angles continue from
@@ -41,7 +41,7 @@ def apply_wrist_offset(
     count, n_rows = len(bodies), len(displacements)
     recorded = np.concatenate(bodies).astype(np.float64)
     orientation = Rotation.from_quat(quaternions_from_euler(recorded[:, 3:]))
-    wrist = _transform_wrist(recorded[:n_rows, :3], orientation[:n_rows], base_from_wrist)
+    wrist = _transform_wrist(recorded[:n_rows, :3], orientation[:n_rows], wrist_in_base)
     pivots, shifts = np.tile(wrist, (count, 1)), np.tile(displacements, (count, 1))
     rotation = Rotation.from_rotvec(np.tile(rotations, (count, 1)))
     moved = np.empty(recorded.shape)
@@ -53,19 +53,19 @@ def apply_wrist_offset(
     return np.split(moved.astype(np.float32), count)
 
 
-def compute_wrist_positions(hand_dof: npt.NDArray[np.float32], base_from_wrist: Array) -> Array:
+def compute_wrist_positions(hand_dof: npt.NDArray[np.float32], wrist_in_base: Array) -> Array:
     """Compute positions (n, 3) of a human hand's wrist in the world frame (m).
 
     Args:
         hand_dof: (n, 6 or more) joint positions of the hand, base first.
-        base_from_wrist: (3,) position of the wrist in the frame of the hand's base (m).
+        wrist_in_base: (3,) position of the wrist in the frame of the hand's base (m).
     """
     orientation = Rotation.from_quat(quaternions_from_euler(hand_dof[:, 3:6]))
-    return _transform_wrist(hand_dof[:, :3], orientation, base_from_wrist)
+    return _transform_wrist(hand_dof[:, :3], orientation, wrist_in_base)
 
 
-def _transform_wrist(bases: npt.NDArray[np.floating], orientation: Rotation, base_from_wrist: Array) -> Array:
-    positions: Array = bases + orientation.apply(base_from_wrist)
+def _transform_wrist(bases: npt.NDArray[np.floating], orientation: Rotation, wrist_in_base: Array) -> Array:
+    positions: Array = bases + orientation.apply(wrist_in_base)
     return positions
 
 

@@ -14,7 +14,7 @@ from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TIME_STEP, ProtocolConfig
-from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
+from handover_marl.episode.observations import Observation, giver_observation_space, state_space
 from handover_marl.errors import check_name
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.encodings.choices import import_reference, is_reference
@@ -36,7 +36,7 @@ SCALE, GRASP_SCALE = 10.0, 5.0
 _N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
 #: Number of decisions in stacked features.
 N_STACKED = 4
-_GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), observation_space()
+_GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), state_space()
 
 
 def compute_handover_frame(observation: Observation) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.datasets.grasp_files import unpickle_arrays
-from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
@@ -114,7 +114,7 @@ def _read_observations(value: object) -> Observations | None:
 
 def _unflatten(flat: npt.NDArray[Any]) -> Observations | None:
     """Split flat observations (n, size) by name, in the order in which Gymnasium flattens them."""
-    for space in (observation_space(), giver_observation_space()):
+    for space in (state_space(), giver_observation_space()):
         if flat.ndim == 2 and flat.shape[1] == spaces.flatdim(space):
             sizes = [spaces.flatdim(part) for part in space.values()]
             parts = np.split(flat, np.cumsum(sizes)[:-1], axis=1)

@@ -20,7 +20,7 @@ from handover_marl.envs import reward_terms
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.episode.camera_observations import camera_observation_space
-from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.evaluation.agreement import Agreement
@@ -110,7 +110,7 @@ def test_actions(mark: str, space: spaces.Box) -> None:
 def test_observations() -> None:
     shared = documented_space(checked_table(ENVIRONMENT, "shared observations"))
     own = documented_space(checked_table(ENVIRONMENT, "giver observations"))
-    assert shared == actual_space(observation_space())
+    assert shared == actual_space(state_space())
     assert shared | own == actual_space(giver_observation_space())
 
 

@@ -13,11 +13,11 @@ from handover_marl.episode.observations import (
     PROPRIOCEPTION,
     MotionPreview,
     giver_observation_space,
-    observation_space,
     observe,
     observe_giver,
     receiver_observation_space,
     select_receiver_observation,
+    state_space,
 )
 from handover_marl.simulation.world import WorldState
 
@@ -61,11 +61,11 @@ def bounds(space: spaces.Dict) -> dict[str, tuple[float, float]]:
 
 
 def test_spaces_have_the_documented_shapes_and_bounds() -> None:
-    for space, shapes in ((observation_space(), SHAPES), (giver_observation_space(), SHAPES | GIVER_SHAPES)):
+    for space, shapes in ((state_space(), SHAPES), (giver_observation_space(), SHAPES | GIVER_SHAPES)):
         assert {key: box.shape for key, box in space.items()} == shapes
         assert {box.dtype for box in space.values()} == {np.dtype(np.float32)}
         assert bounds(space) == {key: BOUNDS.get(key, (-np.inf, np.inf)) for key in shapes}
-    assert bounds(observation_space(30))["object_classes"] == (0.0, 30.0)
+    assert bounds(state_space(30))["object_classes"] == (0.0, 30.0)
     assert bounds(giver_observation_space(largest_class=30))["object_classes"] == (0.0, 30.0)
 
 
@@ -84,7 +84,7 @@ def test_receivers_observe_the_parts_of_their_mode() -> None:
 def test_values_of_the_state(with_hand: bool) -> None:
     state = make_state(with_hand)
     found = observe(state, (3, 11), True, 1.5)
-    assert observation_space().contains(found)
+    assert state_space().contains(found)
     for key in ("robot_joint_position", "robot_joint_velocity", "gripper_pose"):
         np.testing.assert_array_equal(found[key], getattr(state, key))
     np.testing.assert_array_equal(found["object_poses"], [*state.object_poses, *np.zeros((3, 7))])

@@ -13,7 +13,7 @@ from handover_marl.config import GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import wrist_offset as carrying
-from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick_up_frame, find_wrist_offset
+from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
@@ -42,7 +42,7 @@ def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
 
 
 def wrist(motion: ReferenceMotion) -> np.ndarray:
-    return compute_wrist_positions(motion.hand, find_wrist_offset(SCENE))
+    return compute_wrist_positions(motion.hand, find_wrist_in_base(SCENE))
 
 
 def held() -> Playback:
@@ -181,7 +181,7 @@ def test_the_preview_shows_what_comes() -> None:
     np.testing.assert_array_equal(preview.read_poses(10**6)[0], np.tile(preview.read_poses(10**6)[0][0], (5, 1)))
     np.testing.assert_allclose(
         preview.read_poses(1000)[0][:, :3],
-        compute_wrist_positions(SCENE.hand_dof, find_wrist_offset(SCENE))[1000 + ahead],
+        compute_wrist_positions(SCENE.hand_dof, find_wrist_in_base(SCENE))[1000 + ahead],
         atol=1e-6,
     )
 
@@ -254,7 +254,7 @@ def test_the_wrist_is_the_first_key_point_of_the_hand() -> None:
     frames = compute_link_trajectory(SCENE.assets.hand, rows)
     (wrist,) = select_keypoint_links([])
     expected = frames.get_positions(wrist)
-    np.testing.assert_allclose(compute_wrist_positions(rows, find_wrist_offset(SCENE)), expected, atol=1e-6)
+    np.testing.assert_allclose(compute_wrist_positions(rows, find_wrist_in_base(SCENE)), expected, atol=1e-6)
 
 
 def test_a_displaced_hand_rests() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from handover_marl.config import GiverConfig
-from handover_marl.episode.observations import observation_space
+from handover_marl.episode.observations import state_space
 from handover_marl.episode.spaces import (
     FULL_POINTCLOUD,
     OBS_MODES,
@@ -144,7 +144,7 @@ def test_the_giver_releases_above_one_half(value: float, releases: bool) -> None
 
 
 def test_poses_are_unbounded_and_flags_are_not() -> None:
-    space = observation_space()
+    space = state_space()
     assert space["gripper_pose"].low.min() == -np.inf  # type: ignore[attr-defined]
     assert space["gripper_pose"].high.max() == np.inf  # type: ignore[attr-defined]
     assert (space["hand_present"].low, space["hand_present"].high) == ([0.0], [1.0])  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMotion
 from handover_marl.episode.giver_motion import PLANNED_STEPS
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
-from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, observation_space
+from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIntegers, Indices
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -39,7 +39,7 @@ class EpisodeBatch:
         motion: Motion of the givers.
         referees: Referee states.
         state: Full state of all episodes after their last `observe`: arrays (n, ...) by the keys of
-            `observation_space`.
+            `state_space`.
     """
 
     arrays = NUMPY_ARRAYS
@@ -51,7 +51,7 @@ class EpisodeBatch:
         self.referees = RefereeStateBatch(*(np.repeat(array, count) for array in self._start))
         self._scenes: list[Scene | None] = [None] * count
         self.state: Observation = {
-            key: np.zeros((count, *(space.shape or ())), dtype=np.float32) for key, space in observation_space().items()
+            key: np.zeros((count, *(space.shape or ())), dtype=np.float32) for key, space in state_space().items()
         }
         self._preview_space = giver_observation_space(config.giver)
         self._previews: list[MotionPreview | None] = [None] * count

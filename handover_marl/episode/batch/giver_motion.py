@@ -13,7 +13,7 @@ from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.recordings import NEVER
 from handover_marl.episode.batch.wrist_offset import apply_wrist_offsets, track_set_points
-from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
+from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_in_base
 from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices, get_namespace, make_constant
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, ReferenceMotion
 
@@ -70,7 +70,7 @@ class GiverMotionBatch:
         self._config = config
         self._scenes: list[Scene | None] = [None] * count
         self._hand_present: list[Flags] = [np.zeros(0, dtype=bool)] * count
-        self._base_from_wrist = np.zeros((count, 3))
+        self._wrists_in_base = np.zeros((count, 3))
         self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
         self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
         self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
@@ -87,7 +87,7 @@ class GiverMotionBatch:
         """
         self._scenes[row] = scene
         self._hand_present[row] = scene.is_hand_present(np.arange(scene.n_frames))
-        self._base_from_wrist[row] = find_wrist_offset(scene)
+        self._wrists_in_base[row] = find_wrist_in_base(scene)
         pick_up = find_pick_up_frame(scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
         for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self._has_deviated, self.opened):
@@ -177,7 +177,7 @@ class GiverMotionBatch:
         ]
         moved = apply_wrist_offsets(
             [both[:, :count] for both, count in zip(bodies, counts, strict=True)],
-            self._base_from_wrist[who],
+            self._wrists_in_base[who],
             [offsets[:count, number] for number, count in enumerate(counts)],
             self._last[who],
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_offset
+from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_in_base
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank
 from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
 
@@ -58,7 +58,7 @@ class RecordingBank:
             (first,) = {bank.extend(own) for bank, own in zip(self._frames, values, strict=True)}
             pick_up = find_pick_up_frame(scene)
             self._bounds.extend(np.array([first, scene.n_frames - 1, NEVER if pick_up is None else pick_up]))
-            self._numbers[key] = self._wrists.extend(find_wrist_offset(scene))
+            self._numbers[key] = self._wrists.extend(find_wrist_in_base(scene))
         return self._numbers[key]
 
     def get_last_frames(self, recordings: AnyArray) -> AnyArray:
@@ -69,7 +69,7 @@ class RecordingBank:
         """Return the frames (n,) in which the objects are picked up, `NEVER` if they are not."""
         return self._bounds.rows[recordings, 2]
 
-    def get_wrist_offsets(self, recordings: AnyArray) -> AnyArray:
+    def get_wrists_in_base(self, recordings: AnyArray) -> AnyArray:
         """Return the positions (n, 3) of the wrists in the frames of the hands' bases (m)."""
         return self._wrists.rows[recordings]
 
@@ -89,7 +89,7 @@ class RecordingBank:
         own = self.read_frames(recordings, xp.minimum(frames[:, None] + self._ahead, last))
         bases, objects = own.hand[..., :OBJECT_DOF], own.objects[..., 0, :]
         orientations = quaternions_from_euler(bases[..., 3:])
-        wrists = bases[..., :3] + rotate_points(orientations, self.get_wrist_offsets(recordings)[:, None])
+        wrists = bases[..., :3] + rotate_points(orientations, self.get_wrists_in_base(recordings)[:, None])
         poses = xp.astype(xp.concat([wrists, orientations], axis=-1), xp.float32)
         objects = xp.astype(
             xp.concat([objects[..., :3], quaternions_from_euler(objects[..., 3:])], axis=-1), xp.float32

@@ -7,7 +7,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
 from handover_marl.episode.giver_motion import PLANNED_STEPS
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
-from handover_marl.episode.observations import Observation, observation_space
+from handover_marl.episode.observations import Observation, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import AnyArray, expand_mask, make_tensor_factory, to_numpy
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -35,7 +35,7 @@ class TensorEpisodeBatch:
         motion: Motion of the givers.
         referees: Referee states.
         state: Full state of all episodes after their last `observe`: tensors (n, ...) by the keys of
-            `observation_space`.
+            `state_space`.
     """
 
     def __init__(self, config: WorldConfig, count: int, device: str) -> None:
@@ -46,7 +46,7 @@ class TensorEpisodeBatch:
         self._start = RefereeStateBatch(*map(arrays.asarray, start))
         self.referees = RefereeStateBatch(*(array.repeat(count) for array in self._start))
         self.state: Observation = {
-            key: arrays.zeros((count, *(space.shape or ())), "float32") for key, space in observation_space().items()
+            key: arrays.zeros((count, *(space.shape or ())), "float32") for key, space in state_space().items()
         }
         self._scene_ids = arrays.full(count, -1, "int64")
         self._worlds = make_device_worlds(config.physics, count, arrays)

@@ -170,7 +170,7 @@ class TensorGiverMotion:
         if offsets is not None:
             base_position = xp.astype(base[..., :_HALF], xp.float64)
             turns = quaternions_from_euler(base[..., _HALF:])
-            wrist = self._bank.get_wrist_offsets(self._recordings[rows])[:, None]
+            wrist = self._bank.get_wrists_in_base(self._recordings[rows])[:, None]
             pivots = base_position + rotate_points(turns, wrist)
             rotation = quaternions_from_rotation_vectors(offsets[..., 1, :])
             moved = pivots + offsets[..., 0, :] + rotate_points(rotation, base_position - pivots)

@@ -125,14 +125,14 @@ def _track_step(
 
 
 def apply_wrist_offsets(
-    bodies: Sequence[Float32], base_from_wrist: Array, offsets: Sequence[Array], previous: Float32
+    bodies: Sequence[Float32], wrists_in_base: Array, offsets: Sequence[Array], previous: Float32
 ) -> list[Float32]:
     """Move hands and held objects rigidly with the offsets of their wrists.
 
     Args:
         bodies: Joint positions (2, k, 6) of each hand's base and of its object: xyz (m), Euler
             angles (rad). The number k of rows may differ.
-        base_from_wrist: (d, 3) positions of the wrists in the frames of the hands' bases (m).
+        wrists_in_base: (d, 3) positions of the wrists in the frames of the hands' bases (m).
         offsets: Displacements (m) and rotation vectors (rad) of each wrist, (k, 2, 3).
         previous: (d, 2, 6) joint positions of base and object before the first row; Euler angles
             continue from them without a jump.
@@ -145,7 +145,7 @@ def apply_wrist_offsets(
     shifts = np.concatenate(offsets)
     orientation = quaternions_from_euler(recorded[..., 3:].reshape(-1, 3)).reshape(2, -1, 4)
     orientation /= np.sqrt((orientation**2).sum(axis=-1, keepdims=True))
-    pivots = recorded[0, :, :3] + rotate_points(orientation[0], np.repeat(base_from_wrist, counts, axis=0))
+    pivots = recorded[0, :, :3] + rotate_points(orientation[0], np.repeat(wrists_in_base, counts, axis=0))
     rotation = Rotation.from_rotvec(shifts[:, 1]).as_quat()
     moved = np.empty(recorded.shape)
     moved[..., :3] = pivots + shifts[:, 0] + rotate_points(rotation, recorded[..., :3] - pivots)

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.observations import Observation, giver_observation_space, observation_space
+from handover_marl.episode.observations import Observation, giver_observation_space, state_space
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     AnyArray,
@@ -308,7 +308,7 @@ FEATURE_BATCHES = {
     },
     "receiver": {
         "receiver": lambda context, selector, count, arrays: ReceiverFeatureBatch(context, arrays),
-        "flat_receiver": lambda *_: FlatFeatureBatch(observation_space()),
+        "flat_receiver": lambda *_: FlatFeatureBatch(state_space()),
         "grasp": lambda context, selector, count, arrays: GraspFeatureBatch(context, selector, arrays),
         "close": lambda context, selector, count, arrays: GraspProximityFeatureBatch(context, selector, arrays),
         "close_stack": lambda context, selector, count, arrays: StackedFeatureBatch(

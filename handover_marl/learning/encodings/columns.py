@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from gymnasium import spaces
 
-from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 
 
@@ -106,7 +106,7 @@ FEATURE_COLUMNS: dict[str, dict[str, tuple[EncodingColumn, ...]]] = {
     "giver": {"giver": _GIVER, "flat_giver": _flat(giver_observation_space())},
     "receiver": {
         "receiver": _RECEIVER,
-        "flat_receiver": _flat(observation_space()),
+        "flat_receiver": _flat(state_space()),
         "grasp": (
             *_RECEIVER,
             *_GRASP,

@@ -9,7 +9,7 @@ from gymnasium import spaces
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.observations import giver_observation_space, observation_space
+from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, locate_columns
 from handover_marl.learning.features import compute_handover_frame, list_features, make_features
@@ -176,7 +176,7 @@ def test_flat_features_are_the_named_entries(agent: str) -> None:
 
 
 def _state() -> dict[str, Any]:
-    return {key: OBSERVATION[key] for key in observation_space()}
+    return {key: OBSERVATION[key] for key in state_space()}
 
 
 def described_scale(text: str) -> list[float]:

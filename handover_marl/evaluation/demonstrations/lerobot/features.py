@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.episode.observations import Observation, observation_space, receiver_observation_space
+from handover_marl.episode.observations import Observation, receiver_observation_space, state_space
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.evaluation.demonstrations.observation_meanings import (
     GIVER_ACTION_MEANING,
@@ -41,7 +41,7 @@ _COMPONENTS = {
 # The time is LeRobot's `timestamp`.
 _OMITTED = "time"
 # Keys of the true state, which one vector holds, as LeRobot's policies expect.
-_ENVIRONMENT_KEYS = tuple(key for key in observation_space() if key not in (*_RENAMED, _OMITTED))
+_ENVIRONMENT_KEYS = tuple(key for key in state_space() if key not in (*_RENAMED, _OMITTED))
 _GIVER_COMPONENTS = ("rate", "x", "y", "z", "rx", "ry", "rz", "release")
 
 
