@@ -75,7 +75,7 @@ class RobotOnlySimulation:
         mujoco.mj_kinematics(self._model.model, self._data)
         return self._data.xpos, self._data.xquat
 
-    def start(self, joints: npt.ArrayLike) -> RobotTrajectory:
+    def make_resting_trajectory(self, joints: npt.ArrayLike) -> RobotTrajectory:
         """Return the trajectory, still without steps, of a robot at rest at joint positions (9,) (rad, m)."""
         position = np.array([joints], dtype=np.float64)
         return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
@@ -138,7 +138,7 @@ class SleepState:
     ) -> None:
         self.objects = [ObjectTrajectory(config.objects, joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
-        self._robot = robot.start(config.panda.start_joints)
+        self._robot = robot.make_resting_trajectory(config.panda.start_joints)
         # Row of the robot trajectory's first step, number of its steps without a body near it, and
         # of steps before it.
         self._first, self._free, self._elapsed = 0, 0, 0

@@ -124,9 +124,9 @@ def test_equal_rollouts_of_the_robot_are_simulated_once(
     monkeypatch.setattr(sleep, "_CACHE_SIZE", 2)
     simulated, simulate = [], robot._simulate
     monkeypatch.setattr(robot, "_simulate", lambda *given: simulated.append(given) or simulate(*given))
-    start, target = robot.start(START), WAITING.tolist()
+    start, target = robot.make_resting_trajectory(START), WAITING.tolist()
     first = robot.simulate(start, 0, target, 100, 0)
-    assert robot.simulate(robot.start(START), 0, target, 100, 900) is first
+    assert robot.simulate(robot.make_resting_trajectory(START), 0, target, 100, 900) is first
     assert len(simulated) == 1
     parted = robot.simulate(first, 60, target, 40, 60)
     np.testing.assert_array_equal(parted.joints, first.joints[60:])
@@ -139,7 +139,7 @@ def test_equal_rollouts_of_the_robot_are_simulated_once(
 
 
 def test_bounding_spheres_move_with_the_links(robot: RobotOnlySimulation) -> None:
-    path = robot.simulate(robot.start(START), 0, WAITING.tolist(), 300, 0)
+    path = robot.simulate(robot.make_resting_trajectory(START), 0, WAITING.tolist(), 300, 0)
     moved = np.abs(path.sphere_centers[-1] - path.sphere_centers[0]).max()
     assert 0.1 < moved < 1.0
     assert path.sphere_centers.shape[0] == 300
