@@ -170,7 +170,7 @@ class RefereeComparator:
 def _drop_idle_counters(state: RefereeState) -> RefereeState:
     """Return a referee state without counters that cannot influence the outcome any more."""
     state = state._replace(goal_steps=0) if state.status else state
-    return state._replace(active_steps=0, passive_steps=0) if state.release >= 0 else state
+    return state._replace(active_steps=0, passive_steps=0) if state.release_reason >= 0 else state
 
 
 def main(args: Args) -> None:

@@ -149,7 +149,7 @@ class FailureClassifier:
         return "while closing" if recorder.closing else "with open fingers"
 
     def _drop(self, episode: Episode, gripped: int | None) -> str:
-        if episode.release is ReleaseReason.PASSIVE:
+        if episode.release_reason is ReleaseReason.PASSIVE:
             return "drop: pushed out of the hand"
         if gripped is None or episode.release_step is None or gripped - episode.release_step < SOON:
             return "drop: slipped at the release"

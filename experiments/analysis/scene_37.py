@@ -94,7 +94,8 @@ def format_row(name: str, episode: Episode, log: RuleLog) -> list[str]:
         episode: Finished episode.
         log: Measurements in that episode.
     """
-    release = "" if episode.release is None else f"{format_seconds(episode.release_step)} ({episode.release.value})"
+    reason = episode.release_reason
+    release = "" if reason is None else f"{format_seconds(episode.release_step)} ({reason.value})"
     after = episode.steps - (episode.release_step or episode.steps)
     slip = turned = gripped = force = ""
     if log.grips:

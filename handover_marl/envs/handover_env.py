@@ -325,7 +325,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "status": int(episode.status),
             "steps": episode.steps,
             "release_step": -1 if episode.release_step is None else episode.release_step,
-            "release": -1 if episode.release is None else RELEASE_REASONS.index(episode.release),
+            "release": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
         return {agent: dict(info) for agent in AGENTS}
 

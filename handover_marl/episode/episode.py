@@ -78,7 +78,7 @@ class Episode:
         self._referee = Referee(self.config.protocol)
         self._contacts = Contacts()
         playback = Playback(scene, self.config.giver)
-        self._world.reset(scene, playback.start(), self.config.draw_initial_joints(seed))
+        self._world.reset(scene, playback.read_first_frame(), self.config.draw_initial_joints(seed))
         self._playback = playback
         if self._wrist_camera is not None:
             self._wrist_camera.reset(scene, self._world)
@@ -110,8 +110,8 @@ class Episode:
             world.release_target()
         while steps > 0 and not referee.status:
             planned = min(steps, PLANNED_STEPS)
-            is_voluntary = referee.release is ReleaseReason.VOLUNTARY
-            world.set_reference(playback.plan(planned, giver_action, referee.released, opening=is_voluntary))
+            is_voluntary = referee.release_reason is ReleaseReason.VOLUNTARY
+            world.set_reference(playback.plan(planned, giver_action, referee.released, is_opening=is_voluntary))
             steps -= planned
             if isinstance(world, BatchWorld) and not on_step and camera is None:
                 simulated = self._simulate_rollout(world, target, planned)
@@ -244,9 +244,9 @@ class Episode:
         return self._referee.steps
 
     @property
-    def release(self) -> ReleaseReason | None:
+    def release_reason(self) -> ReleaseReason | None:
         """Reason why the person released the object; None before a release."""
-        return self._referee.release
+        return self._referee.release_reason
 
     @property
     def release_step(self) -> int | None:

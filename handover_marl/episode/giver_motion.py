@@ -33,7 +33,7 @@ class _PlaybackState(NamedTuple):
         displacement: Displacement of the wrist (m).
         rotation: Rotation vector of the wrist (rad).
         has_deviated: Whether the wrist has ever been displaced or rotated.
-        opened: Progress of the hand's opening, 0 to 1.
+        opening_progress: Progress of the hand's opening, 0 to 1.
     """
 
     motion: ReferenceMotion
@@ -43,7 +43,7 @@ class _PlaybackState(NamedTuple):
     displacement: TrackedVector = TrackedVector()
     rotation: TrackedVector = TrackedVector()
     has_deviated: bool = False
-    opened: float = 0.0
+    opening_progress: float = 0.0
 
 
 class _Command(NamedTuple):
@@ -86,7 +86,7 @@ class Playback:
         self._wrist_in_base = find_wrist_in_base(scene)
         self._last_frame = scene.n_frames - 1
         self._hand_present = scene.is_hand_present(np.arange(scene.n_frames))
-        self._now = _PlaybackState(self.start())
+        self._now = _PlaybackState(self.read_first_frame())
         self._planned: tuple[_Command, ReferenceMotion, _PlaybackState] | None = None
 
     @property
@@ -100,9 +100,9 @@ class Playback:
         return self._pick_up_frame is not None and self.frame >= self._pick_up_frame
 
     @property
-    def opened(self) -> float:
+    def opening_progress(self) -> float:
         """Progress of the hand's opening after a voluntary release, 0 to 1."""
-        return self._now.opened
+        return self._now.opening_progress
 
     @property
     def deviation(self) -> npt.NDArray[np.float32]:
@@ -110,7 +110,7 @@ class Playback:
         now = self._now
         return np.array([now.rate, *now.displacement.value, *now.rotation.value], dtype=np.float32)
 
-    def start(self) -> ReferenceMotion:
+    def read_first_frame(self) -> ReferenceMotion:
         """Return the first frame of the recording as a reference motion of one row."""
         return self._read_frames(np.array([0]))
 
@@ -119,7 +119,7 @@ class Playback:
         steps: int,
         action: npt.NDArray[np.float32] = NO_DEVIATION,
         released: bool = False,
-        opening: bool = False,
+        is_opening: bool = False,
     ) -> ReferenceMotion:
         """Return the reference motion of the next physics steps, without advancing the playback.
 
@@ -127,12 +127,12 @@ class Playback:
             steps: Number of physics steps.
             action: (8,) action of the giver; default: replay the recording.
             released: Whether the object has been released, so that it does not follow the hand.
-            opening: Whether the hand opens after a voluntary release.
+            is_opening: Whether the hand opens after a voluntary release.
         """
         wanted = GiverAction.from_array(action)
         # An object that is picked up during these steps must not move early.
         holding = self.holding
-        command = _Command(wanted.rate, holding * wanted.displacement, holding * wanted.rotation, released, opening)
+        command = _Command(wanted.rate, holding * wanted.displacement, holding * wanted.rotation, released, is_opening)
         motion, state = self._compute_motion(command, steps)
         self._planned = command, motion, state
         return motion
@@ -156,13 +156,13 @@ class Playback:
         frames, clock, rate = self._advance_clock(command.rate, steps)
         motion = self._read_frames(frames, consecutive=now.rate == 0.0 == rate)
         has_deviated = now.has_deviated or bool(command.displacement.any() or command.rotation.any())
-        displacement, rotation, opened = now.displacement, now.rotation, now.opened
+        displacement, rotation, progress = now.displacement, now.rotation, now.opening_progress
         # After a deviation, Euler angles may differ from the recorded ones by full turns.
         if has_deviated:
             motion, displacement, rotation = self._offset_motion(motion, command)
         if command.is_opening:
-            motion, opened = self._open_hand(motion)
-        state = _PlaybackState(motion, clock, int(frames[-1]), rate, displacement, rotation, has_deviated, opened)
+            motion, progress = self._open_hand(motion)
+        state = _PlaybackState(motion, clock, int(frames[-1]), rate, displacement, rotation, has_deviated, progress)
         return motion, state
 
     def _advance_clock(self, target_rate: float, steps: int) -> tuple[Indices, float, float]:
@@ -213,7 +213,7 @@ class Playback:
     def _open_hand(self, motion: ReferenceMotion) -> tuple[ReferenceMotion, float]:
         """Move the finger angles towards zero, which is a flat hand in MANO."""
         pace = TIME_STEP / self._config.opening_time
-        progress = np.minimum(self._now.opened + pace * np.arange(1, len(motion.hand) + 1), 1.0)
+        progress = np.minimum(self._now.opening_progress + pace * np.arange(1, len(motion.hand) + 1), 1.0)
         hand = motion.hand.copy()
         hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
         return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])

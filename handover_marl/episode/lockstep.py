@@ -26,7 +26,7 @@ class RefereeStateBatch(NamedTuple):
 
     status: AnyArray
     steps: AnyArray
-    release: AnyArray
+    release_reason: AnyArray
     release_step: AnyArray
     active_steps: AnyArray
     passive_steps: AnyArray
@@ -112,7 +112,7 @@ def _simulate_rollout(
     last, after = judge_steps(before, rollout.contacts, rules)
     for number in np.flatnonzero(last + 1 < steps).tolist():
         rollout.truncate(number, int(last[number]) + 1)
-    for number in np.flatnonzero((after.release >= 0) & (before.release < 0)).tolist():
+    for number in np.flatnonzero((after.release_reason >= 0) & (before.release_reason < 0)).tolist():
         worlds[number].release_target()
     referees.assign_rows(rows, after)
     return np.asarray(last + 1)
@@ -143,7 +143,7 @@ def judge_steps(
     left, right = contacts.in_grasp_region[..., 0], contacts.in_grasp_region[..., 1]
     active = _count_consecutive(contacts.robot_touches_object & left & right, before.active_steps)
     passive = _count_consecutive(contacts.robot_touches_object & ~(left | right), before.passive_steps)
-    held = before.release < 0
+    held = before.release_reason < 0
     releases = held & ((active >= config.release_steps) | (passive >= config.release_steps))
     released = ~held | (xp.cumsum(xp.astype(releases, xp.int64), axis=0) > 0)
     both = xp.all(contacts.fingers_touch, axis=-1)
@@ -167,7 +167,7 @@ def judge_steps(
     return last, RefereeStateBatch(
         status=xp.where(succeeds[now], int(EpisodeStatus.SUCCESS), status),
         steps=steps,
-        release=xp.where(releases[now], reason, before.release),
+        release_reason=xp.where(releases[now], reason, before.release_reason),
         release_step=xp.where(releases[now], steps, before.release_step),
         active_steps=xp.where(held, active[now], before.active_steps),
         passive_steps=xp.where(held, passive[now], before.passive_steps),
@@ -178,7 +178,7 @@ def judge_steps(
 def _is_uneventful(before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
-        (before.release >= 0).any()
+        (before.release_reason >= 0).any()
         or contacts.robot_touches_object.any()
         or contacts.robot_touches_hand.any()
         or min(config.release_steps, config.success_steps) < 1

@@ -47,7 +47,7 @@ class RefereeState(NamedTuple):
     Attributes:
         status: Bits of the `EpisodeStatus`.
         steps: Number of physics steps since the start of the episode.
-        release: Reason why the person released the object, an index into `RELEASE_REASONS`; -1
+        release_reason: Reason why the person released the object, an index into `RELEASE_REASONS`; -1
             before a release.
         release_step: Physics step of the release; -1 before a release.
         active_steps: Consecutive steps in which the condition of `ReleaseReason.ACTIVE` has held.
@@ -57,7 +57,7 @@ class RefereeState(NamedTuple):
 
     status: int
     steps: int
-    release: int
+    release_reason: int
     release_step: int
     active_steps: int
     passive_steps: int
@@ -70,7 +70,7 @@ class Referee:
     Attributes:
         status: Status after the last step; any status but RUNNING ends the episode.
         steps: Number of physics steps since the start of the episode.
-        release: Reason why the person released the object; None before a release.
+        release_reason: Reason why the person released the object; None before a release.
         release_step: Physics step (from 1) of the release, or the step after which a voluntary
             release took effect; None before a release.
         released: Whether the person has released the object. Status rules use it in the same step, the
@@ -80,7 +80,7 @@ class Referee:
     def __init__(self, config: ProtocolConfig) -> None:
         self.status = EpisodeStatus.RUNNING
         self.steps = 0
-        self.release: ReleaseReason | None = None
+        self.release_reason: ReleaseReason | None = None
         self.release_step: int | None = None
         self.released = False
         self._config = config
@@ -90,14 +90,14 @@ class Referee:
     def release_voluntarily(self) -> None:
         """Release the object before the next step, by the giver's choice, if still held."""
         if not self.released:
-            self.release, self.release_step, self.released = ReleaseReason.VOLUNTARY, self.steps, True
+            self.release_reason, self.release_step, self.released = ReleaseReason.VOLUNTARY, self.steps, True
 
     def update(self, contacts: Contacts) -> EpisodeStatus:
         """Update status and release with the contacts of a physics step; return the status."""
         self.steps += 1
         if not self.released:
-            self.release = self._judge_release(contacts)
-            if self.release is not None:
+            self.release_reason = self._judge_release(contacts)
+            if self.release_reason is not None:
                 self.release_step, self.released = self.steps, True
         self.status = self._judge_status(contacts)
         return self.status
@@ -107,7 +107,7 @@ class Referee:
         return RefereeState(
             status=int(self.status),
             steps=self.steps,
-            release=-1 if self.release is None else RELEASE_REASONS.index(self.release),
+            release_reason=-1 if self.release_reason is None else RELEASE_REASONS.index(self.release_reason),
             release_step=-1 if self.release_step is None else self.release_step,
             active_steps=self._active_steps,
             passive_steps=self._passive_steps,
@@ -117,8 +117,8 @@ class Referee:
     def restore(self, state: RefereeState) -> None:
         """Restore a state that `get_state` returned."""
         self.status, self.steps = EpisodeStatus(state.status), state.steps
-        self.released = state.release >= 0
-        self.release = RELEASE_REASONS[state.release] if self.released else None
+        self.released = state.release_reason >= 0
+        self.release_reason = RELEASE_REASONS[state.release_reason] if self.released else None
         self.release_step = state.release_step if self.released else None
         self._active_steps, self._passive_steps = state.active_steps, state.passive_steps
         self._goal_steps = state.goal_steps

@@ -136,7 +136,7 @@ class ReplayRecorder(EpisodeCallback):
             tuple(self._frames),
             tuple(self._clouds),
             episode.status,
-            episode.release,
+            episode.release_reason,
             episode.release_step,
         )
 
@@ -149,7 +149,7 @@ class ReplayRecorder(EpisodeCallback):
                 touches_object=self._touches_object,
                 touches_hand=self._touches_hand,
                 object_offered=episode.object_offered,
-                released=episode.release is not None,
+                released=episode.release_reason is not None,
                 planned_path=None if self._receiver is None else self._receiver.planned_goal,
             )
         )

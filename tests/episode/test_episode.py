@@ -68,7 +68,7 @@ def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch
             action = receiver.act(episode.observe())
             episode.advance(action, round(1000 * min(receiver.hold_time, 20.0)), on_step=hooks)
         contacts = episode.contacts._replace(finger_points=(NO_POINTS, NO_POINTS))
-        outcomes.append((episode.status, episode.steps, episode.release, episode.release_step, contacts))
+        outcomes.append((episode.status, episode.steps, episode.release_reason, episode.release_step, contacts))
         outcomes[-1] += (episode.world.read_object_joints().tolist(),)
     first, second = outcomes
     assert first == second
@@ -91,13 +91,13 @@ def test_rollouts_need_no_single_steps(batch_episode: Episode, monkeypatch: pyte
 def test_voluntary_release(episode: Episode) -> None:
     assert not episode.object_offered
     episode.advance(START, 100, RELEASE)
-    assert (episode.release, episode.release_step) == (None, None), "the object is not held yet"
+    assert (episode.release_reason, episode.release_step) == (None, None), "the object is not held yet"
     episode.advance(START, HELD - 100)
     assert episode.object_offered is True
     assert episode.contacts.both_fingers_touch is False
     height = episode.world.read_object_joints()[0, 2]
     episode.advance(START, 1, RELEASE)
-    assert (episode.release, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD)
+    assert (episode.release_reason, episode.release_step) == (ReleaseReason.VOLUNTARY, HELD)
     assert episode.object_offered is False
     episode.advance(START, 100, RELEASE)
     assert episode.release_step == HELD
@@ -184,7 +184,7 @@ def test_a_reset_starts_anew(episode: Episode) -> None:
     episode.advance(START, 100, RELEASE)
     preview = episode.observe_giver(episode.observe())["replay_object_poses"]
     episode.reset(DATASET.load_scene(214))
-    assert (episode.steps, episode.release, episode.status) == (0, None, EpisodeStatus.RUNNING)
+    assert (episode.steps, episode.release_reason, episode.status) == (0, None, EpisodeStatus.RUNNING)
     assert (episode.observe_giver(episode.observe())["replay_object_poses"] != preview).any()
     episode.reset(SCENE)
     for key, value in episode.observe().items():

@@ -97,7 +97,7 @@ def test_arrays_give_the_states_of_the_referee(
             assert without_final_count(*found) == without_final_count(*expected)
             restored[number].restore(states.select(place))
             assert restored[number].status == referees[number].status
-            assert restored[number].release == referees[number].release
+            assert restored[number].release_reason == referees[number].release_reason
             assert restored[number].release_step == referees[number].release_step
             assert restored[number].released == referees[number].released
             start[number] += int(last[place]) + 1
@@ -112,7 +112,7 @@ def test_whole_episodes_end(status: EpisodeStatus) -> None:
     referee = Referee(RULES)
     last, states = judge_steps(RefereeStateBatch.from_states([referee.get_state()]), arrays([steps]), RULES)
     if status is EpisodeStatus.SUCCESS:
-        assert (last[0], states.release[0], states.status[0]) == (
+        assert (last[0], states.release_reason[0], states.status[0]) == (
             3,
             RELEASE_REASONS.index(ReleaseReason.ACTIVE),
             0,

@@ -63,7 +63,7 @@ def test_zero_is_the_recording_to_the_bit() -> None:
 
 
 def test_the_start_is_the_first_frame() -> None:
-    start = playback().start()
+    start = playback().read_first_frame()
     np.testing.assert_array_equal(start.objects, SCENE.object_dof[:1])
     np.testing.assert_array_equal(start.hand, SCENE.hand_dof[:1])
     assert start.hand_present.tolist() == [False]
@@ -143,11 +143,11 @@ def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
 def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
     played = held()
     before = advance(played, 1)
-    after = advance(played, 1000, action(shift=(0.0, 0.2, 0.0)), released=True, opening=True)
+    after = advance(played, 1000, action(shift=(0.0, 0.2, 0.0)), released=True, is_opening=True)
     np.testing.assert_array_equal(after.objects[-1], before.objects[-1])
     assert wrist(after)[-1, 1] - wrist(before)[-1, 1] == pytest.approx(0.2, abs=1e-6)
     np.testing.assert_allclose(after.hand[-1, 6:], (1 - CONFIG.opening) * before.hand[-1, 6:], atol=1e-6)
-    assert played.opened == 1.0
+    assert played.opening_progress == 1.0
 
 
 def test_moving_by_nothing_is_nothing() -> None:
@@ -194,14 +194,14 @@ def test_the_preview_has_zeros_without_a_hand() -> None:
 
 
 def seen(played: Playback) -> tuple[object, ...]:
-    return played.frame, played.holding, played.opened, played.deviation.tolist()
+    return played.frame, played.holding, played.opening_progress, played.deviation.tolist()
 
 
 def test_plans_change_nothing_until_they_are_committed() -> None:
     played = held()
     before, wanted = seen(played), action(rate=-0.5, shift=(0.1, 0, 0), turn=(0, 0.3, 0))
-    first = played.plan(100, wanted, released=True, opening=True)
-    again = played.plan(100, wanted, released=True, opening=True)
+    first = played.plan(100, wanted, released=True, is_opening=True)
+    again = played.plan(100, wanted, released=True, is_opening=True)
     np.testing.assert_array_equal(again.hand, first.hand)
     np.testing.assert_array_equal(again.objects, first.objects)
     assert seen(played) == before
@@ -227,13 +227,13 @@ def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     """Steps that were planned but not simulated have no effect on the playback."""
     wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
     whole, cut = apply_wrist_offset(), apply_wrist_offset()
-    planned = whole.plan(100, wanted, opening=True)
+    planned = whole.plan(100, wanted, is_opening=True)
     whole.commit(done)
-    short = advance(cut, done, wanted, opening=True)
+    short = advance(cut, done, wanted, is_opening=True)
     np.testing.assert_array_equal(planned.hand[:done], short.hand)
     np.testing.assert_array_equal(planned.objects[:done], short.objects)
     assert seen(whole) == seen(cut)
-    assert 0.0 < whole.opened < 1.0
+    assert 0.0 < whole.opening_progress < 1.0
     np.testing.assert_array_equal(advance(whole, 50).hand, advance(cut, 50).hand)
 
 
@@ -335,7 +335,7 @@ def test_frames_follow_the_rates(parts: list[tuple[float, int]]) -> None:
 def test_an_opening_hand_opens_evenly() -> None:
     played = held()
     before = advance(played, 1).hand[0]
-    parts = [advance(played, steps, released=True, opening=True) for steps in (100, 50, 350)]
+    parts = [advance(played, steps, released=True, is_opening=True) for steps in (100, 50, 350)]
     opened = np.minimum(np.arange(1, 501) / 300.0, 1.0)
     fingers = np.concatenate([part.hand[:, 6:] for part in parts])
     np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
@@ -344,8 +344,8 @@ def test_an_opening_hand_opens_evenly() -> None:
 
 def test_the_progress_of_opening_is_kept() -> None:
     played = held()
-    assert played.opened == 0.0
-    advance(played, 150, released=True, opening=True)
-    assert played.opened == pytest.approx(0.5)
-    advance(played, 75, released=True, opening=True)
-    assert played.opened == pytest.approx(0.75)
+    assert played.opening_progress == 0.0
+    advance(played, 150, released=True, is_opening=True)
+    assert played.opening_progress == pytest.approx(0.5)
+    advance(played, 75, released=True, is_opening=True)
+    assert played.opening_progress == pytest.approx(0.75)

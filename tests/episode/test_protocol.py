@@ -25,9 +25,9 @@ def releases(sequence: list[Contacts]) -> list[ReleaseReason | None]:
     referee, reasons = Referee(CONFIG), []
     for contacts in sequence:
         referee.update(contacts)
-        reasons.append(referee.release)
+        reasons.append(referee.release_reason)
         if referee.released:
-            referee.restore(referee.get_state()._replace(release=-1, release_step=-1))
+            referee.restore(referee.get_state()._replace(release_reason=-1, release_step=-1))
     return reasons
 
 
@@ -83,7 +83,7 @@ def make_referee(released: bool, steps: int = 0) -> Referee:
     config = CONFIG if released else dataclasses.replace(CONFIG, release_steps=10**9)
     referee = Referee(config)
     state = referee.get_state()._replace(steps=steps)
-    referee.restore(state._replace(release=0, release_step=1) if released else state)
+    referee.restore(state._replace(release_reason=0, release_step=1) if released else state)
     return referee
 
 
@@ -162,7 +162,7 @@ def test_referee_reports_the_release_step() -> None:
         assert referee.release_step is None
         referee.update(GRASP)
     assert referee.release_step == 110
-    assert referee.release is ReleaseReason.ACTIVE
+    assert referee.release_reason is ReleaseReason.ACTIVE
     referee.update(PUSH)
     assert referee.release_step == 110
 
@@ -179,7 +179,7 @@ def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], giv
         restored = Referee(CONFIG)
         restored.restore(original.get_state())
         assert restored.get_state() == original.get_state()
-        assert (restored.release, restored.released) == (original.release, original.released)
+        assert (restored.release_reason, restored.released) == (original.release_reason, original.released)
         assert restored.update(contacts) == original.update(contacts)
         assert restored.get_state() == original.get_state()
 

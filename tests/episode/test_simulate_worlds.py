@@ -100,7 +100,7 @@ def draw_state(rng: np.random.Generator) -> RefereeState:
     referee = Referee(RULES)
     start = referee.get_state()._replace(steps=int(rng.integers(1, 380)))
     reason = int(rng.integers(-1, len(ReleaseReason)))
-    return start if reason < 0 else start._replace(release=reason, release_step=1)
+    return start if reason < 0 else start._replace(release_reason=reason, release_step=1)
 
 
 def test_worlds_are_simulated_as_if_alone() -> None:
@@ -135,7 +135,7 @@ def test_worlds_are_simulated_as_if_alone() -> None:
         if not alone.status:
             assert found.goal_steps == expected.goal_steps
         statuses.add(alone.status)
-        reasons.add(alone.release)
+        reasons.add(alone.release_reason)
     assert simulated[3] == 0
     assert statuses >= {EpisodeStatus(status) for status in (1, 2, 4, 6, 8)}
     assert reasons == {None, *ReleaseReason}

@@ -95,7 +95,7 @@ def test_an_object_that_falls_on_another_one_is_dropped(several_objects: Officia
     let_go[-1] = 1.0
     assert episode.status == EpisodeStatus.RUNNING
     episode.advance(START, 1000, let_go)
-    assert episode.release is ReleaseReason.VOLUNTARY
+    assert episode.release_reason is ReleaseReason.VOLUNTARY
     assert episode.status == EpisodeStatus.OBJECT_DROP
     height = float(episode.observe()["object_poses"][0, 2])
     # The object did not reach the table, because the other object is below it.

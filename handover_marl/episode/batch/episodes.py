@@ -60,7 +60,7 @@ class EpisodeBatch:
     @property
     def released(self) -> Flags:
         """Whether each person has released the object, (n,)."""
-        return np.asarray(self.referees.release >= 0)
+        return np.asarray(self.referees.release_reason >= 0)
 
     def reset(self, row: int, scene: Scene, seed: int = 0) -> None:
         """Start an episode of a scene.
@@ -100,8 +100,8 @@ class EpisodeBatch:
         self._release_voluntarily(rows[(giver_actions[:, 7] > 0.5) & self.motion.holding[rows]])
         while steps > 0 and len(rows):
             planned = min(steps, PLANNED_STEPS)
-            release = self.referees.release[rows]
-            motion = self.motion.plan(rows, planned, giver_actions, release >= 0, release == _VOLUNTARY)
+            reasons = self.referees.release_reason[rows]
+            motion = self.motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
             self._simulate(motion, robot_targets, planned)
             steps -= planned
             running = self.referees.status[rows] == 0
@@ -155,7 +155,7 @@ class EpisodeBatch:
             "status": referees.status[rows],
             "steps": referees.steps[rows],
             "release_step": referees.release_step[rows],
-            "release": referees.release[rows],
+            "release": referees.release_reason[rows],
         }
 
     def close(self) -> None:
@@ -165,8 +165,8 @@ class EpisodeBatch:
 
     def _release_voluntarily(self, rows: Indices) -> None:
         """Release the objects that are still held, by the givers' choice."""
-        rows = rows[self.referees.release[rows] < 0]
-        self.referees.release[rows], self.referees.release_step[rows] = _VOLUNTARY, self.referees.steps[rows]
+        rows = rows[self.referees.release_reason[rows] < 0]
+        self.referees.release_reason[rows], self.referees.release_step[rows] = _VOLUNTARY, self.referees.steps[rows]
         for row in rows.tolist():
             self._worlds[row].release_target()
 

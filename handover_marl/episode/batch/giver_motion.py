@@ -35,7 +35,7 @@ class PlannedMotion:
         moving: Indices (d,) in `rows` of the givers with an offset of the wrist.
         offsets: Displacements (m) and rotation vectors (rad) of the wrists, (k, d, 2, 3).
         velocities: Their velocities (k, d, 2, 3).
-        opening: Progress of the hands' opening (r, k), 0 to 1.
+        opening_progress: Progress of the hands' opening (r, k), 0 to 1.
     """
 
     rows: Indices
@@ -46,7 +46,7 @@ class PlannedMotion:
     moving: Indices
     offsets: Array
     velocities: Array
-    opening: Array
+    opening_progress: Array
 
 
 class GiverMotionBatch:
@@ -63,7 +63,7 @@ class GiverMotionBatch:
         frame: Current frame (n,) of each recording.
         rate: Playback rates minus 1 (n,).
         offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
-        opened: Progress (n,) of each hand's opening, 0 to 1.
+        opening_progress: Progress (n,) of each hand's opening, 0 to 1.
     """
 
     def __init__(self, count: int, config: GiverConfig) -> None:
@@ -74,7 +74,7 @@ class GiverMotionBatch:
         self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
         self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
         self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
-        self._has_deviated, self.opened = np.zeros(count, dtype=bool), np.zeros(count)
+        self._has_deviated, self.opening_progress = np.zeros(count, dtype=bool), np.zeros(count)
         # Last reference of hand base and object; their Euler angles continue from it without a jump.
         self._last = np.zeros((count, 2, OBJECT_DOF), dtype=np.float32)
 
@@ -90,7 +90,8 @@ class GiverMotionBatch:
         self._wrists_in_base[row] = find_wrist_in_base(scene)
         pick_up = find_pick_up_frame(scene)
         self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
-        for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self._has_deviated, self.opened):
+        self._has_deviated[row] = False
+        for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self.opening_progress):
             state[row] = 0
         self._last[row] = scene.hand_dof[0, :BASE_JOINTS], scene.object_dof[0, 0]
         return self._read_frames(row, np.array([0]))
@@ -105,7 +106,7 @@ class GiverMotionBatch:
         """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad)."""
         return np.concatenate([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1).astype(np.float32)
 
-    def plan(self, rows: Indices, steps: int, actions: Float32, released: Flags, opening: Flags) -> PlannedMotion:
+    def plan(self, rows: Indices, steps: int, actions: Float32, released: Flags, is_opening: Flags) -> PlannedMotion:
         """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
@@ -113,7 +114,7 @@ class GiverMotionBatch:
             steps: Number of physics steps k.
             actions: (r, 8) actions.
             released: Whether each object has been released, so that it does not follow the hand, (r,).
-            opening: Whether each hand opens after a voluntary release, (r,).
+            is_opening: Whether each hand opens after a voluntary release, (r,).
         """
         rates = ramp_rates(self.rate[rows], actions[:, 0].astype(np.float64), self._config.rate_change, steps)
         clocks = self._clock[rows, None] + np.cumsum(1.0 + rates, axis=1)
@@ -131,10 +132,10 @@ class GiverMotionBatch:
                 self.offset[who], self._velocity[who], set_points[moving], steps, limits
             )
             self._apply_offsets(who, moving, references, offsets, released[moving])
-        opened = np.repeat(self.opened[rows, None], steps, axis=1)
-        if opening.any():
-            self._open_hands(opening, references, opened)
-        return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, opened)
+        progress = np.repeat(self.opening_progress[rows, None], steps, axis=1)
+        if is_opening.any():
+            self._open_hands(is_opening, references, progress)
+        return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, progress)
 
     def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.
@@ -146,7 +147,8 @@ class GiverMotionBatch:
         simulated = np.flatnonzero(steps)
         rows, last = motion.rows[simulated], steps[simulated] - 1
         self._clock[rows], self.frame[rows] = motion.clocks[simulated, last], motion.frames[simulated, last]
-        self.rate[rows], self.opened[rows] = motion.rates[simulated, last], motion.opening[simulated, last]
+        self.rate[rows] = motion.rates[simulated, last]
+        self.opening_progress[rows] = motion.opening_progress[simulated, last]
         for index, step in zip(simulated.tolist(), last.tolist(), strict=True):
             reference, row = motion.references[index], motion.rows[index]
             self._last[row] = reference.hand[step, :BASE_JOINTS], reference.objects[step, 0]
@@ -191,15 +193,15 @@ class GiverMotionBatch:
                 objects[:count, 0], objects[count:, 0] = moved[number][1], moved[number][1, -1]
             references[index] = ReferenceMotion(objects, hand, before.hand_present)
 
-    def _open_hands(self, opening: Flags, references: list[ReferenceMotion], opened: Array) -> None:
+    def _open_hands(self, is_opening: Flags, references: list[ReferenceMotion], progress: Array) -> None:
         """Move the finger angles of opening hands towards zero, which is a flat hand in MANO."""
-        steps = opened.shape[1]
+        steps = progress.shape[1]
         pace = TIME_STEP / self._config.opening_time
-        opened[opening] = np.minimum(opened[opening] + pace * np.arange(1, steps + 1), 1.0)
-        for index in np.flatnonzero(opening).tolist():
+        progress[is_opening] = np.minimum(progress[is_opening] + pace * np.arange(1, steps + 1), 1.0)
+        for index in np.flatnonzero(is_opening).tolist():
             before = references[index]
             hand = before.hand.copy()
-            hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * opened[index, :, None]).astype(np.float32)
+            hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[index, :, None]).astype(np.float32)
             references[index] = ReferenceMotion(before.objects, hand, before.hand_present)
 
     def _read_frames(self, row: int, frames: Indices) -> ReferenceMotion:

@@ -54,7 +54,7 @@ class TensorEpisodeBatch:
     @property
     def released(self) -> AnyArray:
         """Whether each person has released the object, (n,)."""
-        return self.referees.release >= 0
+        return self.referees.release_reason >= 0
 
     def reset(self, row: int, scene: Scene, seed: int = 0) -> None:
         """Start an episode of a scene; see `EpisodeBatch.reset`."""
@@ -148,7 +148,7 @@ class TensorEpisodeBatch:
             "status": referees.status[rows],
             "steps": referees.steps[rows],
             "release_step": referees.release_step[rows],
-            "release": referees.release[rows],
+            "release": referees.release_reason[rows],
         }
 
     def close(self) -> None:
@@ -157,20 +157,20 @@ class TensorEpisodeBatch:
 
     def _release_voluntarily(self, rows: AnyArray) -> None:
         """Release the objects that are still held, by the givers' choice."""
-        rows = rows[self.referees.release[rows] < 0]
-        self.referees.release[rows], self.referees.release_step[rows] = _VOLUNTARY, self.referees.steps[rows]
-        self._worlds.release(rows)
+        rows = rows[self.referees.release_reason[rows] < 0]
+        self.referees.release_reason[rows], self.referees.release_step[rows] = _VOLUNTARY, self.referees.steps[rows]
+        self._worlds.release_targets(rows)
 
     def _advance_planned(self, rows: AnyArray, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
-        xp, release = self.arrays.xp, self.referees.release[rows]
-        plan = self.motion.plan(rows, steps, giver_actions, release >= 0, release == _VOLUNTARY)
+        xp, reasons = self.arrays.xp, self.referees.release_reason[rows]
+        plan = self.motion.plan(rows, steps, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
         states = self.referees.select_rows(rows)
 
         def judge(contacts: ContactBatch) -> tuple[AnyArray, AnyArray]:
             nonlocal states
             was_running = states.status == 0
             _, after = judge_steps(states, contacts, self.config.protocol)
-            released = was_running & (after.release >= 0) & (states.release < 0)
+            released = was_running & (after.release_reason >= 0) & (states.release_reason < 0)
             states = RefereeStateBatch(
                 *(xp.where(was_running, new, old) for new, old in zip(after, states, strict=True))
             )

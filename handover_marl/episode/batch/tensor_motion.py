@@ -52,14 +52,14 @@ class TensorGiverMotion:
         frame: Current frame (n,) of each recording.
         rate: Playback rates minus 1 (n,).
         offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
-        opened: Progress (n,) of each hand's opening, 0 to 1.
+        opening_progress: Progress (n,) of each hand's opening, 0 to 1.
     """
 
     def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory) -> None:
         self._config, self._arrays = config, arrays
         self._bank = RecordingBank(config, arrays)
         self._recordings, self.frame = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
-        self._clock, self.rate, self.opened = arrays.zeros(count), arrays.zeros(count), arrays.zeros(count)
+        self._clock, self.rate, self.opening_progress = arrays.zeros(count), arrays.zeros(count), arrays.zeros(count)
         self.offset, self._velocity = arrays.zeros((count, 2, 3)), arrays.zeros((count, 2, 3))
         self._has_deviated = arrays.zeros(count, "bool")
         # Last Euler angles of the hands' bases, from which the next ones continue without a jump.
@@ -70,7 +70,8 @@ class TensorGiverMotion:
     def reset(self, row: int, scene: Scene) -> None:
         """Start to play a scene."""
         self._recordings[row] = self._bank.add(scene)
-        for state in (self.frame, self._clock, self.rate, self.opened, self.offset, self._velocity, self._has_deviated):
+        self._has_deviated[row] = False
+        for state in (self.frame, self._clock, self.rate, self.opening_progress, self.offset, self._velocity):
             state[row] = 0
         self._angles[row] = self._arrays.asarray(scene.hand_dof[0, _HALF:BASE_JOINTS])
 
@@ -89,7 +90,9 @@ class TensorGiverMotion:
         """Return the previews (r, k, 7) of wrists and target objects; see `RecordingBank.read_previews`."""
         return self._bank.read_previews(self._recordings[rows], self.frame[rows])
 
-    def plan(self, rows: AnyArray, steps: int, actions: AnyArray, released: AnyArray, opening: AnyArray) -> TensorPlan:
+    def plan(
+        self, rows: AnyArray, steps: int, actions: AnyArray, released: AnyArray, is_opening: AnyArray
+    ) -> TensorPlan:
         """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
@@ -97,7 +100,7 @@ class TensorGiverMotion:
             steps: Number of physics steps k.
             actions: (r, 8) actions.
             released: Whether each object has been released, so that it does not follow the hand, (r,).
-            opening: Whether each hand opens after a voluntary release, (r,).
+            is_opening: Whether each hand opens after a voluntary release, (r,).
         """
         xp, recordings = self._arrays.xp, self._recordings[rows]
         actions = xp.astype(actions, xp.float64)
@@ -116,15 +119,16 @@ class TensorGiverMotion:
             track = track_set_points(self.offset[rows], self._velocity[rows], set_points, steps, self._limits)
             offsets, velocities = (part.swapaxes(0, 1) for part in track)
             wrist_states = {"offset": offsets, "_velocity": velocities}
-        ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * opening[:, None]
-        opened = xp.clip(self.opened[rows, None] + TIME_STEP / self._config.opening_time * ticks, 0.0, 1.0)
-        closing = 1.0 - self._config.opening * opened * opening[:, None]
-        reference = self._make_reference(rows, recorded, offsets, moving, moving & ~released, closing)
+        ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * is_opening[:, None]
+        pace = TIME_STEP / self._config.opening_time
+        progress = xp.clip(self.opening_progress[rows, None] + pace * ticks, 0.0, 1.0)
+        finger_scale = 1.0 - self._config.opening * progress * is_opening[:, None]
+        reference = self._make_reference(rows, recorded, offsets, moving, moving & ~released, finger_scale)
         states = {
             "_clock": clocks,
             "frame": frames,
             "rate": rates,
-            "opened": opened,
+            "opening_progress": progress,
             **wrist_states,
             "_has_deviated": xp.broadcast_to(moving[:, None], frames.shape),
             "_angles": reference.hand[..., _HALF:BASE_JOINTS],
@@ -151,7 +155,7 @@ class TensorGiverMotion:
         offsets: AnyArray | None,
         moving: AnyArray,
         moves_object: AnyArray,
-        closing: AnyArray,
+        finger_scale: AnyArray,
     ) -> ReferenceBatch:
         """Move hands and held objects with their wrists' offsets, and open hands.
 
@@ -161,7 +165,7 @@ class TensorGiverMotion:
             offsets: Offsets (r, k, 2, 3) of the wrists; None if no wrist has one.
             moving: Whether each wrist has an offset, (r,).
             moves_object: Whether the object moves with it, (r,).
-            closing: Factors (r, k) of the finger angles, 1 for hands that do not open.
+            finger_scale: Factors (r, k) of the finger angles, 1 for hands that do not open.
         """
         xp, objects = self._arrays.xp, recorded.objects
         positions = xp.astype(objects[..., :_HALF], xp.float64)
@@ -182,7 +186,7 @@ class TensorGiverMotion:
             mask = moves_object[:, None, None]
             positions[..., 0, :] = xp.where(mask, moved, held)
             orientations[..., 0, :] = xp.where(mask, turned, orientations[..., 0, :])
-        fingers = recorded.hand[..., BASE_JOINTS:] * xp.astype(closing[..., None], xp.float32)
+        fingers = recorded.hand[..., BASE_JOINTS:] * xp.astype(finger_scale[..., None], xp.float32)
         hand = xp.concat([base, fingers], axis=-1)
         return ReferenceBatch(hand, recorded.hand_present, positions, orientations)
 

@@ -30,21 +30,24 @@ _TINY = 1e-300
 
 
 class _MotionLimits(NamedTuple):
-    """Limits of the motion of m vectors: largest speed (m,), and terms of the largest acceleration (m,) a.
+    """Limits of the motion of m vectors, (m,) each.
+
+    The highest speed from which a vector can stop after a distance d, in steps of finite length, is
+    sqrt(braking_factor * d + squared_step_correction) - step_correction.
 
     Attributes:
-        speed: Largest speed.
-        change: Largest change of the velocity in a step: a dt.
-        double: 2 a.
-        quarter: (a dt)^2 / 4.
-        half: a dt / 2.
+        max_speed: Largest speed.
+        max_change: Largest change of the velocity in a step: largest acceleration a times length of a step dt.
+        braking_factor: Square of the speed per braking distance without steps: 2 a.
+        squared_step_correction: Square of `step_correction`: (a dt)^2 / 4.
+        step_correction: Correction of the speed, because the velocity changes once a step: a dt / 2.
     """
 
-    speed: AnyArray
-    change: AnyArray
-    double: AnyArray
-    quarter: AnyArray
-    half: AnyArray
+    max_speed: AnyArray
+    max_change: AnyArray
+    braking_factor: AnyArray
+    squared_step_correction: AnyArray
+    step_correction: AnyArray
 
 
 def track_set_points(
@@ -65,43 +68,43 @@ def track_set_points(
     xp = get_namespace(values)
     goal, now, velocity = (array.reshape(-1, 3) for array in (set_points, values, velocities))
     max_speed, acceleration = (xp.tile(limit, (len(values),)) for limit in limits)
-    change = acceleration * TIME_STEP
-    bounds = _MotionLimits(max_speed, change, 2.0 * acceleration, change**2 / 4.0, change / 2.0)
+    max_change = acceleration * TIME_STEP
+    motion_limits = _MotionLimits(max_speed, max_change, 2.0 * acceleration, max_change**2 / 4.0, max_change / 2.0)
     if is_tensor(values):
         # Vectors stay at their goals. Choosing those that still move would have to read tensors of a GPU.
         track = [(now.T, velocity.T, None)]
         for _ in range(steps):
-            track.append(_track_step(*track[-1][:2], goal.T, bounds))
+            track.append(_track_step(*track[-1][:2], goal.T, motion_limits))
         path, speeds = (xp.stack([one[k] for one in track[1:]]).swapaxes(1, 2) for k in range(2))
     else:
-        path, speeds = _track_moving_vectors(now, velocity, goal, bounds, steps)
+        path, speeds = _track_moving_vectors(now, velocity, goal, motion_limits, steps)
     shape = (steps, *values.shape)
     return path.reshape(shape), speeds.reshape(shape)
 
 
 def _track_moving_vectors(
-    now: Array, velocity: Array, goal: Array, bounds: _MotionLimits, steps: int
+    now: Array, velocity: Array, goal: Array, limits: _MotionLimits, steps: int
 ) -> tuple[Array, Array]:
     """Move vectors (m, 3) towards goals; return values and velocities (k, m, 3). Vectors at rest take no time."""
     path, speeds = np.empty((steps, *goal.shape)), np.empty((steps, *goal.shape))
     path[:], speeds[:] = goal, 0.0
     active = np.flatnonzero((now != goal).any(axis=1) | velocity.any(axis=1))
     now, velocity, goal = now[active].T.copy(), velocity[active].T.copy(), goal[active].T.copy()
-    bounds = _MotionLimits(*(bound[active] for bound in bounds))
+    limits = _MotionLimits(*(limit[active] for limit in limits))
     first = 0
     while len(active) and first < steps:
         # The same vectors move until one of them reaches its goal.
         found: list[tuple[Array, Array]] = []
         is_reached = np.zeros(len(active), dtype=bool)
         while first + len(found) < steps and not np.count_nonzero(is_reached):
-            now, velocity, is_reached = _track_step(now, velocity, goal, bounds)
+            now, velocity, is_reached = _track_step(now, velocity, goal, limits)
             found.append((now, velocity))
         rows = slice(first, first + len(found))
         moved, moved_velocity = (np.stack(part).swapaxes(1, 2) for part in zip(*found, strict=True))
         path[rows, active], speeds[rows, active] = moved, moved_velocity
         first, left = rows.stop, ~is_reached
         active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
-        bounds = _MotionLimits(*(bound[left] for bound in bounds))
+        limits = _MotionLimits(*(limit[left] for limit in limits))
     return path, speeds
 
 
@@ -111,12 +114,13 @@ def _track_step(
     """Advance vectors (3, m) by one step; return values, velocities, and which reached the goal."""
     xp, left = get_namespace(now), goal - now
     distance = _compute_column_lengths(left)
-    is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= limits.change)
+    is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= limits.max_change)
     # Highest speed that still allows to stop at the goal, in steps of finite length.
-    speed = xp.minimum(limits.speed, xp.sqrt(limits.double * distance + limits.quarter) - limits.half)
+    braking = xp.sqrt(limits.braking_factor * distance + limits.squared_step_correction) - limits.step_correction
+    speed = xp.minimum(limits.max_speed, braking)
     speed = xp.minimum(speed, distance / TIME_STEP)
     change = left * speed / xp.maximum(distance, _TINY) - velocity
-    change = change * xp.minimum(1.0, limits.change / xp.maximum(_compute_column_lengths(change), _TINY))
+    change = change * xp.minimum(1.0, limits.max_change / xp.maximum(_compute_column_lengths(change), _TINY))
     velocity = velocity + change
     now = now + velocity * TIME_STEP
     if is_tensor(now) or np.count_nonzero(is_reached):

@@ -40,7 +40,7 @@ class TensorEpisodes:
     @property
     def motion(self) -> SimpleNamespace:
         motion = self._episodes.motion
-        names = ("frame", "rate", "offset", "opened", "holding", "deviation")
+        names = ("frame", "rate", "offset", "opening_progress", "holding", "deviation")
         return SimpleNamespace(**self._move({name: getattr(motion, name) for name in names}))
 
     @property

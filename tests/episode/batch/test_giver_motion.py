@@ -45,7 +45,9 @@ def compare(batch: GiverMotionBatch, singles: list[Playback], rng: np.random.Gen
     np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
     # Values that are zero but for rounding need not have equal bits.
     np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], rtol=2e-7, atol=1e-12)
-    np.testing.assert_allclose(batch.opened, [single.opened for single in singles], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(
+        batch.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-15
+    )
 
 
 @settings(max_examples=8, deadline=None)

@@ -67,7 +67,7 @@ def test_episodes_agree_with_those_of_mujoco() -> None:
         assert not to_numpy(tensors.are_grasped(indices)).any()
     assert set(arrays.referees.status[rows].tolist()) == {int(EpisodeStatus.TIMEOUT)}
     release = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
-    assert to_numpy(tensors.referees.release[indices]).tolist() == [release, -1]
+    assert to_numpy(tensors.referees.release_reason[indices]).tolist() == [release, -1]
     assert to_numpy(tensors.released[indices]).tolist() == [True, False]
     assert tensors.read_contacts(0).object_height == pytest.approx(arrays.read_contacts(0).object_height, abs=1e-2)
     tensors.reset(0, dataset.load_scene(SCENES[1]))

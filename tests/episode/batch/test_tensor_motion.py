@@ -50,7 +50,9 @@ def compare(batch: TensorGiverMotion, singles: list[Playback], rng: np.random.Ge
     np.testing.assert_array_equal(batch.frame, [single.frame for single in singles])
     np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
     np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], atol=1e-7)
-    np.testing.assert_allclose(batch.opened, [single.opened for single in singles], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        batch.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-12
+    )
 
 
 @settings(max_examples=6, deadline=None)

@@ -67,7 +67,7 @@ class _PoseRecorder(EpisodeCallback):
         self.poses: list[tuple[int, Array]] = []
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        if float(decision.receiver_action[ARM_DOF]) < _OPEN or episode.release is not None:
+        if float(decision.receiver_action[ARM_DOF]) < _OPEN or episode.release_reason is not None:
             return
         joints = episode.observe()["robot_joint_position"][:ARM_DOF].astype(np.float64)
         self.poses.append((min(episode.steps, episode.scene.n_frames - 1), joints))

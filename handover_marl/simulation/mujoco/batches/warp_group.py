@@ -192,7 +192,7 @@ class WarpGroup:
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
         rollout.overflow[:] |= xp.where(running, self._views["overflow"][:count], 0)
 
-    def release(self, rollout: WarpRollout, released: AnyArray) -> None:
+    def release_targets(self, rollout: WarpRollout, released: AnyArray) -> None:
         """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
         rollout.released[:] = rollout.released | released[rollout.places]
         with self._device.use():

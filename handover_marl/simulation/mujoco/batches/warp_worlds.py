@@ -83,7 +83,7 @@ class WarpWorlds:
             if group in groups
         ]
 
-    def release(self, rows: AnyArray) -> None:
+    def release_targets(self, rows: AnyArray) -> None:
         """Release the target objects of worlds, from the next step on."""
         for group in self._groups.values():
             group.released[rows] = True
@@ -122,7 +122,7 @@ class WarpWorlds:
                 contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
                 was_running, released = judge(contacts)
                 group.store_states(rollout, was_running)
-                group.release(rollout, released)
+                group.release_targets(rollout, released)
                 simulated += was_running
             if not bool(xp.any(was_running)):
                 break

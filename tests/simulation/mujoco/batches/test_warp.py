@@ -187,7 +187,7 @@ def test_released_objects_lie_on_the_table() -> None:
     for at_start in (True, False):
         worlds, supported = start_device_worlds(scenes, xyz), []
         if at_start:
-            worlds.release(TENSORS.asarray([0]))
+            worlds.release_targets(TENSORS.asarray([0]))
 
         def judge(
             found: ContactBatch, supported: list[bool] = supported, now: bool = not at_start
