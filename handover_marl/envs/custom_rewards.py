@@ -126,7 +126,7 @@ class RewardSource(Protocol):
 def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
     """Make the source of reward terms for one environment.
 
-    Each environment works with a copy of a function's instance, so that memory is not shared.
+    Each environment gets a deep copy of a reward object, so that environments do not share its attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.

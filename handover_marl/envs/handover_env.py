@@ -341,7 +341,7 @@ def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
 
 
 def spawn_camera_seed(rng: np.random.Generator) -> int:
-    """Return another seed of a wrist camera, 32 bits; the generator's numbers do not depend on it."""
+    """Spawn another 32-bit seed for the wrist camera; the numbers that `rng` draws do not change."""
     seeds = rng.bit_generator.seed_seq.spawn(1)  # type: ignore[attr-defined]
     return int(seeds[0].generate_state(1)[0])
 

@@ -18,7 +18,7 @@ Observations = Mapping[str, Observation]
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One control step of the environment: what was observed, done and observed again.
+    """One control step: observations before it, actions, observations after it.
 
     World frame; m, rad, s, N; quaternions xyzw. All arrays are read-only copies. Observations and
     actions are the environment's own, not the values of a wrapper, features or action scheme.

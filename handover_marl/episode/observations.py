@@ -107,7 +107,7 @@ def giver_observation_space(
 
 
 class MotionPreview:
-    """Preview of a recording: poses of wrist and object some tenths of a second ahead.
+    """Preview of a recording: poses of wrist and object at the times `config.preview` ahead (s).
 
     Args:
         scene: Scene with the recording.
@@ -182,8 +182,8 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
     Args:
         state: The full state as `observe` returns it.
         camera: The camera data of this mode as `WristCamera.observe` returns it.
-        obs_mode: One of `OBS_MODES`; a mode without "state" keeps only the
-            robot's joints and gripper pose of the state.
+        obs_mode: One of `OBS_MODES`; a mode without "state" keeps `PROPRIOCEPTION` of the
+            state: joint positions and velocities of the robot, pose of its hand link, and time.
     """
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}
     return {**own, **camera}

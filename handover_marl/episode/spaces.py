@@ -13,8 +13,9 @@ from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 #: Parts of an observation mode: the simulator's state, and the wrist camera's data.
 STATE, POINTCLOUD, RGBD, FULL_POINTCLOUD = "state", "pointcloud", "rgbd", "full_pointcloud"
 SCENE_POINTCLOUD = "scene_pointcloud"
-#: Observation modes of the receiver, named as in ManiSkill; without "state" only proprioception is left beside the
-#: camera's data, so that a policy cannot use the true poses by accident.
+#: Observation modes of the receiver, named as in ManiSkill; a mode without "state" has only the keys
+#: `observations.PROPRIOCEPTION` of the state beside the camera's data (joint positions and velocities, pose of the hand
+#: link, time), so that a policy cannot use the true poses by accident.
 OBS_MODES = (
     STATE,
     f"{STATE}+{POINTCLOUD}",

@@ -55,7 +55,10 @@ def as_arrays(*values: Any) -> tuple[Any, ...]:
 
 
 def make_constant(values: tuple[float, ...], like: AnyArray) -> AnyArray:
-    """Return numbers as a float64 array in the namespace and on the device of another array; it is shared."""
+    """Return numbers as a float64 array in the namespace and on the device of another array.
+
+    The array is cached and must not be changed.
+    """
     return _make_constant(values, like.device if is_tensor(like) else None)
 
 
