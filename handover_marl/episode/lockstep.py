@@ -79,16 +79,18 @@ def simulate_worlds(
 
     while running := np.flatnonzero((referees.status == 0) & (simulated < steps)).tolist():
         # Preparing a sleeping world may wake it, which changes its key.
-        for part in _split([number for number in running if worlds[number].is_asleep]):
-            worlds[part[0]].prepare_rollout([worlds[one] for one in part], [robot_targets[one] for one in part])
+        for chunk in _split([number for number in running if worlds[number].is_asleep]):
+            own_worlds, targets = [worlds[number] for number in chunk], [robot_targets[number] for number in chunk]
+            own_worlds[0].prepare_rollout(own_worlds, targets)
         groups: dict[object, list[int]] = {}
         for number in running:
             groups.setdefault(worlds[number].rollout_key, []).append(number)
         for group in groups.values():
-            for part in _split(group):
-                own, targets, rows = [worlds[one] for one in part], [robot_targets[one] for one in part], np.array(part)
+            for chunk in _split(group):
+                own_worlds, targets = [worlds[number] for number in chunk], [robot_targets[number] for number in chunk]
+                rows = np.array(chunk)
                 limit = steps - int(simulated[rows].max())
-                simulated[rows] += _simulate_rollout(own, targets, referees, rows, limit, rules)
+                simulated[rows] += _simulate_rollout(own_worlds, targets, referees, rows, limit, rules)
     return simulated
 
 

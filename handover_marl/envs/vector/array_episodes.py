@@ -204,12 +204,14 @@ class ArrayEpisodes:
         """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""
         result = EnvResult({}, {}, {}, {}, {})
         for agent in self._agents:
-            found = self._select_observation(agent, rows)
+            observation = self._select_observation(agent, rows)
             if agent == RECEIVER and self._camera is not None:
                 # Only here: neither built-in action schemes nor partners observe images.
-                images = self._camera.observe(rows, found, self._episodes.referees.steps[rows])
-                found = select_receiver_observation(found, images, self._base.config.obs_mode)
-            result.observations[agent] = self._features[agent](rows, found) if agent in self._features else found
+                images = self._camera.observe(rows, observation, self._episodes.referees.steps[rows])
+                observation = select_receiver_observation(observation, images, self._base.config.obs_mode)
+            result.observations[agent] = (
+                self._features[agent](rows, observation) if agent in self._features else observation
+            )
             terms = self._rewards.make_infos(agent, rows, self._has_returns)
             result.infos[agent] = {**self._episodes.make_infos(rows), **terms}
             result.rewards[agent] = self._rewards.totals[agent][rows]

@@ -57,11 +57,11 @@ class PopulationBatch(PolicyBatch):
         """Return the current actions (r, ...); see `PolicyBatch.act`."""
         arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
-        parts = []
+        actions = []
         for group in groups:
-            own = arrays.asarray(group)
-            parts.append(self._batches[numbers[group[0]]].act(rows[own], observe, steps[own]))
-        return arrays.xp.concat(parts)[arrays.asarray(np.argsort(np.concatenate(groups)))]
+            group_rows = arrays.asarray(group)
+            actions.append(self._batches[numbers[group[0]]].act(rows[group_rows], observe, steps[group_rows]))
+        return arrays.xp.concat(actions)[arrays.asarray(np.argsort(np.concatenate(groups)))]
 
 
 def make_policy_batch(

@@ -89,12 +89,12 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         """
         if options is not None and not isinstance(options, Mapping):
             raise OptionError(f"options must be a dict, got {options!r}")
-        own = dict(options or {})
-        mask = own.pop("reset_mask", None)
+        reset_options = dict(options or {})
+        mask = reset_options.pop("reset_mask", None)
         chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
-        result = self._batch.reset(seed, own, chosen)
+        result = self._batch.reset(seed, reset_options, chosen)
         return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -257,12 +257,12 @@ def vector_env(
         factory.check_device()
     template, make = factory.template, factory.make
     if processes is not None:
-        parts = processes
+        n_groups = processes
         # The copy has no environment, which would be pickled with it.
         make = functools.partial(ProcessEnvs, replace(factory).make)
     else:
-        parts = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
-    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], parts)
+        n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
+    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], n_groups)
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 

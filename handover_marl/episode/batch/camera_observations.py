@@ -69,22 +69,22 @@ class WristCameraBatch:
             steps: Numbers (r,) of simulated physics steps.
         """
         count = len(rows)
-        found = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}
+        observation = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}
         for first in range(0, count, _CHUNK):
-            part = slice(first, first + _CHUNK)
+            chunk = slice(first, first + _CHUNK)
             snapshots = JointSnapshotBatch(
-                robot=state["robot_joint_position"][part],
-                hand=state["hand_dof_position"][part],
-                hand_present=state["hand_present"][part, 0] > 0.0,
-                objects=state["object_poses"][part],
+                robot=state["robot_joint_position"][chunk],
+                hand=state["hand_dof_position"][chunk],
+                hand_present=state["hand_present"][chunk, 0] > 0.0,
+                objects=state["object_poses"][chunk],
             )
             if self._kind == RGBD:
-                some = self._observe_images(rows[part], snapshots)
+                chunk_observation = self._observe_images(rows[chunk], snapshots)
             else:
-                some = self._observe_clouds(rows[part], snapshots, steps[part])
-            for key, values in some.items():
-                found[key][part] = values.reshape(-1, *self._formats[key][0])
-        return found
+                chunk_observation = self._observe_clouds(rows[chunk], snapshots, steps[chunk])
+            for key, values in chunk_observation.items():
+                observation[key][chunk] = values.reshape(-1, *self._formats[key][0])
+        return observation
 
     def close(self) -> None:
         """Free the models' meshes."""
@@ -95,13 +95,13 @@ class WristCameraBatch:
         return {"wrist_depth": images.depth, "wrist_segmentation": images.segmentation, "wrist_rgb": images.rgb}
 
     def _observe_clouds(self, rows: AnyArray, snapshots: JointSnapshotBatch, steps: AnyArray) -> Observation:
-        xp, found, counts = self._arrays.xp, {}, []
+        xp, clouds, counts = self._arrays.xp, {}, []
         images = self._camera.render_targets(rows, snapshots, with_others=self._kind == SCENE_POINTCLOUD)
         for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
             is_point = pixels < N_PIXELS
-            some = xp.where(is_point, pixels, 0)
-            points = compute_points(some, xp.take_along_dim(images.depth, some, dim=1), self._model)
-            found[key] = xp.where(is_point[..., None], points, 0.0)
-        return {**found, "wrist_point_counts": xp.stack(counts, axis=1)}
+            known_pixels = xp.where(is_point, pixels, 0)
+            points = compute_points(known_pixels, xp.take_along_dim(images.depth, known_pixels, dim=1), self._model)
+            clouds[key] = xp.where(is_point[..., None], points, 0.0)
+        return {**clouds, "wrist_point_counts": xp.stack(counts, axis=1)}

@@ -111,15 +111,15 @@ class EpisodeBatch:
         """Read the full state of episodes from the simulation into `state`."""
         state = self.state
         for row in rows.tolist():
-            found = self._worlds[row].read_state()
-            state["robot_joint_position"][row] = found.robot_joint_position
-            state["robot_joint_velocity"][row] = found.robot_joint_velocity
-            state["gripper_pose"][row] = found.gripper_pose
-            state["object_poses"][row, : len(found.object_poses)] = found.object_poses
-            present = found.hand_dof_position is not None
+            world_state = self._worlds[row].read_state()
+            state["robot_joint_position"][row] = world_state.robot_joint_position
+            state["robot_joint_velocity"][row] = world_state.robot_joint_velocity
+            state["gripper_pose"][row] = world_state.gripper_pose
+            state["object_poses"][row, : len(world_state.object_poses)] = world_state.object_poses
+            present = world_state.hand_dof_position is not None
             state["hand_present"][row] = present
-            state["hand_dof_position"][row] = found.hand_dof_position if present else 0.0
-            state["hand_keypoints"][row] = found.hand_keypoints if present else 0.0
+            state["hand_dof_position"][row] = world_state.hand_dof_position if present else 0.0
+            state["hand_keypoints"][row] = world_state.hand_keypoints if present else 0.0
         state["released"][rows, 0] = self.released[rows]
         state["time"][rows, 0] = self.referees.steps[rows] * TIME_STEP
 
@@ -130,16 +130,16 @@ class EpisodeBatch:
     def select_giver_observation(self, rows: Indices) -> Observation:
         """Return the givers' observations (r, ...): state, preview of the recording, deviation."""
         shapes = {key: (len(rows), *(self._preview_space[key].shape or ())) for key in _GIVER_KEYS}
-        own = {key: np.empty(shape, dtype=np.float32) for key, shape in shapes.items()}
+        giver_arrays = {key: np.empty(shape, dtype=np.float32) for key, shape in shapes.items()}
         for index, row in enumerate(rows.tolist()):
             preview = self._previews[row]
             if preview is None:
                 preview = self._previews[row] = MotionPreview(self._require_scene(row), self.config.giver)
             poses = preview.read_poses(int(self.motion.frame[row]))
-            own["replay_wrist_poses"][index], own["replay_object_poses"][index] = poses
-        own["deviation"][:] = self.motion.deviation[rows]
-        own["holding"][:, 0] = self.motion.holding[rows]
-        return {**self.select_state(rows), **own}
+            giver_arrays["replay_wrist_poses"][index], giver_arrays["replay_object_poses"][index] = poses
+        giver_arrays["deviation"][:] = self.motion.deviation[rows]
+        giver_arrays["holding"][:, 0] = self.motion.holding[rows]
+        return {**self.select_state(rows), **giver_arrays}
 
     def read_contacts(self, row: int) -> Contacts:
         """Return the contacts of an episode in the last physics step."""

@@ -170,8 +170,8 @@ class GiverMotionBatch:
             offsets: Offsets (k, d, 2, 3) of the wrists.
             released: Whether each object has been released, (d,).
         """
-        own = [references[index] for index in moving.tolist()]
-        bodies = [np.stack([one.hand[:, :BASE_JOINTS], one.objects[:, 0]]) for one in own]
+        recorded = [references[index] for index in moving.tolist()]
+        bodies = [np.stack([motion.hand[:, :BASE_JOINTS], motion.objects[:, 0]]) for motion in recorded]
         # At rest, rows are equal from some row on: compute the first of them.
         counts = [
             _count_distinct_rows(offsets[:, number].reshape(len(offsets), 6), *both)
@@ -184,7 +184,7 @@ class GiverMotionBatch:
             self._last[who],
         )
         for number, index in enumerate(moving.tolist()):
-            before, count = own[number], counts[number]
+            before, count = recorded[number], counts[number]
             hand = before.hand.copy()
             hand[:count, :BASE_JOINTS], hand[count:, :BASE_JOINTS] = moved[number][0], moved[number][0, -1]
             objects = before.objects

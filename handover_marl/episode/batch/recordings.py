@@ -55,7 +55,7 @@ class RecordingBank:
             objects = np.zeros((scene.n_frames, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
             objects[:, : scene.object_dof.shape[1]] = scene.object_dof
             values = (scene.hand_dof, scene.is_hand_present(np.arange(scene.n_frames)), objects)
-            (first,) = {bank.extend(own) for bank, own in zip(self._frames, values, strict=True)}
+            (first,) = {bank.extend(array) for bank, array in zip(self._frames, values, strict=True)}
             pick_up = find_pick_up_frame(scene)
             self._bounds.extend(np.array([first, scene.n_frames - 1, NEVER if pick_up is None else pick_up]))
             self._numbers[key] = self._wrists.extend(find_wrist_in_base(scene))
@@ -86,12 +86,12 @@ class RecordingBank:
         """
         xp = self._arrays.xp
         last = self.get_last_frames(recordings)[:, None]
-        own = self.read_frames(recordings, xp.minimum(frames[:, None] + self._ahead, last))
-        bases, objects = own.hand[..., :OBJECT_DOF], own.objects[..., 0, :]
+        frames_ahead = self.read_frames(recordings, xp.minimum(frames[:, None] + self._ahead, last))
+        bases, objects = frames_ahead.hand[..., :OBJECT_DOF], frames_ahead.objects[..., 0, :]
         orientations = quaternions_from_euler(bases[..., 3:])
         wrists = bases[..., :3] + rotate_points(orientations, self.get_wrists_in_base(recordings)[:, None])
         poses = xp.astype(xp.concat([wrists, orientations], axis=-1), xp.float32)
         objects = xp.astype(
             xp.concat([objects[..., :3], quaternions_from_euler(objects[..., 3:])], axis=-1), xp.float32
         )
-        return xp.where(own.hand_present[..., None], poses, 0.0), objects
+        return xp.where(frames_ahead.hand_present[..., None], poses, 0.0), objects

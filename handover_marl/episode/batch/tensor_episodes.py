@@ -84,28 +84,30 @@ class TensorEpisodeBatch:
         """
         self._release_voluntarily(rows[(giver_actions[:, 7] > 0.5) & self.motion.holding[rows]])
         for places in self._worlds.split(to_numpy(rows)):
-            some = self.arrays.asarray(places)
-            own, targets, actions = rows[some], robot_targets[some], giver_actions[some]
+            group = self.arrays.asarray(places)
+            group_rows, targets, actions = rows[group], robot_targets[group], giver_actions[group]
             for first in range(0, steps, PLANNED_STEPS):
-                self._advance_planned(own, targets, min(steps - first, PLANNED_STEPS), actions)
-                running = self.referees.status[own] == 0
-                own, targets, actions = own[running], targets[running], actions[running]
-                if not len(own):
+                self._advance_planned(group_rows, targets, min(steps - first, PLANNED_STEPS), actions)
+                running = self.referees.status[group_rows] == 0
+                group_rows, targets, actions = group_rows[running], targets[running], actions[running]
+                if not len(group_rows):
                     break
 
     def observe(self, rows: AnyArray) -> None:
         """Read the full state of episodes from the simulation into `state`."""
         xp, state, host = self.arrays.xp, self.state, to_numpy(rows)
         for places in self._worlds.split(host):
-            found, own = self._worlds.read_state(host[places]), rows[self.arrays.asarray(places)]
+            world_state, group_rows = self._worlds.read_state(host[places]), rows[self.arrays.asarray(places)]
             for key in ("robot_joint_position", "robot_joint_velocity", "gripper_pose"):
-                state[key][own] = getattr(found, key)
-            count = found.object_poses.shape[1]
-            state["object_poses"][own, :count] = found.object_poses * state["object_mask"][own, :count, None]
-            state["hand_present"][own] = xp.astype(found.hand_present[:, None], xp.float32)
+                state[key][group_rows] = getattr(world_state, key)
+            count = world_state.object_poses.shape[1]
+            state["object_poses"][group_rows, :count] = (
+                world_state.object_poses * state["object_mask"][group_rows, :count, None]
+            )
+            state["hand_present"][group_rows] = xp.astype(world_state.hand_present[:, None], xp.float32)
             for key in ("hand_dof_position", "hand_keypoints"):
-                values = getattr(found, key)
-                state[key][own] = xp.where(expand_mask(found.hand_present, values), values, 0.0)
+                values = getattr(world_state, key)
+                state[key][group_rows] = xp.where(expand_mask(world_state.hand_present, values), values, 0.0)
         state["released"][rows, 0] = xp.astype(self.released[rows], xp.float32)
         steps = xp.astype(self.referees.steps[rows], xp.float64)
         state["time"][rows, 0] = xp.astype(steps * TIME_STEP, xp.float32)

@@ -75,7 +75,7 @@ def track_set_points(
         track = [(now.T, velocity.T, None)]
         for _ in range(steps):
             track.append(_track_step(*track[-1][:2], goal.T, motion_limits))
-        path, speeds = (xp.stack([one[k] for one in track[1:]]).swapaxes(1, 2) for k in range(2))
+        path, speeds = (xp.stack([step[k] for step in track[1:]]).swapaxes(1, 2) for k in range(2))
     else:
         path, speeds = _track_moving_vectors(now, velocity, goal, motion_limits, steps)
     shape = (steps, *values.shape)
@@ -94,13 +94,13 @@ def _track_moving_vectors(
     first = 0
     while len(active) and first < steps:
         # The same vectors move until one of them reaches its goal.
-        found: list[tuple[Array, Array]] = []
+        track: list[tuple[Array, Array]] = []
         is_reached = np.zeros(len(active), dtype=bool)
-        while first + len(found) < steps and not np.count_nonzero(is_reached):
+        while first + len(track) < steps and not np.count_nonzero(is_reached):
             now, velocity, is_reached = _track_step(now, velocity, goal, limits)
-            found.append((now, velocity))
-        rows = slice(first, first + len(found))
-        moved, moved_velocity = (np.stack(part).swapaxes(1, 2) for part in zip(*found, strict=True))
+            track.append((now, velocity))
+        rows = slice(first, first + len(track))
+        moved, moved_velocity = (np.stack(column).swapaxes(1, 2) for column in zip(*track, strict=True))
         path[rows, active], speeds[rows, active] = moved, moved_velocity
         first, left = rows.stop, ~is_reached
         active, now, velocity, goal = active[left], now[:, left], velocity[:, left], goal[:, left]
@@ -144,7 +144,7 @@ def apply_wrist_offsets(
     Returns:
         Moved joint positions (2, k, 6) of each hand's base and of its object.
     """
-    counts = [len(own) for own in offsets]
+    counts = [len(rows) for rows in offsets]
     recorded = np.concatenate(bodies, axis=1).astype(np.float64)
     shifts = np.concatenate(offsets)
     orientation = quaternions_from_euler(recorded[..., 3:].reshape(-1, 3)).reshape(2, -1, 4)

@@ -110,12 +110,12 @@ class RobotOnlySimulation:
             array[0] = part
         batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
         controls = np.repeat(state[None, -1:], steps, axis=1)
-        found = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
+        rollout = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
         check_warnings(batch)
         joints, velocities, warm_start = (
-            np.concatenate([first[None], found[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
+            np.concatenate([first[None], rollout[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
         )
-        return RobotTrajectory(joints, velocities, warm_start, found["site_xpos"][0][:, self._model.spheres])
+        return RobotTrajectory(joints, velocities, warm_start, rollout["site_xpos"][0][:, self._model.spheres])
 
 
 class SleepState:

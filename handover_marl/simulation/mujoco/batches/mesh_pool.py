@@ -61,7 +61,7 @@ def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np
     """Return the arrays of one mesh, with addresses that start at zero."""
     vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
     polygons = slice(model.mesh_polyadr[mesh], model.mesh_polyadr[mesh] + model.mesh_polynum[mesh])
-    found = {
+    arrays = {
         "mesh_vertadr": np.zeros(1, dtype=np.int32),
         "mesh_polyadr": np.zeros(1, dtype=np.int32),
         "mesh_graphadr": np.zeros(1, dtype=np.int32),
@@ -70,13 +70,13 @@ def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np
         **{name: getattr(model, name)[polygons] for name in _POLYGON_ARRAYS},
         "mesh_graph": _select_graph(model, mesh),
     }
-    for (address, target), part, counts in zip(
+    for (address, target), rows, counts in zip(
         _TARGETS.items(), (polygons, vertices), ("mesh_polyvertnum", "mesh_polymapnum"), strict=True
     ):
-        starts = getattr(model, address)[part]
-        found[address] = starts - starts[0]
-        found[target] = getattr(model, target)[starts[0] : starts[0] + getattr(model, counts)[part].sum()]
-    return found
+        starts = getattr(model, address)[rows]
+        arrays[address] = starts - starts[0]
+        arrays[target] = getattr(model, target)[starts[0] : starts[0] + getattr(model, counts)[rows].sum()]
+    return arrays
 
 
 def _select_graph(model: "mujoco.MjModel", mesh: int) -> npt.NDArray[np.int32]:

@@ -115,14 +115,14 @@ class WarpModel:
     """
 
     def __init__(self, scene: SceneModel, worlds: int, arrays: ArrayFactory) -> None:
-        own = copy.copy(scene.model)
+        model = copy.copy(scene.model)
         # MuJoCo Warp refuses this flag; it never resets a world.
-        own.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         # With sparse matrices, rounding in a world depends on the other worlds.
-        own.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE if own.nv <= _MAX_DENSE else mujoco.mjtJacobian.mjJAC_AUTO
-        self.source = own
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE if model.nv <= _MAX_DENSE else mujoco.mjtJacobian.mjJAC_AUTO
+        self.source = model
         # Absent hulls are left out of arrays of at least two rows only.
-        self.model = mujoco_warp.put_model(own, dict.fromkeys(_ROW_FIELDS, max(worlds, 2)))
+        self.model = mujoco_warp.put_model(model, dict.fromkeys(_ROW_FIELDS, max(worlds, 2)))
         # Version 4.0 leaves the velocity derivative of actuators out of the implicit integration of single free
         # bodies; without this list the objects are integrated like all other bodies.
         self.model.body_freeadr = warp.empty(0, dtype=int)
@@ -153,9 +153,9 @@ class WarpModel:
             return self._known[scene], False
         n_meshes = len(self._meshes.arrays.get("mesh_vertadr", ()))
         values = self._compute_values(scene)
-        key = hashlib.sha256(b"".join(own.tobytes() for own in values.values())).digest()
+        key = hashlib.sha256(b"".join(array.tobytes() for array in values.values())).digest()
         if key not in self._numbers:
-            (self._numbers[key],) = {self._scenes[name].extend(own) for name, own in values.items()}
+            (self._numbers[key],) = {self._scenes[name].extend(array) for name, array in values.items()}
         number = self._known[scene] = self._numbers[key]
         if len(self._meshes.arrays["mesh_vertadr"]) == n_meshes:
             return number, False

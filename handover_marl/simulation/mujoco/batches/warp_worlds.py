@@ -78,7 +78,7 @@ class WarpWorlds:
         if None in groups:
             raise ResetNeededError("a world has no scene; call reset() first")
         return [
-            np.array([place for place, own in enumerate(groups) if own is group])
+            np.array([place for place, world_group in enumerate(groups) if world_group is group])
             for group in self._groups.values()
             if group in groups
         ]

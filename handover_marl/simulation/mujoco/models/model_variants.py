@@ -52,21 +52,20 @@ class ModelVariants:
         """
         if hand_collides and not released:
             return self._model
-        found = self._variants.get((released, hand_collides))
-        if found is None:
+        variant = self._variants.get((released, hand_collides))
+        if variant is None:
             # Threads may copy the same variant twice; the later copy is shared.
-            found = self._variants[released, hand_collides] = self._copy(released, hand_collides)
-        return found
+            variant = self._variants[released, hand_collides] = self._copy(released, hand_collides)
+        return variant
 
     def _copy(self, released: bool, hand_collides: bool) -> "mujoco.MjModel":
-        own = copy.copy(self._model)
+        model = copy.copy(self._model)
         if released:
-            geoms = slice(
-                own.body_geomadr[self._target], own.body_geomadr[self._target] + own.body_geomnum[self._target]
-            )
-            own.geom_conaffinity[geoms] = own.body_conaffinity[self._target] = int(RELEASED_COLLISIONS)
-            own.actuator_forcerange[self._actuators : self._actuators + OBJECT_DOF] = 0.0
+            first = model.body_geomadr[self._target]
+            geoms = slice(first, first + model.body_geomnum[self._target])
+            model.geom_conaffinity[geoms] = model.body_conaffinity[self._target] = int(RELEASED_COLLISIONS)
+            model.actuator_forcerange[self._actuators : self._actuators + OBJECT_DOF] = 0.0
         if not hand_collides:
-            own.body_contype[self._hand] = 0
-            own.geom_contype[np.isin(own.geom_bodyid, self._hand)] = 0
-        return own
+            model.body_contype[self._hand] = 0
+            model.geom_contype[np.isin(model.geom_bodyid, self._hand)] = 0
+        return model
