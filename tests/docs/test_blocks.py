@@ -11,11 +11,13 @@ import gymnasium
 import pytest
 
 import handover_marl
+from handover_marl import testing
 from handover_marl.datasets.splits import choose_scenes, get_prescribed_side, list_split_scenes
 from handover_marl.errors import HandoverError
 from tests.docs.commands import check, commands
 from tests.docs.pages import PAGES, Block, blocks, inline_commands, name
 from tests.fake_layout import FakeScene, write_layout
+from tests.short_episodes import shorten_episodes
 
 LANGUAGES = {"python", "bash", "ini", "text", "bibtex", "{include}", "{toctree}", "{eval-rst}"}
 SHELL = [
@@ -47,6 +49,16 @@ SCRIPTS_NEED = {
     "best_response": "stable_baselines3",
 }
 ENVIRONMENTS, DECISIONS = 2, 16
+#: Pages whose programs need what happens late in an episode: a decision of the giver, a release, or a success.
+WHOLE_EPISODES = ("docs/tutorials/adaptive_giver.md", "docs/how_to/demonstrations.md", "docs/tutorials/own_reward.md")
+#: Physics steps (1 ms) of the episodes of other pages, and of the conformance tests of receivers and givers.
+EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 2000, 500, 4000
+CHECKED_SCENES = (9,)
+#: Parts of the programs of a page, and what the test runs instead of them, so that less is simulated.
+SMALLER = {
+    "docs/how_to/demonstrations.md": {"episode.steps[:-1]": "episode.steps[:20]"},
+    "docs/how_to/vector_environments.md": {"64": str(ENVIRONMENTS)},
+}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -80,7 +92,7 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Change to a folder with generated data; use one scene of a split, few environments and short trainings."""
+    """Change to a folder with generated data; use one scene, few environments, short trainings and short checks."""
     monkeypatch.chdir(tmp_path)
     # Otherwise Ray would join a cluster of another test on this machine, and fail when that cluster ends.
     monkeypatch.setenv("RAY_ADDRESS", "local")
@@ -88,9 +100,11 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_layout(tmp_path / "handover" / "data", (FakeScene(first),))
 
     def one_scene(split: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-        return choose_scenes(split, scenes, where)[: None if scenes else 1]
+        return choose_scenes(split, scenes, where)[:1]
 
     monkeypatch.setattr("handover_marl.evaluation.config.choose_scenes", one_scene)
+    for test, steps in ((testing.check_receiver, RECEIVER_STEPS), (testing.check_giver, GIVER_STEPS)):
+        monkeypatch.setattr(testing, test.__name__, functools.partial(test, scenes=CHECKED_SCENES, steps=steps))
     make_vec = gymnasium.make_vec
     monkeypatch.setattr(gymnasium, "make_vec", lambda name, _, **kwargs: make_vec(name, ENVIRONMENTS, **kwargs))
     if importlib.util.find_spec("stable_baselines3"):
@@ -107,6 +121,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def run(block: Block, names: dict[str, Any]) -> None:
     """Run a block and the tests that it defines; a traceback shows the place in the page."""
     source = "\n" * (block.line - 1) + block.text
+    for large, small in SMALLER.get(name(block.page), {}).items():
+        source = source.replace(large, small)
     place = f"{name(block.page)}:{block.line}"
     # The source code of policies is read when they are sent to other processes.
     linecache.cache[place] = (len(source), None, source.splitlines(keepends=True), place)
@@ -120,9 +136,11 @@ def run(block: Block, names: dict[str, Any]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PROGRAMS, ids=name)
 @pytest.mark.filterwarnings("ignore")
-def test_programs_run(page: Path, small: None) -> None:
+def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in NEEDS.get(name(page), ()):
         pytest.importorskip(module)
+    if name(page) not in WHOLE_EPISODES:
+        shorten_episodes(monkeypatch, EPISODE_STEPS)
     names: dict[str, Any] = {"__name__": f"{page.stem}_blocks"}
     if page.stem == "demonstrations":
         handover_marl.demonstrate(

@@ -35,12 +35,12 @@ def test_scores_are_those_of_single_episodes(tmp_path: Path, capsys: pytest.Capt
         first=tuple(files[:1]),
         second=tuple(files[1:]),
         population=str(write_population(tmp_path)),
-        n_scenes=4,
+        n_scenes=2,
         out=tmp_path / "scores.json",
     )
     scores, outcomes = evaluate(args)
-    scenes = tuple(select_scenes_evenly(args.open_dataset().list_scenes("s0", "val"), 4))
-    assert scores.shape == (2, 1, 4)
+    scenes = tuple(select_scenes_evenly(args.open_dataset().list_scenes("s0", "val"), 2))
+    assert scores.shape == (2, 1, 2)
     assert scores.any()
     for number, file in enumerate(files):
         where = {"dataset": "synthetic", "physics": "mujoco", "workers": 1, "progress": False, "scenes": scenes}

@@ -6,9 +6,15 @@ import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from tests.learning.training.scripts import EXPERIMENTS, script
+from tests.short_episodes import shorten_episodes
 
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 MAX_LINES = 120
+
+
+@pytest.fixture(autouse=True)
+def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_episodes(monkeypatch, 2000)
 
 
 def test_examples_are_short() -> None:

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.learning.training.scripts import script
+from tests.short_episodes import shorten_episodes
 
 
 def _printed(
@@ -16,6 +17,7 @@ def _printed(
 def test_receiver_that_never_moves_ends_with_open_fingers(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    shorten_episodes(monkeypatch, 1500)
     printed = _printed("hold", (9,), monkeypatch, capsys)
     assert "synthetic, s0 val, 1 episodes, giver replay, receiver hold, panda, fast physics, camera perfect" in printed
     assert "| timeout with open fingers | 1        | 100.0 |" in printed

@@ -7,11 +7,13 @@ import pytest
 from experiments import measure_results
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.evaluation.reports.report_files import evaluate
+from tests.short_episodes import shorten_episodes
 
 SCENES = {"s0": (9, 14), "s2": (3, 9)}
 
 
 def test_a_shared_scene_is_simulated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_episodes(monkeypatch, 1500)
     monkeypatch.setattr(Dataset, "list_scenes", lambda dataset, setup, split: SCENES[setup])
     args = measure_results.Args(("hold",), ("s0", "s2"), dataset="synthetic", physics="fast", workers=1, out=tmp_path)
     first, second = measure_results.measure_receiver("hold", args)

@@ -5,10 +5,12 @@ from pathlib import Path
 import pytest
 
 from tests.learning.training.scripts import script
+from tests.short_episodes import shorten_episodes
 
 
 def test_the_table_lists_the_evaluated_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    shorten_episodes(monkeypatch, 1000)
     make = script("physics_table", monkeypatch)
     args = make.Args(
         receivers=("hold",),

@@ -23,6 +23,7 @@ from handover_marl.policies.populations import load_population
 from handover_marl.policies.reference import parse_policy
 from tests.docs.pages import REPOSITORY
 from tests.learning.training.scripts import script
+from tests.short_episodes import shorten_episodes
 
 # Difference of two equal outcomes, with its interval.
 _NO_GAIN = "+0.0 (-65.3 to +65.3)"
@@ -37,7 +38,10 @@ def test_noise_floor_counts_changed_outcomes() -> None:
     assert format_noise_floor([{"outcomes": {"none 0": ["success"]}}]) == "-"
 
 
-def test_controls_are_measured_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_controls_are_measured_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shorten_episodes(monkeypatch, 2000)
     options: dict[str, Any] = {"dataset": "synthetic", "receiver": "hold", "names": ("hurried",), "workers": 1}
     args = ControlArgs(out=tmp_path / "controls.json", n_scenes=1, n_perturbations=1, **options)
     measure_controls(args)

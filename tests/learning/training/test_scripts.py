@@ -22,6 +22,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from tests.learning.training.evil import Evil
 from tests.learning.training.scripts import REWARDS, files, reward_terms_of, script, steps_of
+from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
@@ -32,7 +33,7 @@ GIVER: dict[str, Any] = {
     "dataset": "synthetic",
     "num_envs": 1,
     "batch_size": 4,
-    "demonstrations": 4,
+    "demonstrations": 2,
     "imitation_epochs": 2,
     "eval_interval": 4,
     "val_scenes": 1,
@@ -57,6 +58,20 @@ MADE = {
 }
 
 
+@pytest.fixture(autouse=True)
+def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the episodes of evaluations be no longer than those of the trainings."""
+    shorten_episodes(monkeypatch, 3000)
+
+
+@pytest.fixture
+def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate training environments in this process; `test_train_receiver` covers those in other processes."""
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
+    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
+
+
+@pytest.mark.usefixtures("one_process")
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     args = {**GIVER, "out": str(tmp_path / "run")}
@@ -110,9 +125,8 @@ def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]
 
 
+@pytest.mark.usefixtures("one_process")
 def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
-    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
     respond = script("best_response", monkeypatch)
     args = respond.Args(
         out=str(tmp_path / "run"),
@@ -120,7 +134,7 @@ def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         first_receiver="hold",
         dataset="synthetic",
         val_scenes=1,
-        giver=respond.train_giver_sb3.Args(**GIVER, decisions=4),
+        giver=respond.train_giver_sb3.Args(**GIVER | {"teacher": ""}, decisions=4),
         receiver=respond.train_receiver_sb3.Args(**RECEIVER, decisions=16),
     )
     respond.main(args)
@@ -138,12 +152,11 @@ class StoppedError(Exception):
     """Interruption of a run."""
 
 
+@pytest.mark.usefixtures("one_process")
 def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
-    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
     respond = script("best_response", monkeypatch)
     folder, trainer = tmp_path / "giver-1", respond.train_giver_sb3
-    few = {"receiver": "yang2021", "demonstrations": 1, "val_scenes": 1, "time_limit": 2.5}
+    few = {"receiver": "yang2021", "teacher": ""}
     args, changes = trainer.Args(**GIVER | few, decisions=4), {"receiver": "hold"}
 
     def stop(*_: object, **__: object) -> None:

@@ -14,6 +14,7 @@ from gymnasium import spaces
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
 from tests.learning.training.scripts import script
+from tests.short_episodes import shorten_episodes
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
@@ -28,6 +29,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_training_and_evaluation(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    shorten_episodes(monkeypatch, 3000)
     out = tmp_path / "new" / "ppo.npz"
     small = {"num_envs": 4, "rollout": 4, "epochs": 2, "minibatch_size": 8, "val_physics": "mujoco"}
     assert train.main(train.Args(dataset="synthetic", out=out, decisions=20, val_scenes=1, **small)) == out
@@ -39,7 +41,8 @@ def test_training_and_evaluation(
     # A policy that has learned little may succeed by chance.
     assert result in ("0.0% (95 % interval 0.0% to 79.3%)", "100.0% (95 % interval 20.7% to 100.0%)")
     monkeypatch.setitem(sys.modules, "torch", None)
-    report = evaluate_pair("replay", f"learned:{out}", scenes=SCENES, split="val", dataset="synthetic", workers=1)
+    where = {"split": "val", "dataset": "synthetic", "physics": "fast", "workers": 1}
+    report = evaluate_pair("replay", f"learned:{out}", scenes=SCENES, **where)
     assert len(report.episodes) == 1
 
 
