@@ -41,6 +41,8 @@ PAIRS = [
     for agent, features in choices({agent: list_features(agent) for agent in AGENTS})
     for scheme in list_schemes(agent)
 ]
+#: Pairs with all features and all schemes, but not all combinations: the network alone connects them.
+FEW_PAIRS = [pair for pair in PAIRS if pair[0] == "giver" or pair[1] == "close_stack" or pair[2] == "grasp_servo"]
 
 
 def draw_network(n_inputs: int, n_outputs: int, seed: int, activation: str = "tanh") -> DenseNetwork:
@@ -102,7 +104,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
-@pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
+@pytest.mark.parametrize(("agent", "features", "scheme"), FEW_PAIRS)
 def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
@@ -111,7 +113,7 @@ def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, sch
         policy = LearnedPolicy(agent, CONTEXT, path)
         batches = [make_network_policy_batch(policy, COUNT, np.asarray, arrays) for arrays in makers]
         starts = np.zeros(COUNT, dtype=np.int64)
-        for decision in range(8):
+        for decision in range(6):
             observation = draw_observation(decision)
             for row in ROWS.tolist() if decision == 0 else [decision]:
                 starts[row] = 100 * decision

@@ -25,9 +25,9 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def batch(partner: Any = "hold", processes: int = 2) -> BatchVecEnv:
+def batch(partner: Any = "hold") -> BatchVecEnv:
     options: dict[str, Any] = {"features": "giver", "schemes": "deviation", "autoreset": "same_step"}
-    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", partner, processes=processes, **options, **OPTIONS))
+    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", partner, processes=2, **options, **OPTIONS))
 
 
 def alone() -> Any:
@@ -45,10 +45,9 @@ def rollout(envs: Any, steps: int = 20) -> list[Any]:
     return said
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-def test_batches_equal_single_environments(processes: int) -> None:
+def test_batches_equal_single_environments() -> None:
     expected = rollout(DummyVecEnv([alone] * COUNT))
-    found = rollout(batch(processes=processes))
+    found = rollout(batch())
     assert sum(int(ended.sum()) for ended in expected[3::4]) > COUNT
     for one, other in zip(found, expected, strict=True):
         if isinstance(one, list):
@@ -76,7 +75,7 @@ def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> No
     args = PpoArgs(
         dataset="synthetic", features="giver", actions="offer", control_period=0.1, time_limit=3.0, discount=0.99
     )
-    inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=2)
+    inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=1)
     assert len(inputs) == len(outputs) == 3
     env, teacher = make_frozen_env_factory(args, "giver", "hold")(), givers.make("cooperative")
     for number in range(3):

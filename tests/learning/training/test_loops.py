@@ -13,6 +13,7 @@ from handover_marl.errors import ResultsError
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import DenseNetwork
 from tests.learning.training.scripts import REWARDS, files, reward_terms_of, script, steps_of
+from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
@@ -36,6 +37,7 @@ def module(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_training_writes_policies_that_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = module(name, monkeypatch)
+    shorten_episodes(monkeypatch, 3000)
     written: list[dict[str, DenseNetwork]] = []
     evaluate = train.TrainingRun.evaluate
 

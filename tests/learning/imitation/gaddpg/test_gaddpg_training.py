@@ -24,6 +24,7 @@ from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.receivers import make
 from tests.learning.training.scripts import script, steps_of
+from tests.short_episodes import shorten_episodes
 
 # The validation of grasps and the planner are off, because they take minutes at first use.
 QUICK: dict[str, Any] = {
@@ -47,6 +48,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     args = {**QUICK, "out": str(tmp_path / "run")}
+    shorten_episodes(monkeypatch, 1000)
     # Few scenes, because each one is generated when it is loaded.
     monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: (11, 12))
     with monkeypatch.context() as patched:
