@@ -13,7 +13,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 from torch.overrides import TorchFunctionMode
-from torch.utils._pytree import tree_leaves, tree_map
+from torch.utils._pytree import tree_map
 
 DEVICE = torch.device("cuda")
 
@@ -38,21 +38,38 @@ class DeviceTensor(torch.Tensor):
     numpy = __array__
 
 
+def list_arrays(value: Any) -> list[Any]:
+    """Return the tensors and NumPy arrays in arguments of a function; general tools for trees are much slower."""
+    if isinstance(value, (torch.Tensor, np.ndarray)):
+        return [value]
+    if isinstance(value, dict):
+        value = value.values()
+    elif not isinstance(value, (list, tuple)):
+        return []
+    return [array for one in value for array in list_arrays(one)]
+
+
 class FakeDevice(TorchFunctionMode):
     """Context in which PyTorch creates and computes tensors of the device."""
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         options = dict(kwargs or {})
-        leaves = [one for one in tree_leaves((args, options)) if isinstance(one, (torch.Tensor, np.ndarray))]
-        is_on_device = any(isinstance(one, DeviceTensor) for one in leaves)
+        arrays = list_arrays(args) + list_arrays(options)
+        is_on_device = any(isinstance(one, DeviceTensor) for one in arrays)
+        is_copied = False
         if options.get("device") is not None:
             is_copied, is_on_device = not is_on_device, torch.device(options["device"]).type == DEVICE.type
-            result = func(*args, **{**options, "device": "cpu"})
+            options["device"] = "cpu"
+        elif is_on_device and any(one.ndim for one in arrays if not isinstance(one, DeviceTensor)):
+            raise RuntimeError(f"{func} got arrays of the device and of the processor")
+        # The kind of the result is chosen below.
+        with torch._C.DisableTorchFunctionSubclass():
+            result = func(*args, **options)
             # Memory of the processor is not that of the device.
             result = result.clone() if is_copied else result
-        elif is_on_device and any(one.ndim for one in leaves if not isinstance(one, DeviceTensor)):
-            raise RuntimeError(f"{func} got arrays of the device and of the processor")
-        else:
-            result = func(*args, **options)
-        kind = DeviceTensor if is_on_device else torch.Tensor
+            kind = DeviceTensor if is_on_device else torch.Tensor
+            if isinstance(result, torch.Tensor):
+                return result if type(result) is kind else result.as_subclass(kind)
+        if isinstance(result, (bool, int, float, torch.Size, torch.dtype)):
+            return result
         return tree_map(lambda one: one.as_subclass(kind) if isinstance(one, torch.Tensor) else one, result)

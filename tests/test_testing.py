@@ -73,7 +73,7 @@ def test_conforming_policies() -> None:
 
 @pytest.mark.parametrize("name", [name for name in givers.list_available() if name != "learned"])
 def test_our_givers_conform(name: str) -> None:
-    check_giver(name, scenes=ONE, steps=1500)
+    check_giver(name, scenes=ONE, steps=1000)
 
 
 @pytest.mark.slow

@@ -74,9 +74,9 @@ def test_neither_a_live_nor_a_frozen_agent_spoils_what_the_other_sees(
 ) -> None:
     clean = seen_alone(agent, partner, False, api)
     assert any((first["object_poses"] != clean[0]["object_poses"]).any() for first in clean)
-    for other, scribbles in ((partner, True), (scribbling_partner, False), (scribbling_partner, True)):
-        spoilt = seen_alone(agent, other, scribbles, api)
-        for number, (expected, found) in enumerate(zip(clean, spoilt, strict=True)):
-            assert found.keys() == expected.keys()
-            for key, value in expected.items():
-                np.testing.assert_array_equal(found[key], value, err_msg=f"{key} in step {number}")
+    # Both agents overwrite their arrays; the arrays of either one would change what the other observes and does.
+    spoilt = seen_alone(agent, scribbling_partner, True, api)
+    for number, (expected, found) in enumerate(zip(clean, spoilt, strict=True)):
+        assert found.keys() == expected.keys()
+        for key, value in expected.items():
+            np.testing.assert_array_equal(found[key], value, err_msg=f"{key} in step {number}")

@@ -18,37 +18,53 @@ STEPS = 8  # more than the 6 steps of an episode
 Rollout = tuple[dict[str, np.ndarray], np.ndarray]
 
 
-def gymnasium_rollout(n: int, seed: int, steps: int) -> Rollout:
-    envs = gymnasium.make_vec(NAME, num_envs=n, vectorization_mode="async", **OPTIONS)
+def make_gymnasium_envs(n: int) -> Any:
+    return gymnasium.make_vec(NAME, num_envs=n, vectorization_mode="async", **OPTIONS)
+
+
+def gymnasium_rollout(envs: Any, seed: int, steps: int) -> Rollout:
     envs.action_space.seed(seed)
     envs.reset(seed=seed)
-    total = np.zeros(n)
+    total = np.zeros(envs.num_envs)
     for _ in range(steps):
         seen, rewards, _, _, _ = envs.step(envs.action_space.sample())
         total += rewards
-    envs.close()
     return seen, total
 
 
-def sb3_rollout(n: int, seed: int, steps: int) -> Rollout:
+def make_sb3_envs(n: int) -> Any:
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
-    envs = vec_env.SubprocVecEnv([lambda: gymnasium.make(NAME, **OPTIONS)] * n)
+    return vec_env.SubprocVecEnv([lambda: gymnasium.make(NAME, **OPTIONS)] * n)
+
+
+def sb3_rollout(envs: Any, seed: int, steps: int) -> Rollout:
     envs.seed(seed)
     envs.reset()
     rng = np.random.default_rng(seed)
     low, high = envs.action_space.low, envs.action_space.high
-    total = np.zeros(n)
+    total = np.zeros(envs.num_envs)
     for _ in range(steps):
-        actions = rng.uniform(low, high, (n, len(low))).astype(np.float32)
+        actions = rng.uniform(low, high, (envs.num_envs, len(low))).astype(np.float32)
         seen, rewards, _, _ = envs.step(actions)
         total += rewards
-    envs.close()
     return seen, total
 
 
-@pytest.mark.parametrize("rollout", [gymnasium_rollout, sb3_rollout])
-def test_runs_repeat_from_their_seed(rollout: Callable[[int, int, int], Rollout]) -> None:
-    first, again = rollout(2, 5, STEPS), rollout(2, 5, STEPS)
+@pytest.mark.parametrize(
+    ("make", "rollout", "is_made_again"),
+    # Processes of Stable-Baselines3 import PyTorch, which takes seconds.
+    [(make_gymnasium_envs, gymnasium_rollout, True), (make_sb3_envs, sb3_rollout, False)],
+)
+def test_runs_repeat_from_their_seed(
+    make: Callable[[int], Any], rollout: Callable[[Any, int, int], Rollout], is_made_again: bool
+) -> None:
+    envs = make(2)
+    first = rollout(envs, 5, STEPS)
+    if is_made_again:
+        envs.close()
+        envs = make(2)
+    again = rollout(envs, 5, STEPS)
+    envs.close()
     for key, value in first[0].items():
         np.testing.assert_array_equal(value, again[0][key])
     np.testing.assert_array_equal(first[1], again[1])

@@ -139,23 +139,26 @@ def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str,
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make(giver, dataset)
     used = Episode(physics)
-    first: dict[int, tuple[Any, np.ndarray]] = {}
-    for turn in range(3):
-        for scene_id in scenes:
-            episode, places = Episode(physics) if turn == 0 else used, Places()
-            episode.reset(dataset.load_scene(scene_id))
-            run_episode(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
-            end = (episode.status, episode.steps, episode.release_step)
-            if turn == 0:
-                first[scene_id] = (end, np.array(places.rows))
-                episode.close()
-                continue
-            expected_end, expected = first[scene_id]
-            found = np.array(places.rows)
-            shorter = min(len(found), len(expected))
-            different = np.flatnonzero((found[:shorter] != expected[:shorter]).any(axis=1))
-            assert not len(different), f"scene {scene_id} differs from step {different[0] + 1} on in turn {turn}"
-            assert end == expected_end
+
+    def play(episode: Episode, scene_id: int) -> tuple[Any, np.ndarray]:
+        places = Places()
+        episode.reset(dataset.load_scene(scene_id))
+        run_episode(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
+        return (episode.status, episode.steps, episode.release_step), np.array(places.rows)
+
+    # The first scene is the first one of `used`, and the others are simulated in episodes of their own.
+    first = {scenes[0]: play(used, scenes[0])}
+    for scene_id in scenes[1:]:
+        episode = Episode(physics)
+        first[scene_id] = play(episode, scene_id)
+        episode.close()
+    for turn, scene_id in enumerate((*scenes[1:], scenes[0])):
+        expected_end, expected = first[scene_id]
+        end, found = play(used, scene_id)
+        shorter = min(len(found), len(expected))
+        different = np.flatnonzero((found[:shorter] != expected[:shorter]).any(axis=1))
+        assert not len(different), f"scene {scene_id} differs from step {different[0] + 1} on in turn {turn + 1}"
+        assert end == expected_end
     used.close()
 
 

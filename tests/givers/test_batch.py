@@ -101,7 +101,7 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
         makers = (NUMPY_ARRAYS, tensors)
         batches = [make_giver_batch(givers.make(name), COUNT, arrays) for arrays in makers]
         starts, acted = np.zeros(COUNT, dtype=np.int64), []
-        for decision, observations in enumerate(draw_observations(2, 120)):
+        for decision, observations in enumerate(draw_observations(2)):
             observation = stack(observations)
             for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14, 21) else []:
                 starts[row] = 100 * decision

@@ -41,26 +41,37 @@ class RecordingReceiver(Yang2021Receiver):
         return action
 
 
-def record_rollouts() -> list[Rollout]:
-    """Play all rollouts with one receiver, whose state must not carry over between them, and return the decisions."""
+def record_rollouts(limit: int) -> list[Rollout]:
+    """Play all rollouts with one receiver, whose state must not carry over between them.
+
+    Return the decisions, at most `limit` of each rollout.
+    """
     episode, receiver, found = Episode("mujoco"), RecordingReceiver(CONTEXT, wait=0.4), []
     for number, (scene_id, giver) in enumerate(ROLLOUTS):
         episode.reset(DATA.load_scene(scene_id))
-        run_episode(episode, receiver, givers.make(giver, DATA), seed=number)
+        run_episode(
+            episode, receiver, givers.make(giver, DATA), seed=number, until=lambda: len(receiver.decisions) == limit
+        )
         found.append(receiver.decisions)
     episode.close()
     return found
 
 
-@pytest.mark.parametrize("make_solver", [make_ik_solver, PandaIkSolver], ids=["default", "without_pybullet"])
-def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_solver: object) -> None:
+@pytest.mark.parametrize(
+    ("make_solver", "limit"),
+    # The library's own inverse kinematics is slower, so that the retreats are not recorded to their end.
+    [(make_ik_solver, 1000), (PandaIkSolver, 60)],
+    ids=["default", "without_pybullet"],
+)
+def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_solver: object, limit: int) -> None:
     """The actions of a batch equal those of single receivers to the bit.
 
     Rows start and restart at different times, so that they are in different phases at the same time.
     """
     monkeypatch.setattr(yang2021_controller, "make_ik_solver", make_solver)
-    rollouts = record_rollouts()
-    assert max(len(decisions) for decisions in rollouts) > 500, "fingers have closed"
+    rollouts = record_rollouts(limit)
+    assert all(len(decisions) <= limit for decisions in rollouts)
+    assert any(not action[7:].any() for decisions in rollouts for *_, action in decisions), "fingers have closed"
     batch = make_receiver_batch(Yang2021Receiver(CONTEXT, wait=0.4), ROWS)
     assert batch is not None
     # Per row: rollouts that have not ended, start time (ms) of the current one, and number of its next decision.

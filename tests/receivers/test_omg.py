@@ -155,9 +155,9 @@ def test_commands_do_not_depend_on_the_call_period() -> None:
 
 @pytest.mark.parametrize("physics", ["fast", "exact"])
 def test_fast_and_exact_physics(physics: str) -> None:
-    episode, receiver = Episode(physics), make_omg()
+    episode, receiver = Episode(physics), make_omg("omg:wait=1.5")
     episode.reset(DATA.load_scene(SCENE))
-    run_episode(episode, receiver, until=3500)
+    run_episode(episode, receiver, until=2000)
     assert receiver.plan is not None
     moved = episode.observe()["robot_joint_position"] - np.array(WAITING_JOINTS, dtype=np.float32)
     assert np.abs(moved).max() > 0.02

@@ -81,11 +81,13 @@ class RecordingReceiver(VisionReceiver):
         return super().act(observation)
 
 
-def play_scene(scene: int, wait: float = 0.0) -> tuple[Episode, RecordingReceiver, NDArray[np.float32]]:
+def play_scene(
+    scene: int, wait: float = 0.0, until: int | None = None
+) -> tuple[Episode, RecordingReceiver, NDArray[np.float32]]:
     episode, log = Episode("fast"), ActionRecorder()
     receiver = RecordingReceiver(CONTEXT, wait, grasp_predictor=TruePredictor(episode))
     episode.reset(DATA.load_scene(scene))
-    run_episode(episode, receiver, seed=0, callbacks=[log])
+    run_episode(episode, receiver, seed=0, until=until, callbacks=[log])
     return episode, receiver, log.actions
 
 
@@ -98,14 +100,14 @@ def test_succeeds_with_true_grasps_and_point_clouds_only() -> None:
 def test_episodes_are_independent() -> None:
     episode, log = Episode("fast"), ActionRecorder()
     receiver = VisionReceiver(CONTEXT, grasp_predictor=TruePredictor(episode))
-    for scene, until in ((9, 1500), (14, None)):
+    for scene, until in ((9, 1500), (14, 2500)):
         episode.reset(DATA.load_scene(scene))
         run_episode(episode, receiver, seed=0, until=until, callbacks=[log])
-    np.testing.assert_array_equal(log.actions, play_scene(14)[2])
+    np.testing.assert_array_equal(log.actions, play_scene(14, until=2500)[2])
 
 
 def test_waits() -> None:
-    _, _, actions = play_scene(9, wait=1.0)
+    _, _, actions = play_scene(9, wait=1.0, until=1000)
     assert np.abs(np.diff(actions[:990, :7], axis=0)).max() < 0.2
     home = np.array(receivers.WAITING_JOINTS[:7])
     assert np.abs(actions[980, :7] - home).max() < 0.05
@@ -150,12 +152,13 @@ def test_shipped_weights_succeed() -> None:
     receiver = receivers.make("vision", DATA)
     assert receiver.label == "vision"
     episode = Episode("fast")
-    ends = []
+    ends: list[EpisodeStatus] = []
     for scene in (9, 39, 139):
-        episode.reset(DATA.load_scene(scene))
-        run_episode(episode, receiver, seed=0)
-        ends.append(episode.status)
-    # Rounding differs between machines, and may change the outcome of single episodes.
+        # Rounding differs between machines, and may change the outcome of single episodes: two of three are enough.
+        if ends.count(EpisodeStatus.SUCCESS) < 2:
+            episode.reset(DATA.load_scene(scene))
+            run_episode(episode, receiver, seed=0)
+            ends.append(episode.status)
     assert ends.count(EpisodeStatus.SUCCESS) >= 2
 
 
