@@ -54,8 +54,7 @@ class Learner:
         self._log_std = nn.Parameter(torch.full((n_outputs,), -1.0))
         parameters = [*self._actor.parameters(), *self._critic.parameters(), self._log_std]
         self._optimizer = torch.optim.Adam(parameters, LEARNING_RATE)
-        self._steps: list[tuple[torch.Tensor, torch.Tensor]] = []
-        self._returns: list[float] = []
+        self._steps, self._returns = list[tuple[torch.Tensor, torch.Tensor]](), list[float]()
 
     def act(self, features: np.ndarray) -> np.ndarray:
         """Sample an action from the policy and store it for the next update."""

@@ -126,8 +126,8 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
     foreign = [scene for scene in wanted if scene not in known]
     if foreign:
         raise SceneError(
-            f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes from {split_ids[0]} to "
-            f"{split_ids[-1]}; choose scenes of this split or another setup or split"
+            f"scene {foreign[0]} is not in {where}, which has {len(split_ids)} scenes, beginning with "
+            f"{', '.join(map(str, split_ids[:5]))}; choose scenes of this split or another setup or split"
         )
     if not wanted:
         raise SceneError(f"scenes must not be empty; leave it out to run all {len(split_ids)} of {where}")

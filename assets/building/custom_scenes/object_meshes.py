@@ -109,7 +109,7 @@ def make_object_mesh(
         DataNotFoundError: The file does not exist.
         OptionError: A package is missing.
     """
-    require_modules("own objects", "assets,import", "coacd", "trimesh")
+    require_modules("an own object", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, (str, Path)) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
     parts = decompose_mesh(mesh, config.concavity, name, show)

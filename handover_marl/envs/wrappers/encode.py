@@ -45,7 +45,8 @@ class EncodedEnv(ParallelWrapper):
 
     With one agent a step lasts until the action scheme needs outputs again, mostly one control
     period, and rewards are summed over the step. An episode in which no outputs are needed is
-    simulated to its end, and another episode follows. With two agents a step is one control period,
+    simulated to its end, and another episode follows. Rewards of the control steps that `reset`
+    simulates are not returned. With two agents a step is one control period,
     and an action scheme that needs no outputs keeps its last outputs. Made by `encode`.
 
     Args:

@@ -1,5 +1,7 @@
 """Tests of folders of custom scenes, from recordings and meshes to results."""
 
+import importlib.util
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -317,3 +319,13 @@ def test_configuration_of_the_frame(scenes: CustomSceneFolder) -> None:
     first, last = dataset.load_scene(0), dataset.load_scene(dataset.n_scenes - 1)
     np.testing.assert_allclose(last.object_dof[:, 0], first.object_dof[:, 0], atol=1e-5)
     np.testing.assert_allclose(last.hand_dof, first.hand_dof, atol=1e-4)
+
+
+def test_missing_trimesh(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "trimesh" else find(name, *rest)
+    )
+    monkeypatch.delitem(sys.modules, CustomSceneFolder.__module__.rpartition(".")[0])
+    with pytest.raises(OptionError, match=r"needs trimesh: pip install 'handover-marl\[assets,import\]'"):
+        importlib.import_module("handover_marl.assets.building.custom_scenes")
