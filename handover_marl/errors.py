@@ -1,5 +1,6 @@
 """Exceptions of the library; messages name the argument, the rule and the remedy."""
 
+import difflib
 from collections.abc import Iterable
 from numbers import Integral
 
@@ -32,11 +33,22 @@ class UnknownNameError(HandoverError, ValueError):
 
     def __init__(self, kind: str, name: object, valid: Iterable[object], hint: str = "") -> None:
         names = tuple(map(str, valid))
-        super().__init__(f"unknown {kind} {name!r}; valid: {', '.join(names)}" + (f"; {hint}" if hint else ""))
+        advice = [text for text in (suggest_name(name, names), hint) if text]
+        super().__init__("; ".join([f"unknown {kind} {name!r}", f"valid: {', '.join(names)}", *advice]))
         self._arguments = (kind, name, names, hint)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (type(self), self._arguments)
+
+
+class UnknownArgumentError(HandoverError, TypeError):
+    """Error for a keyword argument that a function does not have."""
+
+
+def suggest_name(name: object, valid: Iterable[str]) -> str:
+    """Return a question with the valid name that is most similar to a misspelt one; "" if none is similar."""
+    similar = difflib.get_close_matches(name, list(valid), n=1) if isinstance(name, str) else []
+    return f"did you mean {similar[0]!r}?" if similar else ""
 
 
 def check_name(kind: str, name: object, valid: Iterable[object]) -> None:

@@ -1,5 +1,6 @@
 """Checks of options that many public functions have, and queries of the processor and installed packages."""
 
+import functools
 import importlib.util
 import inspect
 import os
@@ -8,11 +9,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import loky
 
-from handover_marl.errors import OptionError, check_name
+from handover_marl.errors import OptionError, UnknownArgumentError, check_name, suggest_name
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -25,7 +26,8 @@ def forward_signature(
 ) -> Callable[[_Function], _Function]:
     """Return a decorator that replaces `**keywords` in a signature by the accepted parameters.
 
-    Help, documentation and editors then list these parameters. Calls are not affected.
+    Help, documentation and editors then list these parameters. A call with another keyword raises an
+    `UnknownArgumentError`.
 
     Args:
         sources: Functions or dataclasses that receive the keyword arguments.
@@ -43,8 +45,19 @@ def forward_signature(
             for part in inspect.signature(source).parameters.values()
             if part.name not in excluded
         ]
-        function.__signature__ = signature.replace(parameters=[*own, *forwarded])  # type: ignore[attr-defined]
-        return function
+        names = [part.name for part in (*own, *forwarded)]
+
+        @functools.wraps(function)
+        def check_keywords(*args: Any, **keywords: Any) -> Any:
+            for name in keywords:
+                # The function itself says why it does not accept the others.
+                if name not in names and name not in without:
+                    message = f"{function.__name__}() got an unexpected keyword argument {name!r}"
+                    raise UnknownArgumentError("; ".join(filter(None, [message, suggest_name(name, names)])))
+            return function(*args, **keywords)
+
+        check_keywords.__signature__ = signature.replace(parameters=[*own, *forwarded])  # type: ignore[attr-defined]
+        return cast(_Function, check_keywords)
 
     return decorate
 

@@ -19,6 +19,7 @@ from handover_marl.errors import (
     PolicyError,
     ResultsError,
     SceneError,
+    UnknownArgumentError,
     UnknownNameError,
 )
 from handover_marl.evaluation import episode_runner
@@ -117,8 +118,9 @@ def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) 
         handover_marl.evaluate_pair(EvaluationConfig(data_dir=str(fake_data), **fields), scenes=[9])
     with pytest.raises(OptionError, match="pass either a config or keyword arguments"):
         handover_marl.benchmark(execution=ExecutionConfig(), workers=1)
-    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
-        handover_marl.benchmark(colour="red")  # type: ignore[call-arg]
+    for name, advice in (("colour", "$"), ("scene", "; did you mean 'scenes'\\?$")):
+        with pytest.raises(UnknownArgumentError, match=f"unexpected keyword argument '{name}'{advice}"):
+            handover_marl.benchmark(**{name: [9]})
 
 
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
