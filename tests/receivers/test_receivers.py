@@ -25,7 +25,7 @@ def test_unknown_names(fake_data: Path) -> None:
     known = (
         "gaddpg, hold, learned, omg, omg_hand_aware, omg_unchecked_last, population, random, reactive, vision, yang2021"
     )
-    for name, advice in (("yang", ""), ("yang2012", r"; did you mean 'yang2021'\?")):
+    for name, advice in (("nobody", ""), ("yang2012", r"; did you mean 'yang2021'\?")):
         with pytest.raises(UnknownNameError, match=f"receiver '{name}'; valid: {known}{advice}$"):
             receivers.make(name, OfficialDataset(fake_data))
     with pytest.raises(OptionError, match="giver must be a name, a class or an instance of a policy, got 3"):
