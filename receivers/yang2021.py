@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
+from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
-from handover_marl.policies.settings import override_settings
 from handover_marl.receivers.yang2021_controller import YangConfig, YangController, YangPhase
 
 _ROW = np.zeros(1, dtype=np.int_)
@@ -31,10 +31,10 @@ class Yang2021Receiver(Receiver):
         context: The robot, the task, the objects and their grasps.
         wait: Time at the waiting pose (s); default: the time in `config`.
         config: Constants of the method.
-        settings: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
+        options: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
 
     Raises:
-        OptionError: `wait` or a setting is out of range, or a setting is unknown.
+        OptionError: `wait` or an option is out of range, or an option is unknown.
 
     Attributes:
         config: Constants of the method.
@@ -44,12 +44,12 @@ class Yang2021Receiver(Receiver):
     control_period = 0.1
 
     def __init__(
-        self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **settings: float
+        self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **options: float
     ) -> None:
         super().__init__(context)
         config = YangConfig() if config is None else config
         check_config("config", config, YangConfig)
-        self.config = override_settings(config, settings, "step_length")
+        self.config = override_options(config, options, "step_length")
         if wait is not None:
             self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._controller = YangController(context, self.config, 1)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
+from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.policies.settings import override_settings
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle
@@ -26,11 +26,11 @@ class ReactiveReceiver(ControllerReceiver):
         wait: Time at the waiting pose (s).
         risk: Trade-off between success rate (0) and speed (1).
         config: Configuration of the receiver for a risk of 0.5.
-        settings: Other values of numbers in the configuration, such as `approach_standoff=0.1`, which do not
-            depend on `risk`; see `override_settings`.
+        options: Other values of numbers in the configuration, such as `approach_standoff=0.1`, which do not
+            depend on `risk`; see `override_options`.
 
     Raises:
-        OptionError: `wait` or `risk` is out of range, or a setting is unknown.
+        OptionError: `wait` or `risk` is out of range, or an option is unknown.
     """
 
     name = "reactive"
@@ -41,12 +41,12 @@ class ReactiveReceiver(ControllerReceiver):
         wait: float = 0.0,
         risk: float = 0.5,
         config: ReactiveConfig | None = None,
-        **settings: float,
+        **options: float,
     ) -> None:
         config = ReactiveConfig() if config is None else config
         check_config("config", config, ReactiveConfig)
         config = apply_risk(config, risk)
-        super().__init__(context, wait, override_settings(config, settings, "approach_standoff"))
+        super().__init__(context, wait, override_options(config, options, "approach_standoff"))
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
 

@@ -1,11 +1,12 @@
 """Numbers of a configuration as options of a policy."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
 from handover_marl.errors import OptionError
-from handover_marl.policies.settings import override_settings
+from handover_marl.policies.options import override_options
 from handover_marl.receivers.reactive.config import ReactiveConfig
 
 
@@ -20,6 +21,12 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
         ("selection_max_candidates", 2.5, "must be a finite int, got 2.5"),
     ],
 )
-def test_invalid_settings(name: str, value: object, message: str) -> None:
+def test_invalid_options(name: str, value: object, message: str) -> None:
     with pytest.raises(OptionError, match=re.escape(message)):
-        override_settings(ReactiveConfig(), {name: value}, "approach_standoff")
+        override_options(ReactiveConfig(), {name: value}, "approach_standoff")
+
+
+def test_section_with_an_underscore_in_its_name() -> None:
+    config = ReactiveConfig()
+    changed = override_options(config, {"quick_preparation_max_copies": 5}, "approach_standoff")
+    assert changed == replace(config, quick_preparation=replace(config.quick_preparation, max_copies=5))
