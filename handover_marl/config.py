@@ -6,7 +6,7 @@ results exist for these values only. Constants in capitals are fixed by the data
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
@@ -42,7 +42,7 @@ _STEPS = (1, math.inf)
 class CheckedConfig:
     """Base class of configurations whose fields are checked when they are made.
 
-    Every number must be finite, every tuple as long as its default, and every configuration of the
+    Every number must be finite, every tuple as long as its default, and every dataclass of the
     default's class.
 
     Raises:
@@ -51,13 +51,19 @@ class CheckedConfig:
 
     #: Smallest and largest value of fields, ends included; for tuples of every number.
     limits: ClassVar[Limits] = {}
+    #: Smallest and largest value of the fields that `limits` does not name.
+    default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
+    #: Names of the fields that are not checked: tuples of any length.
+    unchecked: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for part in fields(self):  # type: ignore[arg-type]
             value = getattr(self, part.name)
             default = part.default_factory() if callable(part.default_factory) else part.default
             name = f"{part.name} of {type(self).__name__}"
-            if isinstance(default, CheckedConfig):
+            if part.name in self.unchecked:
+                continue
+            if is_dataclass(default):
                 check_config(name, value, type(default))
             elif isinstance(default, tuple):
                 object.__setattr__(
@@ -67,7 +73,7 @@ class CheckedConfig:
                 _check_number(name, value, isinstance(default, int), self._get_limits(part.name))
 
     def _get_limits(self, name: str) -> tuple[float, float]:
-        return self.limits.get(name, (-math.inf, math.inf))
+        return self.limits.get(name, self.default_limits)
 
 
 def check_config(name: str, value: object, config_class: type) -> None:

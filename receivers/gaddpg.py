@@ -87,7 +87,6 @@ class GaddpgReceiver(PhasedReceiver):
     """
 
     name = "gaddpg"
-    control_period = 0.15
     file_options = ("weights",)
     obs_mode = FULL_POINTCLOUD
     default_timing = PhaseTiming(step_ms=150)

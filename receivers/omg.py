@@ -72,8 +72,6 @@ class OmgReceiver(PhasedReceiver):
     """
 
     name = "omg"
-    # All times are multiples of it.
-    control_period = 0.01
     default_timing = PhaseTiming(step_ms=130)
     #: Configuration of the planner unless another is given.
     default_config: ClassVar[PlannerConfig] = PlannerConfig()

@@ -1,10 +1,13 @@
 """Memory of GA-DDPG: the last point cloud of the object, and the input of its network."""
 
+import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+
+from handover_marl.config import CheckedConfig, Limits
 
 Array = npt.NDArray[np.float64]
 
@@ -20,7 +23,7 @@ GRIPPER_POINTS = np.array(
 
 
 @dataclass(frozen=True)
-class PointCloudMemoryConfig:
+class PointCloudMemoryConfig(CheckedConfig):
     """Configuration of the point cloud memory of GA-DDPG, as in HandoverSim.
 
     Attributes:
@@ -39,6 +42,12 @@ class PointCloudMemoryConfig:
         cage_points: Number of points between the fingers that must be exceeded to end the approach.
         seed: Seed of the random selection of points, the same in every episode.
     """
+
+    limits: ClassVar[Limits] = {
+        "n_points": (1, math.inf),
+        "thinning": (0.0, 1.0),
+        **dict.fromkeys(("max_steps", "motion_threshold", "extra_steps", "cage_points", "seed"), (0, math.inf)),
+    }
 
     n_points: int = 1024
     max_steps: int = 20

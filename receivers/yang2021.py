@@ -41,7 +41,6 @@ class Yang2021Receiver(Receiver):
     """
 
     name = "yang2021"
-    control_period = 0.1
 
     def __init__(
         self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **options: float

@@ -1,13 +1,15 @@
 """Kinematics of an arm in the world frame, and joint velocity commands for its position motors."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.config import ARM_DOF, CheckedConfig, Limits, PandaConfig
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
@@ -151,7 +153,7 @@ class ArmInWorld:
 
 
 @dataclass(frozen=True)
-class ServoConfig:
+class ServoConfig(CheckedConfig):
     """Limits on the speeds and accelerations of the Panda's joints.
 
     Attributes:
@@ -160,6 +162,9 @@ class ServoConfig:
         max_acceleration: Maximum acceleration of each joint (rad/s^2).
         deceleration: Joint deceleration with which the arm stops at a goal configuration (rad/s^2).
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (1e-6, math.inf)
+    limits: ClassVar[Limits] = {"speed_scale": (1e-6, 1.0)}
 
     max_joint_speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
     speed_scale: float = 1.0
@@ -182,13 +187,13 @@ class ArmServo:
     Attributes:
         config: Joint speeds and accelerations.
         period: Control period (s), which may be changed before each command.
-        limits: (7,) joint speed limits (rad/s).
+        max_speeds: (7,) joint speed limits (rad/s).
     """
 
     def __init__(self, config: ServoConfig, gain: float, period: float, time_step: float) -> None:
         self.config = config
         self.period = period
-        self.limits = config.speed_scale * np.array(config.max_joint_speeds)
+        self.max_speeds = config.speed_scale * np.array(config.max_joint_speeds)
         self._gain, self._time_step = gain, time_step
         self._velocity = np.zeros(len(config.max_joint_speeds))
 
@@ -220,7 +225,7 @@ class ArmServo:
 
     def limit_speed(self, velocity: Array) -> Array:
         """Return joint velocities (7,) in rad/s scaled by one factor to obey the speed limits."""
-        excess = float((np.abs(velocity) / self.limits).max())
+        excess = float((np.abs(velocity) / self.max_speeds).max())
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:

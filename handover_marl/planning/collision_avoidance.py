@@ -5,12 +5,15 @@ Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, a
 and no sooner, with the other body's own motion taken into account.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import (
     Spheres,
@@ -49,7 +52,7 @@ class MovingBody:
 
 
 @dataclass(frozen=True)
-class SeparationConfig:
+class SeparationConfig(CheckedConfig):
     """Clearances that the moving robot keeps from the person, the object and the table.
 
     Attributes:
@@ -68,6 +71,9 @@ class SeparationConfig:
         slack: Amount by which a predicted clearance may fall below the minimum before the robot
             slows down (m).
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = dict.fromkeys(("time_constant", "approach_time_constant"), (1e-6, math.inf))
 
     hand_clearance: float = 0.03
     object_clearance: float = 0.015

@@ -1,11 +1,15 @@
 """Prediction of the pose at which a person will hold out an object, from its motion until now."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
+
+from handover_marl.config import CheckedConfig, Limits
 
 Array = npt.NDArray[np.float64]
 
@@ -13,7 +17,7 @@ _TIME_TOLERANCE = 1e-6  # s
 
 
 @dataclass(frozen=True)
-class HandoverPosePredictorConfig:
+class HandoverPosePredictorConfig(CheckedConfig):
     """Constants of the motion model that predicts where an object is handed over.
 
     The remaining translation of an object at position p with velocity v is predicted as
@@ -42,6 +46,23 @@ class HandoverPosePredictorConfig:
             position at the start of the episode (m).
         held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
     """
+
+    limits: ClassVar[Limits] = {
+        "attraction": (0.0, 1.0),
+        **dict.fromkeys(("attraction_speed", "smoothing_time"), (1e-6, math.inf)),
+        **dict.fromkeys(
+            (
+                "velocity_horizon",
+                "rotation_horizon",
+                "rest_speed",
+                "held_still_radius",
+                "held_still_time",
+                "held_still_min_lift",
+                "held_still_horizon",
+            ),
+            (0.0, math.inf),
+        ),
+    }
 
     velocity_horizon: float = 0.21
     attraction: float = 0.61

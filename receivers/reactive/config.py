@@ -1,16 +1,22 @@
 """Configuration of the receiver `reactive`, in metres, radians and seconds."""
 
+import math
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.errors import OptionError
 from handover_marl.planning.arm_control import ServoConfig
 from handover_marl.planning.collision_avoidance import SeparationConfig
 from handover_marl.planning.handover_prediction import HandoverPosePredictorConfig
 from handover_marl.receivers.reactive.grasps import GraspOffsets, GraspPreparationConfig, make_quick_preparation_config
 
+#: Limits of control periods (s).
+PERIODS = (0.001, 60.0)
+
 
 @dataclass(frozen=True)
-class GraspSelectorConfig:
+class GraspSelectorConfig(CheckedConfig):
     """Configuration of grasp selection; costs are in seconds, as the travel time of the arm.
 
     Attributes:
@@ -55,6 +61,12 @@ class GraspSelectorConfig:
             grasp (s).
     """
 
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("max_candidates", "offset_candidate_factor"), (1, math.inf)),
+        "desired_pad_margin": (1e-6, math.inf),
+    }
+
     max_candidates: int = 32
     rotation_cost: float = 0.5
     desired_clearance: float = 0.045
@@ -89,7 +101,7 @@ class GraspSelectorConfig:
 
 
 @dataclass(frozen=True)
-class ApproachConfig:
+class ApproachConfig(CheckedConfig):
     """Configuration of the approach from the standoff and of closing the fingers.
 
     Axial distances are measured along the approach axis of the gripper, lateral ones across it.
@@ -151,6 +163,9 @@ class ApproachConfig:
         stall_timeout: Time without progress after which a grasp is given up (s).
     """
 
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {"close_period": PERIODS}
+
     standoff: float = 0.08
     straight_margin: float = 0.05
     straight_lateral: float = 0.06
@@ -191,7 +206,7 @@ class ApproachConfig:
 
 
 @dataclass(frozen=True)
-class RetreatConfig:
+class RetreatConfig(CheckedConfig):
     """Configuration of the retreat with the object to the goal.
 
     Attributes:
@@ -215,6 +230,9 @@ class RetreatConfig:
         joint_tolerance: Joint error below which the final configuration is reached (rad).
     """
 
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {"max_path_checks": (1, math.inf), "progress_ratio": (0.0, 1.0)}
+
     backout_distance: float = 0.05
     speed: float = 0.8
     acceleration: float = 6.0
@@ -231,7 +249,7 @@ class RetreatConfig:
 
 
 @dataclass(frozen=True)
-class ReactiveConfig:
+class ReactiveConfig(CheckedConfig):
     """Configuration of the receiver `reactive`.
 
     Attributes:
@@ -267,6 +285,12 @@ class ReactiveConfig:
         prediction: Motion model that predicts where the object is handed over.
         servo: Limits on joint speeds and accelerations.
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("period", "near_period"), PERIODS),
+        **dict.fromkeys(("n_surface_spheres", "n_obstacle_spheres"), (1, math.inf)),
+    }
 
     period: float = 0.05
     near_period: float = 0.02

@@ -203,15 +203,13 @@ class ControllerReceiver(Receiver):
         controller: Controller of the present episode; None before the first `reset`.
     """
 
-    control_period = 0.05
-
     def __init__(self, context: PolicyContext, wait: float, config: ReactiveConfig) -> None:
         super().__init__(context)
         self.config = config
         self._wait = milliseconds_from_wait(wait) / 1000.0
         self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.limit_padding)
         self.servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
-        self.selector = GraspSelector(self.arm, self.servo.limits, config)
+        self.selector = GraspSelector(self.arm, self.servo.max_speeds, config)
         self.controller: HandoverController | None = None
 
     @property

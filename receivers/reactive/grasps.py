@@ -4,13 +4,16 @@ Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 import itertools
+import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.clearance import (
@@ -25,7 +28,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class GraspPreparationConfig:
+class GraspPreparationConfig(CheckedConfig):
     """Configuration of tilted copies of known grasps and of their validation in simulation.
 
     Attributes:
@@ -34,8 +37,8 @@ class GraspPreparationConfig:
         min_distance: Minimum distance of a copy from another grasp (m); closer ones are discarded.
         rotation_weight: Weight of rotations in the distance of two grasps (m/rad).
         max_copies: Maximum number of stable copies of all grasps.
-        lateral_offsets: Offsets in the gripper's frame at which the shaking of a stable grasp is
-            repeated (m).
+        lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
+            of a stable grasp is repeated (m).
         advances: Distances by which a grasp may be moved along its approach axis towards the object
             (m), the preferred one first.
         min_advance_clearance: Further distance along the approach axis in which the open gripper
@@ -45,10 +48,13 @@ class GraspPreparationConfig:
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
-        release_offsets: Offsets in the gripper's frame at which the simulated release is repeated
+        release_offsets: Offsets in the hand link's frame at which the simulated release is repeated
             (m).
         validation: Configuration of closing the gripper and shaking it.
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral_offsets", "advances", "release_offsets"})
 
     tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
     pad_distance: float = PAD_DISTANCE
@@ -97,11 +103,12 @@ class ValidatedGrasps:
 
 
 @dataclass(frozen=True)
-class GraspOffsets:
-    """Offsets of additional grasp copies, in the gripper's frame about the middle of the pads.
+class GraspOffsets(CheckedConfig):
+    """Offsets of additional grasp copies, about the middle of the pads.
 
-    The copies are not validated in simulation. They are likely to hold, since the object is between
-    the fingers and these close along the same line as in a validated grasp.
+    The offsets are in the hand link's frame (fingers close along y). The copies are not validated in
+    simulation. They are likely to hold, since the object is between the fingers and these close along
+    the same line as in a validated grasp.
 
     Attributes:
         tilts: Rotations about the line between the pads (rad).
@@ -114,6 +121,10 @@ class GraspOffsets:
         min_points_between_pads: Minimum number of the checked points between the pads.
         max_grasps: Maximum number of copies, taken evenly from all.
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = dict.fromkeys(("n_points", "max_grasps"), (1, math.inf))
+    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral", "backward"})
 
     tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
     lateral: tuple[float, ...] = (0.0, -0.012, 0.012, -0.024, 0.024)

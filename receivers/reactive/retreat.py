@@ -126,7 +126,7 @@ class RetreatController:
         seeds = np.concatenate([joints[None], IK_SEEDS])
         all_poses, all_seeds = np.tile(poses, (len(seeds), 1)), np.repeat(seeds, len(poses), axis=0)
         ends, is_reached = self._arm.solve(all_poses, all_seeds, _IK_ITERATIONS, _IK_TOLERANCE)
-        times = (np.abs(ends - joints) / self._servo.limits).max(axis=1)
+        times = (np.abs(ends - joints) / self._servo.max_speeds).max(axis=1)
         times[~is_reached] = _UNREACHABLE
         for other in self._rejected:
             is_similar = np.abs(ends - other).max(axis=1) < self._config.min_joint_difference

@@ -66,7 +66,7 @@ class GraspSelector:
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
-        self._arm, self._speeds, self._config, self._receiver = arm, speeds, config.selection, config
+        self._arm, self._speeds, self._config, self._receiver_config = arm, speeds, config.selection, config
         self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
         self._home_rotation = Rotation.from_quat(arm.compute_hand_pose(HOME)[3:])
         self.reset()
@@ -140,7 +140,7 @@ class GraspSelector:
         number = int(numbers[best])
         self._batch, self.failure_reason = 0, ""
         is_poor = self._hold_costs[number] > self._config.poor_hold_cost
-        self._poor_time += self._receiver.period if is_poor else 0.0
+        self._poor_time += self._receiver_config.period if is_poor else 0.0
         via = None if is_near else self._find_via_point(standoffs[best], joints, obstacles)
         self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
         return self.chosen
@@ -182,14 +182,14 @@ class GraspSelector:
             return
         human_hand = scene.hand_in_object
         if human_hand is not None:
-            grasps, margins = find_offset_grasps(self._object, human_hand, self._receiver)
+            grasps, margins = find_offset_grasps(self._object, human_hand, self._receiver_config)
             self._add(grasps, margins, self._config.offset_cost)
             self._has_offsets = True
 
     def _report_failure(self, reason: str, is_settled: bool, relaxation: float) -> None:
         if is_settled:
-            self._relaxing_time += relaxation * self._receiver.period
-            self._poor_time += self._receiver.period
+            self._relaxing_time += relaxation * self._receiver_config.period
+            self._poor_time += self._receiver_config.period
         self.chosen, self.failure_reason = None, reason
 
     def _compute_switch_margin(self, is_near: bool) -> float:
@@ -204,7 +204,7 @@ class GraspSelector:
         human_hand = scene.hand_in_object
         if human_hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
-        return compute_grasp_clearances(self.grasps, human_hand, self._receiver.approach.standoff)
+        return compute_grasp_clearances(self.grasps, human_hand, self._receiver_config.approach.standoff)
 
     def _compute_rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
         """Return the costs (n,) in s that need no inverse kinematics."""
@@ -229,7 +229,7 @@ class GraspSelector:
         near = scene.obstacles.select_within(handover_pose[:3], _GRIPPER_REACH)
         if not len(near.radii):
             return 0.0
-        clearances = compute_grasp_clearances(world, near, self._receiver.approach.standoff)
+        clearances = compute_grasp_clearances(world, near, self._receiver_config.approach.standoff)
         missing = np.maximum(0.0, self._config.desired_obstacle_clearance - clearances)
         costs: Array = self._config.obstacle_cost * missing
         return costs

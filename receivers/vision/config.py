@@ -1,17 +1,20 @@
 """Configuration of the receiver `vision`."""
 
+import math
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
-import numpy as np
-
+from handover_marl.config import CheckedConfig, Limits
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
 from handover_marl.receivers.vision.object_tracking import FilterGains
 
+_NEVER = 1e6  # s, longer than any episode
+
 
 @dataclass(frozen=True)
-class GraspTrackerConfig:
+class GraspTrackerConfig(CheckedConfig):
     """Configuration of the tracker that turns point clouds into grasp candidates.
 
     Attributes:
@@ -55,6 +58,14 @@ class GraspTrackerConfig:
             hand since the object rotates while it is lifted.
     """
 
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {
+        **dict.fromkeys(("max_grasps", "n_finger_points"), (1, math.inf)),
+        **dict.fromkeys(("min_quality", "min_matched_share", "keyframe_share", "velocity_decay"), (0.0, 1.0)),
+        **dict.fromkeys(("sphere_radius", "voxel_size"), (1e-6, math.inf)),
+    }
+    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts"})
+
     min_points: int = 20
     max_grasps: int = 48
     min_quality: float = 0.02
@@ -87,7 +98,7 @@ class GraspTrackerConfig:
 
 
 @dataclass(frozen=True)
-class VisionConfig:
+class VisionConfig(CheckedConfig):
     """Configuration of the perception of the receiver `vision`.
 
     Attributes:
@@ -104,6 +115,9 @@ class VisionConfig:
         obstacle_voxel_size: Edge length of the voxels that keep one point each of the other objects
             (m).
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    limits: ClassVar[Limits] = {"obstacle_voxel_size": (1e-6, math.inf)}
 
     tracker: GraspTrackerConfig = field(default_factory=GraspTrackerConfig)
     search_timeout: float = 0.25
@@ -131,7 +145,7 @@ def make_vision_reactive_config() -> ReactiveConfig:
             clearance_cost=10.0,
             min_clearance=0.0,
             hard_min_clearance=0.0,
-            offset_delay=np.inf,
+            offset_delay=_NEVER,
         ),
         approach=replace(config.approach, max_object_speed=0.08, max_held_still_speed=0.15, close_period=0.05),
     )

@@ -1,18 +1,21 @@
 """Collisions of the open fingers with the visible part of an object on the way to a grasp."""
 
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import CheckedConfig
 from handover_marl.geometry.poses import compose
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class FingerGeometry:
+class FingerGeometry(CheckedConfig):
     """Geometry of the Panda's open fingers in the hand link's frame, with collision costs.
 
     The fingers close along y and approach along z.
@@ -27,6 +30,9 @@ class FingerGeometry:
         collision_cost: Cost of the penetration depth that remains after the shift (s/m).
         free_depth: Penetration depth up to which a collision has no cost (m).
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
+    unchecked: ClassVar[frozenset[str]] = frozenset({"lateral_shifts"})
 
     inner_y: float = 0.039
     outer_y: float = 0.056

@@ -1,13 +1,16 @@
 """Grasp prediction from point clouds by a neural network, which needs PyTorch."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.config import CheckedConfig
 from handover_marl.geometry.panda import PAD_DISTANCE
 
 Array = npt.NDArray[np.float64]
@@ -34,7 +37,7 @@ GraspPredictor = Callable[[Array, Array, Array, np.random.Generator], GraspPredi
 
 
 @dataclass(frozen=True)
-class GraspPredictorConfig:
+class GraspPredictorConfig(CheckedConfig):
     """Numbers of points in the input of the grasp network.
 
     Attributes:
@@ -42,6 +45,8 @@ class GraspPredictorConfig:
         n_hand_points: Number of points of the person's hand.
         n_grasps: Number of object points at which a grasp is predicted.
     """
+
+    default_limits: ClassVar[tuple[float, float]] = (1, math.inf)
 
     n_object_points: int = 256
     n_hand_points: int = 64

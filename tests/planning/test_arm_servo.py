@@ -45,7 +45,7 @@ def test_acceleration_is_limited(first: np.ndarray, second: np.ndarray) -> None:
 def test_speed_limits_keep_the_direction(velocity: np.ndarray) -> None:
     arm = servo()
     limit_speed = arm.limit_speed(velocity)
-    assert (np.abs(limit_speed) <= arm.limits + 1e-9).all()
+    assert (np.abs(limit_speed) <= arm.max_speeds + 1e-9).all()
     np.testing.assert_allclose(limit_speed * np.abs(velocity).max(), velocity * np.abs(limit_speed).max(), atol=1e-9)
     np.testing.assert_allclose(arm.limit_speed(limit_speed), limit_speed, rtol=1e-12)
 

@@ -120,6 +120,17 @@ def test_settings_of_yang2021() -> None:
         ("yang2021:config=3", "config must be a YangConfig, got 3"),
         ("yang2021:context=3", "has no option 'context'"),
         ("reactive:config=3", "config must be a ReactiveConfig, got 3"),
+        ("reactive:min_lift=-1", "min_lift of ReactiveConfig must be a finite number of at least 0, got -1"),
+        ("reactive:near_period=0", "near_period of ReactiveConfig must be a finite number from 0.001 to 60, got 0"),
+        ("reactive:n_obstacle_spheres=0", "n_obstacle_spheres of ReactiveConfig must be an integer of at least 1"),
+        ("reactive:selection_max_candidates=0", "max_candidates of GraspSelectorConfig must be an integer of at least"),
+        ("reactive:approach_close_speed=-0.1", "close_speed of ApproachConfig must be a finite number of at least 0"),
+        ("reactive:retreat_progress_ratio=2", "progress_ratio of RetreatConfig must be a finite number from 0 to 1"),
+        ("reactive:offsets_max_grasps=-1", "max_grasps of GraspOffsets must be an integer of at least 1, got -1"),
+        ("reactive:preparation_max_slip=-1", "max_slip of GraspPreparationConfig must be a finite number of at least"),
+        ("reactive:separation_slack=-1", "slack of SeparationConfig must be a finite number of at least 0, got -1"),
+        ("reactive:prediction_attraction=2", "attraction of HandoverPosePredictorConfig must be a finite number from"),
+        ("reactive:servo_speed_scale=0", "speed_scale of ServoConfig must be a finite number from 1e-06 to 1, got 0"),
     ],
 )
 def test_wrong_settings(name: str, message: str) -> None:
