@@ -87,9 +87,9 @@ class RecordingSpreadGiver(Giver):
         spread = _read_spread()
         row = spread.get(self._object_names.get(object_class, _ALL_OBJECTS), spread[_ALL_OBJECTS])
         config, draws = self.config, self._draws
-        pace = float(np.exp(config.pace * row["log_pace"] * draws[6])) - 1.0
+        rate = float(np.exp(config.pace * row["log_pace"] * draws[6])) - 1.0
         return make_giver_action(
-            float(np.clip(pace, _MIN_RATE, _MAX_RATE)),
+            float(np.clip(rate, _MIN_RATE, _MAX_RATE)),
             config.displacement * np.array(row["displacement"]) * draws[:3],
             config.rotation * np.array(row["rotation"]) * draws[3:6],
         )

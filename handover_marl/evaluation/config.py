@@ -276,9 +276,9 @@ def require_policy_reference(policy: PolicyLike) -> PolicyReference:
 
 
 def _check_no_duplicates(options: dict[str, Any], config_class: type) -> None:
-    for name in sorted(options):
+    if options:
         raise OptionError(
-            f"pass either a config or keyword arguments, not both; set {name} in the {config_class.__name__}"
+            f"pass either a config or keyword arguments, not both; set {min(options)} in the {config_class.__name__}"
         )
 
 

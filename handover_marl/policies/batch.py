@@ -178,7 +178,7 @@ def make_giver_actions(
     release: float | AnyArray = 0.0,
     arrays: ArrayFactory = NUMPY_ARRAYS,
 ) -> Actions:
-    """Make actions (r, 8) of r givers of their components; see `handover_marl.policies.policy.make_giver_action`.
+    """Make actions (r, 8) of r givers from their components; see `handover_marl.policies.policy.make_giver_action`.
 
     Args:
         count: Number r of givers.

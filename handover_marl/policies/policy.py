@@ -200,7 +200,7 @@ class Giver(Policy):
     def act(self, observation: Observation) -> Action:
         """Return the giver's action (8,) float32, a deviation from the recording.
 
-        `make_giver_action` makes an action of its components.
+        `make_giver_action` makes an action from its components.
 
         Args:
             observation: Element of `handover_marl.episode.observations.giver_observation_space`.
@@ -231,7 +231,7 @@ def make_giver_action(
     rotation: npt.ArrayLike = (0.0, 0.0, 0.0),
     release: bool = False,
 ) -> Action:
-    """Make a giver's action (8,) of its components; see `handover_marl.episode.spaces.giver_action_space`.
+    """Make a giver's action (8,) from its components; see `handover_marl.episode.spaces.giver_action_space`.
 
     Args:
         rate: Playback rate minus 1, from -1 to 1.

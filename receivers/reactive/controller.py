@@ -27,13 +27,22 @@ _BACKOUT_END = 0.3  # share of the distance that may remain
 
 
 class ReactivePhase(Enum):
-    """Phase of a handover by the receiver `reactive`."""
+    """Phase of a handover by the receiver `reactive`.
+
+    Attributes:
+        WAIT: The arm is at its waiting pose, or moves there, until a person offers an object.
+        APPROACH: The gripper moves to the standoff of the selected grasp.
+        FINAL_APPROACH: The gripper moves from the standoff to the grasp in a straight line.
+        CLOSE: The fingers close, until the person releases the object.
+        BACK_OUT: The gripper backs out after a missed grasp.
+        RETREAT: The robot carries the object to the goal.
+    """
 
     WAIT = "wait"
     APPROACH = "approach"
-    REACH = "reach"
+    FINAL_APPROACH = "final approach"
     CLOSE = "close"
-    BACK = "back"
+    BACK_OUT = "back out"
     RETREAT = "retreat"
 
 
@@ -87,7 +96,7 @@ class HandoverController:
             return self._approach()
         if self.phase is ReactivePhase.CLOSE:
             return self._close(self._scene.has_released(self._phase_start))
-        if self.phase is ReactivePhase.BACK:
+        if self.phase is ReactivePhase.BACK_OUT:
             return self._back_out()
         if self._retreat is not None and self.phase is ReactivePhase.RETREAT:
             return self._carry(self._retreat)
@@ -95,7 +104,7 @@ class HandoverController:
 
     @property
     def _is_approaching(self) -> bool:
-        return self.phase in (ReactivePhase.APPROACH, ReactivePhase.REACH)
+        return self.phase in (ReactivePhase.APPROACH, ReactivePhase.FINAL_APPROACH)
 
     def _approach(self) -> Action:
         scene = self._scene
@@ -104,7 +113,7 @@ class HandoverController:
             return self._motion.retreat_home()
         result = self._approach_controller.step()
         if not isinstance(result, GraspGoal):
-            self.phase = ReactivePhase.REACH if self._approach_controller.is_near else ReactivePhase.APPROACH
+            self.phase = ReactivePhase.FINAL_APPROACH if self._approach_controller.is_near else ReactivePhase.APPROACH
             return result
         self.phase, self._phase_start = ReactivePhase.CLOSE, scene.time
         self._closing_pose = self._selector.compute_grasp_pose(result, scene.object_pose)
@@ -156,7 +165,7 @@ class HandoverController:
         """Start backing out after a miss, with a higher cost of this grasp for a while."""
         config, scene = self._config.approach, self._scene
         self._selector.give_up(scene.time + config.failed_duration)
-        self.phase, self._phase_start = ReactivePhase.BACK, scene.time
+        self.phase, self._phase_start = ReactivePhase.BACK_OUT, scene.time
         self._backout_position = transform_points(scene.gripper_pose, np.array([0.0, 0.0, -config.backout_distance]))
         return self._back_out()
 

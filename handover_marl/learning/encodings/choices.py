@@ -48,7 +48,7 @@ def check_size(name: str, size: object) -> int:
     return size
 
 
-def check_vector(what: str, values: object, shape: tuple[int, ...], advice: str) -> npt.NDArray[np.float32]:
+def check_returned_vector(what: str, values: object, shape: tuple[int, ...], advice: str) -> npt.NDArray[np.float32]:
     """Check that user-defined code returned a finite float32 array, and return it.
 
     Args:

@@ -99,7 +99,7 @@ _PROXIMITY = (
 )
 # Decisions of stacked features, and the other cells of their rows.
 _DECISIONS = ("present decision", "decision before it", "second decision before it", "third decision before it")
-_AS_THERE = ("as there; zeros before the first decision", "-", "-")
+_AS_THERE = ("as in `close`; zeros before the first decision", "-", "-")
 
 #: Columns of the built-in features by agent and name.
 FEATURE_COLUMNS: dict[str, dict[str, tuple[EncodingColumn, ...]]] = {

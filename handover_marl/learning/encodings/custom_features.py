@@ -14,8 +14,8 @@ from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.learning.encodings.choices import (
     MAX_SIZE,
     check_agent,
+    check_returned_vector,
     check_size,
-    check_vector,
     construct_encoding,
     get_choice_name,
 )
@@ -112,7 +112,7 @@ class AgentFeatures:
 
     def _check(self, values: Any) -> None:
         advice = "convert with numpy.asarray(values, dtype=numpy.float32), or declare another size"
-        check_vector(f"{KIND} {self.name!r}", values, self.space.shape, advice)
+        check_returned_vector(f"{KIND} {self.name!r}", values, self.space.shape, advice)
         if self._is_bounded and ((values < self.space.low) | (values > self.space.high)).any():
             bad = int(np.flatnonzero((values < self.space.low) | (values > self.space.high))[0])
             raise EncodingError(

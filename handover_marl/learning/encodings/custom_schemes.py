@@ -10,8 +10,8 @@ from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
 from handover_marl.learning.encodings.choices import (
     check_agent,
+    check_returned_vector,
     check_size,
-    check_vector,
     construct_encoding,
     get_choice_name,
 )
@@ -74,7 +74,7 @@ class CheckedScheme(ActionScheme):
         else:
             action = self._run(self.scheme, self._outputs, observation)
         advice = "convert with numpy.asarray(action, dtype=numpy.float32)"
-        return check_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
+        return check_returned_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
 
     def _run(self, method: Callable[..., Any], *arguments: Any) -> Any:
         try:

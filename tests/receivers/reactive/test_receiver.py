@@ -160,14 +160,14 @@ def test_backs_out_and_selects_another_grasp_after_a_miss(handover_observation: 
     action = receiver.act(observe_at(observation, 3.3, robot_joint_position=empty))
     assert receiver.phase is ReactivePhase.CLOSE
     action = receiver.act(observe_at(observation, 3.4, robot_joint_position=empty))
-    assert receiver.phase is ReactivePhase.BACK
+    assert receiver.phase is ReactivePhase.BACK_OUT
     assert action[-1] == np.float32(0.04)
     now, phases = 3.4, set()
-    while now < 6.0 and receiver.phase is ReactivePhase.BACK:
+    while now < 6.0 and receiver.phase is ReactivePhase.BACK_OUT:
         now = round(now + 0.05, 3)
         receiver.act(observe_at(observation, now, robot_joint_position=empty))
         phases.add(receiver.phase)
-    assert receiver.phase in (ReactivePhase.APPROACH, ReactivePhase.REACH)
+    assert receiver.phase in (ReactivePhase.APPROACH, ReactivePhase.FINAL_APPROACH)
     chosen = receiver.selector.chosen
     assert chosen is not None
     assert chosen.number != missed.number
@@ -180,7 +180,7 @@ def test_backs_out_without_release(handover_observation: Observation) -> None:
     receiver.act(observe_at(observation, 3.7, robot_joint_position=held))
     assert receiver.phase is ReactivePhase.CLOSE
     receiver.act(observe_at(observation, 3.9, robot_joint_position=held))
-    assert receiver.phase is ReactivePhase.BACK
+    assert receiver.phase is ReactivePhase.BACK_OUT
 
 
 def test_retreats_after_release(handover_observation: Observation) -> None:
@@ -223,7 +223,7 @@ def test_gives_up_an_object_that_has_fallen(handover_observation: Observation) -
     fallen = observation["object_poses"].copy()
     fallen[0, 2] -= 0.05
     action = receiver.act(observe_closing(observation, 3.01, 0.036, object_poses=fallen))
-    assert receiver.phase is ReactivePhase.BACK
+    assert receiver.phase is ReactivePhase.BACK_OUT
     assert action[-1] == np.float32(0.04)
 
 
@@ -237,7 +237,7 @@ def test_closes_around_an_object_that_was_released_before(handover_observation: 
     between = (goal.goal + 0.15 * (goal.standoff - goal.goal)).astype(np.float32)
     joints = np.array([*between, 0.04, 0.04], dtype=np.float32)
     receiver.act(observe_at(handover_observation, 3.0, robot_joint_position=joints))
-    assert receiver.phase is ReactivePhase.REACH
+    assert receiver.phase is ReactivePhase.FINAL_APPROACH
     free = np.ones(1, dtype=np.float32)
     receiver.act(observe_at(handover_observation, 3.02, robot_joint_position=joints, released=free))
     assert receiver.phase is ReactivePhase.CLOSE
