@@ -164,7 +164,10 @@ class ApproachConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {"close_period": PERIODS}
+    limits: ClassVar[Limits] = {
+        "close_period": PERIODS,
+        **dict.fromkeys(("standoff", "max_posture_change"), (1e-6, math.inf)),
+    }
 
     standoff: float = 0.08
     straight_margin: float = 0.05

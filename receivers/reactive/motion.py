@@ -178,8 +178,8 @@ class ApproachController:
         is_in_front = axial < config.standoff + config.straight_margin and lateral < max_lateral
         self.is_near = is_in_front and rotation < config.straight_rotation
         if not self.is_near:
-            self._check_progress(float(np.abs(goal.standoff - scene.arm_joints).max()))
-            waypoint = goal.standoff if goal.via is None else goal.via
+            self._check_progress(float(np.abs(goal.standoff_joints - scene.arm_joints).max()))
+            waypoint = goal.standoff_joints if goal.via_joints is None else goal.via_joints
             return self._motion.move_to(waypoint, self._selector.surface)
         self._check_progress(axial + lateral)
         is_at_grasp = abs(axial) < factor * config.axial_tolerance and lateral < factor * config.lateral_tolerance
@@ -250,7 +250,7 @@ class ApproachController:
         # The seed is moved slightly towards the selected configuration: from the present one, joint
         # limits may be in the way, and to go there at once would swing the hand aside.
         share = depth / config.standoff
-        change = goal.goal + share * (goal.standoff - goal.goal) - scene.arm_joints
+        change = goal.grasp_joints + share * (goal.standoff_joints - goal.grasp_joints) - scene.arm_joints
         scale = config.max_posture_change / max(float(np.abs(change).max()), config.max_posture_change)
         joints, _ = arm.solve(pose[None], (scene.arm_joints + scale * change)[None], IK_ITERATIONS)
         velocity = config.position_gain * (joints[0] - scene.arm_joints)

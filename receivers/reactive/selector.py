@@ -36,16 +36,16 @@ class GraspGoal:
 
     Attributes:
         number: Index of the grasp among the candidates.
-        standoff: (7,) configuration of the arm at the standoff (rad).
-        goal: (7,) configuration of the arm at the grasp (rad).
-        via: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or
+        standoff_joints: (7,) configuration of the arm at the standoff (rad).
+        grasp_joints: (7,) configuration of the arm at the grasp (rad).
+        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or
             None.
     """
 
     number: int
-    standoff: Array
-    goal: Array
-    via: Array | None = None
+    standoff_joints: Array
+    grasp_joints: Array
+    via_joints: Array | None = None
 
 
 class GraspSelector:
@@ -195,7 +195,7 @@ class GraspSelector:
     def _compute_switch_margin(self, is_near: bool) -> float:
         """Return the cost difference (s) for which the selected grasp is replaced."""
         margin = self._config.switch_margin + (self._config.near_switch_margin if is_near else 0.0)
-        if self.chosen is not None and self.chosen.via is not None:
+        if self.chosen is not None and self.chosen.via_joints is not None:
             margin += self._config.blocked_path_cost
         return margin
 
@@ -247,7 +247,7 @@ class GraspSelector:
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
         """Return the costs (k,) in s without those of paths, and joints (k, 7) at standoffs and grasps."""
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
-        previous = None if self.chosen is None else self.chosen.standoff
+        previous = None if self.chosen is None else self.chosen.standoff_joints
         reach = self._reachability
         standoffs, goals, is_reached = reach.solve(world, joints, previous, self._batch > 0)
         costs = rough + reach.compute_travel_times(standoffs, joints)
@@ -289,7 +289,7 @@ class GraspSelector:
         """Return a via point (7,) to a standoff where the straight path is blocked, or None."""
         if is_path_clear(self._arm, joints, standoff, obstacles):
             return None
-        previous = None if self.chosen is None else self.chosen.via
+        previous = None if self.chosen is None else self.chosen.via_joints
         if previous is not None and all(
             is_path_clear(self._arm, start, end, obstacles) for start, end in ((joints, previous), (previous, standoff))
         ):

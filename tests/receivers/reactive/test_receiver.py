@@ -143,7 +143,7 @@ def start_closing(handover_observation: Observation) -> tuple[ReactiveReceiver, 
         receiver.act(observe_at(handover_observation, 2.0 + 0.05 * number))
     goal = receiver.selector.chosen
     assert goal is not None
-    joints = np.array([*goal.goal, 0.04, 0.04], dtype=np.float32)
+    joints = np.array([*goal.grasp_joints, 0.04, 0.04], dtype=np.float32)
     observation = observe_at(handover_observation, 3.0, robot_joint_position=joints)
     action = receiver.act(observation)
     assert receiver.phase is ReactivePhase.CLOSE
@@ -234,7 +234,7 @@ def test_closes_around_an_object_that_was_released_before(handover_observation: 
     goal = receiver.selector.chosen
     assert goal is not None
     # The hand is too far away for closing the fingers around an object that the person still holds.
-    between = (goal.goal + 0.15 * (goal.standoff - goal.goal)).astype(np.float32)
+    between = (goal.grasp_joints + 0.15 * (goal.standoff_joints - goal.grasp_joints)).astype(np.float32)
     joints = np.array([*between, 0.04, 0.04], dtype=np.float32)
     receiver.act(observe_at(handover_observation, 3.0, robot_joint_position=joints))
     assert receiver.phase is ReactivePhase.FINAL_APPROACH
