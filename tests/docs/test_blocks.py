@@ -51,8 +51,9 @@ SCRIPTS_NEED = {
 ENVIRONMENTS, DECISIONS = 2, 16
 #: Pages whose programs need what happens late in an episode: a decision of the giver, a release, or a success.
 WHOLE_EPISODES = ("docs/tutorials/adaptive_giver.md", "docs/how_to/demonstrations.md", "docs/tutorials/own_reward.md")
-#: Physics steps (1 ms) of the episodes of other pages, and of the conformance tests of receivers and givers.
-EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 2000, 500, 4000
+#: Physics steps (1 ms) of the episodes of other pages, and of the conformance tests of receivers and givers; learned
+#: receivers wait 2 s.
+EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 2500, 2500, 4000
 CHECKED_SCENES = (9,)
 #: Parts of the programs of a page, and what the test runs instead of them, so that less is simulated.
 SMALLER = {

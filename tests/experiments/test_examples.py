@@ -14,7 +14,7 @@ MAX_LINES = 120
 
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    shorten_episodes(monkeypatch, 2000)
+    shorten_episodes(monkeypatch, 4000)
 
 
 def test_examples_are_short() -> None:

@@ -48,7 +48,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     args = {**QUICK, "out": str(tmp_path / "run")}
-    shorten_episodes(monkeypatch, 1000)
+    shorten_episodes(monkeypatch, 4000)
     # Few scenes, because each one is generated when it is loaded.
     monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: (11, 12))
     with monkeypatch.context() as patched:
