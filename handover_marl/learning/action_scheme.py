@@ -26,6 +26,7 @@ class ActionScheme(ABC):
         size: Number of outputs.
         wait: Time at the start of an episode during which the agent does not act (s); may be changed
             only in schemes in which it is not zero by default.
+        outputs: Current outputs (size,) of the network, float64; zeros at the start of an episode.
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -42,7 +43,7 @@ class ActionScheme(ABC):
 
     def reset(self) -> None:
         """Clear the state of the previous episode."""
-        self._outputs: npt.NDArray[np.float64] = np.zeros(self.size)
+        self.outputs: npt.NDArray[np.float64] = np.zeros(self.size)
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the network must be evaluated now; else its previous outputs remain in use."""
@@ -50,7 +51,7 @@ class ActionScheme(ABC):
 
     def set_outputs(self, outputs: Outputs) -> None:
         """Store new network outputs (size,), clipped to [-1, 1]."""
-        self._outputs = np.clip(np.asarray(outputs, dtype=np.float64), -1.0, 1.0)
+        self.outputs = np.clip(np.asarray(outputs, dtype=np.float64), -1.0, 1.0)
 
     @abstractmethod
     def compute_action(self, observation: Observation) -> Action:
@@ -62,8 +63,8 @@ class RawScheme(ActionScheme):
 
     def set_outputs(self, outputs: Outputs) -> None:
         """Store new network outputs (size,) without clipping."""
-        self._outputs = np.asarray(outputs, dtype=np.float64)
+        self.outputs = np.asarray(outputs, dtype=np.float64)
 
     def compute_action(self, observation: Observation) -> Action:
         """Return the current network outputs as the action, float32."""
-        return self._outputs.astype(np.float32)
+        return self.outputs.astype(np.float32)

@@ -40,7 +40,7 @@ class DeviationScheme(GiverScheme):
     def compute_action(self, observation: Observation) -> Action:
         """Return the giver's action (8,): the outputs in physical units, within the action's bounds."""
         space = giver_action_space(self.context.config.giver)
-        return np.clip(self._outputs * space.high, space.low, space.high).astype(np.float32)
+        return np.clip(self.outputs * space.high, space.low, space.high).astype(np.float32)
 
     def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
         """Return the outputs (8,) of a giver's action, divided by its bounds."""
@@ -122,10 +122,10 @@ class HandoverPoseScheme(GiverScheme):
 
     def _choose_pose(self, observation: Observation) -> None:
         _, axes = compute_handover_frame(observation)
-        self._turn = axes @ self._outputs[3:6] * self.max_output_rotation
+        self._turn = axes @ self.outputs[3:6] * self.max_output_rotation
         center, _, rotated = self._rotate_about_wrist(self._turn, observation)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        self._shift = center + axes @ self._outputs[:3] * self.max_output_translation - rotated
+        self._shift = center + axes @ self.outputs[:3] * self.max_output_translation - rotated
         self._chosen = True
 
     def _rotate_about_wrist(
@@ -139,7 +139,7 @@ class HandoverPoseScheme(GiverScheme):
     def _withdraw(self, observation: Observation) -> Action:
         if self._withdrawal is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            length = (self._outputs[6] + 1.0) / 2.0 * self.max_withdrawal
+            length = (self.outputs[6] + 1.0) / 2.0 * self.max_withdrawal
             shift = self._pose_variation.scale * self._shift
             self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
         return make_giver_action(displacement=self._withdrawal, rotation=self._pose_variation.scale * self._turn)

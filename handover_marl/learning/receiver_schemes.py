@@ -30,7 +30,7 @@ class JointPositionScheme(ActionScheme):
     def compute_action(self, observation: Observation) -> Action:
         """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
         low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
-        return np.asarray(low + (self._outputs + 1.0) / 2.0 * (high - low), dtype=np.float32)
+        return np.asarray(low + (self.outputs + 1.0) / 2.0 * (high - low), dtype=np.float32)
 
 
 class JointDeltaScheme(ActionScheme):
@@ -47,8 +47,8 @@ class JointDeltaScheme(ActionScheme):
 
     def compute_action(self, observation: Observation) -> Action:
         """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        arm = observation["robot_joint_position"][:ARM_DOF] + self.step * self._outputs[:ARM_DOF]
-        return _joint_targets(arm, self._outputs[ARM_DOF] > 0.0)
+        arm = observation["robot_joint_position"][:ARM_DOF] + self.step * self.outputs[:ARM_DOF]
+        return _joint_targets(arm, self.outputs[ARM_DOF] > 0.0)
 
 
 class CartesianDeltaScheme(ActionScheme):
@@ -74,9 +74,9 @@ class CartesianDeltaScheme(ActionScheme):
 
     def compute_action(self, observation: Observation) -> Action:
         """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        translation = self._outputs[:3] * np.array(self.max_output_translation)
-        rotation = self._outputs[3:6] * self.max_output_rotation
-        return self._move(observation, translation, rotation, self._outputs[6] > 0.0)
+        translation = self.outputs[:3] * np.array(self.max_output_translation)
+        rotation = self.outputs[3:6] * self.max_output_rotation
+        return self._move(observation, translation, rotation, self.outputs[6] > 0.0)
 
     def _move(self, observation: Observation, translation: Array, rotation: Array, closed: bool) -> Action:
         """Return joint targets that move the hand link by (3,) m and a (3,) rotation vector in its frame."""
@@ -137,7 +137,7 @@ class GraspServoScheme(CartesianDeltaScheme):
     def set_outputs(self, outputs: Outputs) -> None:
         """Store new network outputs (7,), clipped to [-1, 1]."""
         super().set_outputs(outputs)
-        self._closed = self._closed or bool(self._outputs[6] > self.close_threshold)
+        self._closed = self._closed or bool(self.outputs[6] > self.close_threshold)
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the waiting time is over."""
@@ -150,8 +150,8 @@ class GraspServoScheme(CartesianDeltaScheme):
         gripper = observation["gripper_pose"].astype(np.float64)
         present = Rotation.from_quat(gripper[3:])
         position, target = self._target(observation, gripper, present)
-        position = position + target.apply(self._outputs[:3] * np.array(self.max_output_translation))
-        target = target * Rotation.from_rotvec(self._outputs[3:6] * self.max_output_rotation)
+        position = position + target.apply(self.outputs[:3] * np.array(self.max_output_translation))
+        target = target * Rotation.from_rotvec(self.outputs[3:6] * self.max_output_rotation)
         translation = _limit_norm(present.inv().apply(position - gripper[:3]), self.max_translation)
         rotation = _limit_norm((present.inv() * target).as_rotvec(), self.max_rotation)
         return self._move(observation, translation, rotation, self._closed)

@@ -72,7 +72,7 @@ class CheckedScheme(ActionScheme):
         if isinstance(self.scheme, ActionScheme):
             action = self._run(self.scheme.compute_action, observation)
         else:
-            action = self._run(self.scheme, self._outputs, observation)
+            action = self._run(self.scheme, self.outputs, observation)
         advice = "convert with numpy.asarray(action, dtype=numpy.float32)"
         return check_returned_vector(f"action of {KIND} {self.name!r}", action, (_ACTION_SIZES[self.agent],), advice)
 

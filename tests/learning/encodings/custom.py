@@ -33,7 +33,7 @@ class FirstJoint(ActionScheme):
 
     def compute_action(self, observation: Observation) -> np.ndarray:
         target = observation["robot_joint_position"].copy()
-        target[0] += 0.1 * self._outputs[0]
+        target[0] += 0.1 * self.outputs[0]
         return target
 
 
