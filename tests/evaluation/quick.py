@@ -11,16 +11,16 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
-HORIZON = 1300
-#: Rules that end an episode after a tenth of the official time limit.
+HORIZON = 400
+#: Rules that end an episode after 0.4 s.
 SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON))
 
 
 class QuickReceiver(Receiver):
-    """Receiver that holds still and acts once per second."""
+    """Receiver that holds still and acts every 0.3 s."""
 
     name = "quick"
-    control_period = 1.0
+    control_period = 0.3
 
     def reset(self, seed: int | None = None) -> None:
         self.seed = seed

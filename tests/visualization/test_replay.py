@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.config import TIME_STEP
+from handover_marl.config import TIME_STEP, ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
@@ -32,13 +32,15 @@ from handover_marl.visualization.replay_page import build_replay_page
 from handover_marl.visualization.replay_recorder import FRAME_STEPS, EpisodeLog, ReplayRecorder
 from handover_marl.visualization.replay_scene import END_PAUSE_S
 from handover_marl.visualization.replay_text import describe_frame, list_events
-from tests.evaluation.quick import SHORT, QuickReceiver
+from tests.evaluation.quick import QuickReceiver
 from tests.visualization.outside import outside
 
 viser = pytest.importorskip("viser", reason="needs the extra `replay`")
 msgspec = pytest.importorskip("msgspec")
 zstandard = pytest.importorskip("zstandard")
 pytest.importorskip("fast_simplification", reason="needs the extra `replay`")
+
+SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=1300))
 
 
 class Meaning(QuickReceiver):

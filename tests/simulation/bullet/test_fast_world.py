@@ -1,12 +1,12 @@
 """Tests of fast physics against exact physics on synthetic scenes."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from handover_marl import receivers
 from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
@@ -17,6 +17,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.policies.policy import Action, Policy
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from handover_marl.simulation.bullet.fast_world import FastWorld
@@ -26,8 +27,9 @@ from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()
-#: Scenes of s0 val in which Yang's receiver ends the episode early and with different outcomes.
-SCENES = (9, 14, 19, 24, 34)
+#: Scenes of s0 val in which Yang's receiver ends the episode early and with different outcomes. That exact and fast
+#: physics end alike is tested on the recorded outcomes in `tests/evaluation/test_golden.py`.
+SCENES = (9, 14, 19)
 
 
 def outcome(episode: Episode) -> tuple[EpisodeStatus, int, int | None]:
@@ -69,46 +71,37 @@ def test_states_are_equal_far_from_the_robot(both: tuple[Episode, Episode]) -> N
     assert not any(item.is_awake for item in world._objects)
 
 
-@pytest.mark.parametrize("scene_id", SCENES)
-def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
-    policy = receivers.make("yang2021", DATA)
-    outcomes = []
-    for episode in both:
-        play(episode, DATA.load_scene(scene_id), policy)
-        outcomes.append(outcome(episode))
-    assert outcomes[0][0] == outcomes[1][0]
-    assert abs(outcomes[0][1] - outcomes[1][1]) <= 100
+def assert_used_world_equals_new_ones(policy: Policy, scene_ids: tuple[int, ...]) -> None:
+    """Play scenes in one world, and check that all but the first are bit-equal to those in a new world."""
+
+    def record(episode: Episode, scene_id: int) -> tuple[Any, ...]:
+        actions, _ = play(episode, DATA.load_scene(scene_id), policy)
+        return actions, outcome(episode), episode.observe()
+
+    used, in_new_worlds = Episode("fast"), {}
+    in_new_worlds[scene_ids[0]] = record(used, scene_ids[0])
+    for scene_id in scene_ids[1:]:
+        if scene_id not in in_new_worlds:
+            new = Episode("fast")
+            in_new_worlds[scene_id] = record(new, scene_id)
+            new.close()
+        actions, end, seen = record(used, scene_id)
+        np.testing.assert_array_equal(actions, in_new_worlds[scene_id][0])
+        assert end == in_new_worlds[scene_id][1]
+        for key, value in seen.items():
+            np.testing.assert_array_equal(value, in_new_worlds[scene_id][2][key], err_msg=key)
+    used.close()
 
 
 def test_a_used_world_equals_a_new_one() -> None:
     """An episode in a used world is bit-equal to one in a new world, whichever episodes were simulated before."""
-    policy = receivers.make("yang2021", DATA)
-    used = Episode("fast")
-    for scene_id in (*SCENES[:3], *SCENES[1::-1]):
-        new = Episode("fast")
-        actions = []
-        for episode in (used, new):
-            actions.append(play(episode, DATA.load_scene(scene_id), policy)[0])
-        np.testing.assert_array_equal(*actions)
-        assert outcome(used) == outcome(new)
-        for key, value in used.observe().items():
-            np.testing.assert_array_equal(value, new.observe()[key])
-        new.close()
+    assert_used_world_equals_new_ones(receivers.make("yang2021", DATA), (*SCENES, SCENES[0]))
 
 
 @pytest.mark.slow
 def test_fast_motion_leaves_no_trace_in_the_next_episode() -> None:
     """An arm that hits itself and the table leaves nothing in Bullet's cache of pairs that changes a later episode."""
-    policy = receivers.make("random", DATA)
-    used = Episode("fast")
-    for scene_id in (209, 214, 209, 219):
-        new = Episode("fast")
-        actions = [play(episode, DATA.load_scene(scene_id), policy)[0] for episode in (used, new)]
-        np.testing.assert_array_equal(*actions)
-        assert outcome(used) == outcome(new)
-        for key, value in used.observe().items():
-            np.testing.assert_array_equal(value, new.observe()[key])
-        new.close()
+    assert_used_world_equals_new_ones(receivers.make("random", DATA), (209, 214, 209, 219))
 
 
 def test_the_control_period_does_not_matter(fast: Episode) -> None:
@@ -148,36 +141,38 @@ def test_images_are_alike(both: tuple[Episode, Episode], frame: int) -> None:
     assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 40).mean() < 0.002
 
 
-def throw(scene: Scene, aims: list[np.ndarray]) -> list[tuple[EpisodeStatus, int]]:
-    """Return status and steps in exact and in fast physics after the arm was driven to two joint targets in turn."""
-    ends = []
-    for physics in ("exact", "fast"):
-        episode = Episode(physics)
-        episode.reset(scene)
-        episode.advance(START, 2600)
-        for aim, steps in zip(aims, (150, 500), strict=True):
-            episode.advance(aim.astype(np.float32), steps)
-        ends.append((episode.status, episode.steps))
-        episode.close()
-    return ends
+def load_late_scene(scene_id: int, first: int = 2300) -> Scene:
+    """Return a scene that begins late in its recording, when the hand holds out the object."""
+    scene = DATA.load_scene(scene_id)
+    assert scene.hand_last == scene.n_frames - 1, "the hand stays"
+    motion = {"object_dof": scene.object_dof[first:], "hand_dof": scene.hand_dof[first:]}
+    return replace(scene, **motion, hand_first=0, hand_last=scene.hand_last - first)
 
 
-aims = st.lists(st.floats(0.2, 0.8), min_size=7, max_size=7)
+def throw(physics: str, scene: Scene, targets: list[Action]) -> tuple[EpisodeStatus, int]:
+    """Return status and steps after the arm was driven to two joint targets in turn."""
+    episode = Episode(physics)
+    episode.reset(scene)
+    episode.advance(START, 100)
+    for target, steps in zip(targets, (250, 500), strict=True):
+        episode.advance(target, steps)
+    episode.close()
+    return episode.status, episode.steps
 
 
-@settings(max_examples=4, derandomize=True)
-@given(st.sampled_from(DATA.list_scenes("s0", "train")[:40]), st.tuples(aims, aims))
-def test_no_contact_with_the_hand_is_missed(scene_id: int, shares: tuple[list[float], list[float]]) -> None:
-    """A moving arm touches the hand in fast physics if and only if it does in exact physics, at most 3 steps apart."""
-    lower, upper = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
+@pytest.mark.parametrize(("scene_id", "seed", "touches"), [(8, 4, True), (22, 19, True), (53, 19, True), (5, 4, False)])
+def test_no_contact_with_the_hand_is_missed(scene_id: int, seed: int, touches: bool) -> None:
+    """An arm that moves to random joint positions touches the hand in both engines, at most 3 steps apart."""
+    rng, lower, upper = np.random.default_rng(seed), np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     targets = []
-    for share in shares:
-        targets.append(START.astype(np.float64))
-        targets[-1][:7] = lower[:7] + np.array(share) * (upper - lower)[:7]
-    exact, fast = throw(DATA.load_scene(scene_id), targets)
-    assert (exact[0] & EpisodeStatus.HUMAN_CONTACT) == (fast[0] & EpisodeStatus.HUMAN_CONTACT)
-    if exact[0]:
-        assert abs(exact[1] - fast[1]) <= 3
+    for _ in range(2):
+        target = START.copy()
+        target[:7] = lower[:7] + rng.uniform(0.2, 0.8, 7) * (upper - lower)[:7]
+        targets.append(target)
+    exact, fast = (throw(physics, load_late_scene(scene_id), targets) for physics in ("exact", "fast"))
+    assert bool(exact[0] & EpisodeStatus.HUMAN_CONTACT) == touches
+    assert bool(fast[0] & EpisodeStatus.HUMAN_CONTACT) == touches
+    assert abs(exact[1] - fast[1]) <= 3
 
 
 def test_hands_that_come_and_go(fake_data: Path, both: tuple[Episode, Episode]) -> None:
