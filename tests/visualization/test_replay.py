@@ -48,6 +48,7 @@ class Meaning(QuickReceiver):
 
     name = "meaning"
     obs_mode = "state+pointcloud"
+    control_period = 1.0
     meant = np.array([[0.6, -0.1, 1.3, 0.0, 1.0, 0.0, 0.0], [0.6, 0.0, 1.3, 0.0, 1.0, 0.0, 0.0]])
 
     @property
