@@ -42,8 +42,8 @@ _STEPS = (1, math.inf)
 class CheckedConfig:
     """Base class of configurations whose fields are checked when they are made.
 
-    Every number must be finite, every tuple as long as its default, and every dataclass of the
-    default's class.
+    Every number must be finite, every tuple as long as its default unless `any_length` names it, and
+    every dataclass of the default's class.
 
     Raises:
         OptionError: A field has another type, or a number is out of range.
@@ -53,17 +53,19 @@ class CheckedConfig:
     limits: ClassVar[Limits] = {}
     #: Smallest and largest value of the fields that `limits` does not name.
     default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
-    #: Names of the fields that are not checked: tuples of any length.
-    unchecked: ClassVar[frozenset[str]] = frozenset()
+    #: Names of fields that are tuples of any length, of numbers or of tuples of numbers, which may be negative.
+    any_length: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
         for part in fields(self):  # type: ignore[arg-type]
             value = getattr(self, part.name)
             default = part.default_factory() if callable(part.default_factory) else part.default
             name = f"{part.name} of {type(self).__name__}"
-            if part.name in self.unchecked:
-                continue
-            if is_dataclass(default):
+            if part.name in self.any_length:
+                if not isinstance(value, tuple):
+                    raise OptionError(f"{name} must be a tuple, got {value!r}")
+                _check_nested_numbers(name, value)
+            elif is_dataclass(default):
                 check_config(name, value, type(default))
             elif isinstance(default, tuple):
                 object.__setattr__(
@@ -112,6 +114,14 @@ def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) 
     for number in numbers:
         _check_number(f"every number in {name}", number, False, limits)
     return numbers
+
+
+def _check_nested_numbers(name: str, value: Any) -> None:
+    if isinstance(value, tuple):
+        for item in value:
+            _check_nested_numbers(name, item)
+    else:
+        _check_number(f"every number in {name}", value, False, (-math.inf, math.inf))
 
 
 def _check_number(name: str, value: Any, is_integer: bool, limits: tuple[float, float]) -> None:

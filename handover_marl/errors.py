@@ -42,7 +42,21 @@ class UnknownNameError(HandoverError, ValueError):
 
 
 class UnknownArgumentError(HandoverError, TypeError):
-    """Error for a keyword argument that a function does not have."""
+    """Error for a keyword argument that a function does not have.
+
+    Args:
+        function: Name of the function.
+        name: Name of the unknown argument.
+        valid: Names of the function's arguments.
+    """
+
+    def __init__(self, function: str, name: str, valid: Iterable[str]) -> None:
+        names, message = tuple(valid), f"{function}() got an unexpected keyword argument {name!r}"
+        super().__init__("; ".join(filter(None, [message, suggest_name(name, names)])))
+        self._arguments = (function, name, names)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (type(self), self._arguments)
 
 
 def suggest_name(name: object, valid: Iterable[str]) -> str:

@@ -128,10 +128,9 @@ assert "handover_marl.simulation.bullet.client" not in sys.modules
 
 
 def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
-    """Givers that end the episode differently are simulated to its end."""
     names = sorted(list_available())
     names.remove("learned")
-    whole = [(giver, "yang2021") for giver in ("replay", "cooperative")]
+    whole = [(giver, "yang2021") for giver in names]
     reported = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=names, whole=whole)).splitlines()
     assert len(reported) == len(names) > 2
     outcomes = dict(zip(names, reported, strict=True))

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, cast
 
 import loky
 
-from handover_marl.errors import OptionError, UnknownArgumentError, check_name, suggest_name
+from handover_marl.errors import OptionError, UnknownArgumentError, check_name
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -52,8 +52,7 @@ def forward_signature(
             for name in keywords:
                 # The function itself says why it does not accept the others.
                 if name not in names and name not in without:
-                    message = f"{function.__name__}() got an unexpected keyword argument {name!r}"
-                    raise UnknownArgumentError("; ".join(filter(None, [message, suggest_name(name, names)])))
+                    raise UnknownArgumentError(function.__qualname__, name, names)
             return function(*args, **keywords)
 
         check_keywords.__signature__ = signature.replace(parameters=[*own, *forwarded])  # type: ignore[attr-defined]

@@ -41,6 +41,7 @@ def override_options(config: _Config, options: Mapping[str, object], example: st
 
 
 def _find_section(config: Any, name: str) -> str:
-    """Return the longest name of a section with which the name of an option starts, empty for a field without one."""
+    """Return the name of the section to which an option belongs, "" if it is a field of the configuration itself."""
+    # Names of sections have underscores, too: of `quick` and `quick_preparation`, the longer one counts.
     names = [field.name for field in fields(config) if is_dataclass(getattr(config, field.name))]
     return max((section_name for section_name in names if name.startswith(f"{section_name}_")), key=len, default="")

@@ -54,7 +54,7 @@ class GraspPreparationConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral_offsets", "advances", "release_offsets"})
+    any_length: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral_offsets", "advances", "release_offsets"})
 
     tilts: tuple[float, ...] = (-0.4, 0.4, -0.8, 0.8)
     pad_distance: float = PAD_DISTANCE
@@ -104,7 +104,7 @@ class ValidatedGrasps:
 
 @dataclass(frozen=True)
 class GraspOffsets(CheckedConfig):
-    """Offsets of additional grasp copies, about the middle of the pads.
+    """Offsets of additional grasps from validated ones, with the middle of the finger pads as center of rotations.
 
     The offsets are in the hand link's frame (fingers close along y). The copies are not validated in
     simulation. They are likely to hold, since the object is between the fingers and these close along
@@ -124,7 +124,7 @@ class GraspOffsets(CheckedConfig):
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
     limits: ClassVar[Limits] = dict.fromkeys(("n_points", "max_grasps"), (1, math.inf))
-    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral", "backward"})
+    any_length: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral", "backward"})
 
     tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
     lateral: tuple[float, ...] = (0.0, -0.012, 0.012, -0.024, 0.024)

@@ -64,7 +64,7 @@ class GraspTrackerConfig(CheckedConfig):
         **dict.fromkeys(("min_quality", "min_matched_share", "keyframe_share", "velocity_decay"), (0.0, 1.0)),
         **dict.fromkeys(("sphere_radius", "voxel_size"), (1e-6, math.inf)),
     }
-    unchecked: ClassVar[frozenset[str]] = frozenset({"tilts"})
+    any_length: ClassVar[frozenset[str]] = frozenset({"tilts"})
 
     min_points: int = 20
     max_grasps: int = 48

@@ -32,7 +32,7 @@ class FingerGeometry(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    unchecked: ClassVar[frozenset[str]] = frozenset({"lateral_shifts"})
+    any_length: ClassVar[frozenset[str]] = frozenset({"lateral_shifts"})
 
     inner_y: float = 0.039
     outer_y: float = 0.056

@@ -179,7 +179,7 @@ def flip_bytes(folder: Path) -> None:
             "text": ARRAYS["text"],
         }
         whole = with_header(path, pickle.dumps(np.array(content, dtype=object), protocol=protocol)).read_bytes()
-        for _ in range(500):
+        for _ in range(1500):
             path.write_bytes(spoil(whole, rng))
             try:
                 str(load_pickled_dict(path))

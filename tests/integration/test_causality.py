@@ -98,8 +98,6 @@ GIVERS: dict[str | type[Giver], float] = {
     "withdrawing": 2.0,
 }
 CHANGES: tuple[Callable[[Motion, int], Motion], ...] = (freeze, move, cut, lengthen)
-#: Changes that are tested with the receivers of OMG planner, which share their code and plan for seconds.
-OMG_CHANGES = {"omg": (move, cut), "omg_hand_aware": (freeze, lengthen), "omg_unchecked_last": (move, lengthen)}
 
 
 @dataclass
@@ -197,8 +195,6 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     # Motion changes less than 40 ms after a decision, so that a preview of 50 ms would contain the change.
     decisions = choose_decisions(events, end // 4, rng)
     for decision, change in zip(decisions, CHANGES, strict=True):
-        if change not in OMG_CHANGES.get(reference.partition(":")[0], CHANGES):
-            continue
         last = decision + int(rng.integers(0, 40))
         episode.reset(change_motion(scene, last, change))
         run_episode(episode, receiver, until=last + 1)

@@ -110,11 +110,11 @@ def imported(raw_dexycb: Path, real_data: Path, tmp_path_factory: pytest.TempPat
     return out
 
 
-# `test_a_hand_from_the_import_is_the_originals` simulates them in exact physics.
-def test_imported_scenes_are_played(imported: Path) -> None:
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_imported_scenes_are_played(imported: Path, physics: str) -> None:
     dataset = OfficialDataset(imported)
     for scene_id in PLAYED:
-        episode = Episode("fast")
+        episode = Episode(physics)
         play(episode, dataset.load_scene(scene_id), receivers.make("yang2021", dataset))
         assert episode.status
         assert episode.steps > 3000

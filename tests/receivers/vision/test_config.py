@@ -1,5 +1,6 @@
 """Checks of the configuration of the receiver `vision`."""
 
+import math
 from collections.abc import Callable
 
 import pytest
@@ -17,6 +18,11 @@ from handover_marl.receivers.vision.object_tracking import FilterGains
     [
         (lambda: GraspTrackerConfig(keyframe_share=1.5), "keyframe_share of GraspTrackerConfig"),
         (lambda: GraspTrackerConfig(fingers=0.1), "fingers of GraspTrackerConfig must be a FingerGeometry"),  # type: ignore[arg-type]
+        (
+            lambda: GraspTrackerConfig(tilts=(0.1, math.nan)),
+            "every number in tilts of GraspTrackerConfig must be a fin",
+        ),
+        (lambda: GraspTrackerConfig(tilts=0.1), "tilts of GraspTrackerConfig must be a tuple, got 0.1"),  # type: ignore[arg-type]
         (lambda: VisionConfig(release_delay=-0.1), "release_delay of VisionConfig"),
         (lambda: FingerGeometry(tip_z=-0.1), "tip_z of FingerGeometry"),
         (lambda: FilterGains(0.5, 0.1, 1.1), "grasp of FilterGains"),

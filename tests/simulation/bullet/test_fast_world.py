@@ -27,8 +27,7 @@ from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 DATA = SyntheticDataset()
-#: Scenes of s0 val in which Yang's receiver ends the episode early and with different outcomes. That exact and fast
-#: physics end alike is tested on the recorded outcomes in `tests/evaluation/test_golden.py`.
+#: Scenes of s0 val in which Yang's receiver ends the episode early and with different outcomes.
 SCENES = (9, 14, 19)
 
 
@@ -71,6 +70,17 @@ def test_states_are_equal_far_from_the_robot(both: tuple[Episode, Episode]) -> N
     assert not any(item.is_awake for item in world._objects)
 
 
+# Outcomes of the scenes 9, 14 and 19 are compared in `tests/evaluation/test_golden.py`.
+@pytest.mark.parametrize("scene_id", [24, 34])
+def test_yang_ends_alike(both: tuple[Episode, Episode], scene_id: int) -> None:
+    policy = receivers.make("yang2021", DATA)
+    for episode in both:
+        play(episode, DATA.load_scene(scene_id), policy)
+    exact, fast = map(outcome, both)
+    assert exact[0] == fast[0]
+    assert abs(exact[1] - fast[1]) <= 100
+
+
 def assert_used_world_equals_new_ones(policy: Policy, scene_ids: tuple[int, ...]) -> None:
     """Play scenes in one world, and check that all but the first are bit-equal to those in a new world."""
 
@@ -95,7 +105,7 @@ def assert_used_world_equals_new_ones(policy: Policy, scene_ids: tuple[int, ...]
 
 def test_a_used_world_equals_a_new_one() -> None:
     """An episode in a used world is bit-equal to one in a new world, whichever episodes were simulated before."""
-    assert_used_world_equals_new_ones(receivers.make("yang2021", DATA), (*SCENES, SCENES[0]))
+    assert_used_world_equals_new_ones(receivers.make("yang2021", DATA), (*SCENES, *SCENES[1::-1]))
 
 
 @pytest.mark.slow
