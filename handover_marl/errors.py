@@ -18,7 +18,7 @@ class DataFormatError(HandoverError, ValueError):
 
 
 class UnsafeFileError(DataFormatError):
-    """Error for a pickled file that contains more than NumPy arrays; the file was not loaded."""
+    """Error for a file that could run code: a pickle of other objects, or the name of a module; nothing was run."""
 
 
 class UnknownNameError(HandoverError, ValueError):

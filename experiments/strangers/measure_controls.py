@@ -116,7 +116,7 @@ class ControlSimulator:
 
     def __init__(self, args: Args, scenes: Sequence[int]) -> None:
         self._args, self._scenes, self._data = args, scenes, args.open_dataset()
-        self._population = load_population(args.population)
+        self._population = load_population(args.population, args.trust)
         reference = parse_policy("receiver", args.receiver, args.trust)
         self._receiver = reference.make(self._data, OFFICIAL_CONFIG, args.setup)
 
@@ -243,7 +243,7 @@ def main(args: Args) -> None:
     """Simulate what the output file lacks, and print the table of all givers."""
     args = args.resolve_setup()
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
-    population = load_population(args.population)
+    population = load_population(args.population, args.trust)
     setting = describe(args, scenes)
     entries = read_entries(args.out, setting, population.givers)
     partners = population.select("giver", args.partners)

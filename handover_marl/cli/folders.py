@@ -71,7 +71,7 @@ def run_verify(
         giver: The person's policy; default: the registered policy that the folder names.
         workers: Number of worker processes; default: one per core.
         progress: Show a progress bar on stderr.
-        trust: Allow policy files (learned:FILE) to run code.
+        trust: Import the class that the folder names as its giver, and run code in policy files.
         table_format: Format of the printed table.
     """
     from handover_marl.evaluation.verification.verify import verify
@@ -144,6 +144,7 @@ def run_strangers_table(
     population: PopulationName = "strangers-v1",
     references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
     heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
+    trust: bool = False,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Print the leaderboard of folders that `strangers` wrote, one for each method.
@@ -154,11 +155,12 @@ def run_strangers_table(
         population: Population of the evaluations.
         references: File of references, as `strangers-references` writes it; default: that of the population.
         heat_map: Picture to write, with the success rate of every method with every partner.
+        trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 
-    leaderboard = make_leaderboard(_split_names(folders), population, references)
+    leaderboard = make_leaderboard(_split_names(folders), population, references, trust)
     if heat_map is not None:
         leaderboard.write_heat_map(check_path("heat_map", heat_map))
     print_tables(leaderboard, table_format, f"Folders: {', '.join(folders)}")
@@ -181,6 +183,7 @@ def run_strangers_references(
     folders: _Folders,
     population: PopulationName = "strangers-v1",
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
+    trust: bool = False,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Update the best policies known for the partners of a population from result folders.
@@ -189,13 +192,14 @@ def run_strangers_references(
         folders: Result folders, or folders that contain some.
         population: Population of the partners.
         out: File of references to update; default: that of the population.
+        trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed table.
     """
     from handover_marl.evaluation.strangers.reference_update import update_references
     from handover_marl.policies.populations import load_population
 
-    summary = update_references(folders, population, out)
-    path = load_population(population).references_path if out is None else Path(out).expanduser()
+    summary = update_references(folders, population, out, trust)
+    path = load_population(population, trust).references_path if out is None else Path(out).expanduser()
     print_tables(summary, table_format, f"References: {path}")
 
 

@@ -1,7 +1,6 @@
 """User-defined rewards: functions of a transition, combinations of rewards, and the check of their terms."""
 
 import copy
-import importlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -21,7 +20,8 @@ from handover_marl.envs.rewards import (
     make_reward_state,
 )
 from handover_marl.envs.transition import Transition
-from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError, UnknownNameError
+from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError
+from handover_marl.policies.registry import import_reference
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Position: TypeAlias = tuple[float, ...]
@@ -92,7 +92,7 @@ def resolve_rewards(rewards: Any) -> Any:
         OptionError: The value is neither a name nor weights nor callable.
     """
     if isinstance(rewards, str) and ":" in rewards:
-        rewards = _import_rewards(rewards)
+        rewards = import_reference("rewards", rewards, (*REWARDS, "module:name"))
     if isinstance(rewards, (str, RewardConfig)):
         return make_reward_config(rewards)
     if not isinstance(rewards, (TermWeights, CombinedRewards)) and not callable(rewards):
@@ -316,13 +316,3 @@ class CustomRewardSource:
 
 def _read_reward_state(transition: Transition) -> RewardState:
     return make_reward_state(transition.next_state, transition.contacts.both_fingers_touch)
-
-
-def _import_rewards(text: str) -> Any:
-    module, _, name = text.partition(":")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (Exception, SystemExit) as error:  # importing a user's module may raise anything, and end the process
-        raise UnknownNameError(
-            "rewards", text, (*REWARDS, "module:name"), f"it cannot be imported ({type(error).__name__}: {error})"
-        ) from error

@@ -119,7 +119,7 @@ class ExecutionConfig:
         shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
-        trust: Allow policy files (learned:FILE) to run code.
+        trust: Run code in policy files (learned:FILE), and import modules that they or a population name.
         fresh: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Episodes that are finished already are simulated
             again for it, and must end with the same outcome.

@@ -17,7 +17,7 @@ from handover_marl.config import TIME_STEP, ProtocolConfig
 from handover_marl.episode.observations import Observation, giver_observation_space, state_space
 from handover_marl.errors import check_name
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
-from handover_marl.learning.encodings.choices import import_reference, is_reference
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import (
     KIND,
     AgentFeatures,
@@ -28,6 +28,7 @@ from handover_marl.learning.encodings.custom_features import (
 )
 from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.registry import import_reference
 
 Array = npt.NDArray[np.float64]
 
@@ -268,7 +269,7 @@ def count_features(agent: str, name: str) -> int:
     return _FEATURES[agent][name][1]
 
 
-def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trust: bool = False) -> AgentFeatures:
+def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> AgentFeatures:
     """Make an agent's features, a function with a name, a size and a space.
 
     Args:
@@ -276,18 +277,16 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext, trus
         choice: Name of built-in features; subclass of `FeatureExtractor`; function with a declared size
             (`declare_size`); or text `module:name` of a class or function.
         context: Task and known grasps of the objects, which some features contain.
-        trust: Whether `module:name` may be imported; text from a file must be trusted.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
-        UnsafeFileError: The choice is `module:name` and not trusted.
         OptionError: User-defined features declare no size, or are for the other agent.
         EncodingError: The constructor of user-defined features fails.
     """
     list_features(agent)
     own: Any = choice
     if is_reference(choice):
-        own = import_reference(KIND, str(choice), trust)
+        own = import_reference(KIND, str(choice))
     if not isinstance(own, str):
         return make_custom_features(agent, own, context, str(choice) if is_reference(choice) else "")
     space = spaces.Box(-np.inf, np.inf, (count_features(agent, own),), np.float32)

@@ -55,8 +55,8 @@ class LearnedPolicy(NetworkPolicy):
         found = read_policy(file, agent, trust, control_period)
         self._label = self.name if path is None else f"{self.name}:{found.label}"
         self.spec, self._function = found.spec, found.function
-        features = make_features(agent, self.spec.features, context, trust)
-        scheme = make_scheme(agent, self.spec.actions, context, trust)
+        features = make_features(agent, self.spec.features, context)
+        scheme = make_scheme(agent, self.spec.actions, context)
         sizes = features.size, scheme.size
         if (self._function.n_inputs, self._function.n_outputs) != sizes:
             raise DataFormatError(

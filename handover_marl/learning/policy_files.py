@@ -30,6 +30,7 @@ from handover_marl.learning.policy_spec import (
     PolicySpec,
 )
 from handover_marl.learning.schemes import count_outputs
+from handover_marl.policies.registry import check_stored_reference
 
 # Format 2 has normalized inputs or bounded outputs; versions before 0.8 read format 1 only.
 _FORMAT, _EXTENDED_FORMAT = 1, 2
@@ -101,13 +102,13 @@ def read_policy(
     Args:
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
-        trust: Whether code in the file may run.
+        trust: Whether code in the file may run, and modules that it names may be imported.
         control_period: Time between two decisions in training (s), for files that do not record it.
 
     Raises:
         DataNotFoundError: The file does not exist or cannot be read.
         DataFormatError: The file is damaged, or the policy is for another agent or other spaces.
-        UnsafeFileError: The file contains Python objects or code and is not trusted.
+        UnsafeFileError: The file contains Python objects or code, or names a module, and is not trusted.
         OptionError: The suffix is unknown, a package is missing, or `control_period` is missing or
             contradicts the file.
     """
@@ -126,7 +127,18 @@ def read_policy(
         raise DataFormatError(f"{path}: policy must be for the {agent}, got one for the {spec.agent}")
     if control_period is not None and abs(control_period - spec.control_period) > 1e-9:
         raise OptionError(f"{path}: control_period must be {spec.control_period} as in training, got {control_period}")
+    check_stored_encoding(path, (spec.features, spec.actions), trust)
     return PolicyFile(spec, function, label)
+
+
+def check_stored_encoding(path: Path, encoding: tuple[str, str], trust: bool) -> None:
+    """Check the names of features and action scheme that a policy file records.
+
+    Raises:
+        UnsafeFileError: One is `module:name`, and the file is not trusted.
+    """
+    for kind, name in zip(("features", "action scheme"), encoding, strict=True):
+        check_stored_reference(path, kind, name, trust)
 
 
 def _read_other_format(

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, check_name
 from handover_marl.learning.action_scheme import Action, ActionScheme
-from handover_marl.learning.encodings.choices import import_reference, is_reference
+from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_schemes import KIND, CheckedScheme, SchemeLike, make_custom_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.receiver_schemes import (
@@ -19,6 +19,7 @@ from handover_marl.learning.receiver_schemes import (
     RawReceiverScheme,
 )
 from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.registry import import_reference
 
 _ALL: tuple[type[ActionScheme], ...] = (
     *(RawGiverScheme, DeviationScheme, HandoverPoseScheme),
@@ -44,7 +45,7 @@ def count_outputs(agent: str, name: str) -> int:
     return _SCHEMES[name].size
 
 
-def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: bool = False) -> ActionScheme:
+def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> ActionScheme:
     """Make an agent's action scheme.
 
     Args:
@@ -53,17 +54,15 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext, trust: b
             (size,) and an observation to an action, with a declared size (`declare_size`); or text
             `module:name` of a class or function.
         context: Robot, task and known grasps of the objects.
-        trust: Whether `module:name` may be imported; text from a file must be trusted.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.
-        UnsafeFileError: The choice is `module:name` and not trusted.
         OptionError: A user-defined scheme declares no size, or is for the other agent.
         EncodingError: The constructor of a user-defined scheme fails.
     """
     own: Any = choice
     if is_reference(choice):
-        own = import_reference(KIND, str(choice), trust)
+        own = import_reference(KIND, str(choice))
     if not isinstance(own, str):
         return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
     count_outputs(agent, own)

@@ -21,6 +21,7 @@ class PopulationPolicy(Policy):
         context: Robot and task, for the members.
         population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families to draw from: "train", "test" or "all".
+        trust: Whether code in policy files may run, and modules that the population names may be imported.
 
     Attributes:
         members: Policies of the members.
@@ -36,13 +37,18 @@ class PopulationPolicy(Policy):
     file_options = ("population",)
 
     def __init__(
-        self, context: PolicyContext | None = None, population: str = DEFAULT_POPULATION, partners: str = TRAIN
+        self,
+        context: PolicyContext | None = None,
+        population: str = DEFAULT_POPULATION,
+        partners: str = TRAIN,
+        trust: bool = False,
     ) -> None:
         super().__init__(context)
         self._given_context = context
-        agent, found = str(self.agent), load_population(population)
+        agent, found = str(self.agent), load_population(population, trust)
         self._content_hash = found.content_hash
-        references = [parse_policy(agent, found.get_policy(partner)) for partner in found.select(agent, partners)]
+        chosen = found.select(agent, partners)
+        references = [parse_policy(agent, found.get_policy(partner), trust) for partner in chosen]
         self._references = [one for one in references if one.policy_class.obs_mode == STATE]
         if not self._references:
             raise OptionError(f"population must have {agent}s that act on the state, got none in {population!r}")

@@ -18,6 +18,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.registry import check_stored_reference, list_available
 
 #: Folder of the shipped populations.
 POPULATION_FOLDER = Path(handover_marl.assets.__file__).parent / "populations"
@@ -109,16 +110,18 @@ class Population:
         return chosen
 
 
-def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION) -> Population:
+def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, trust: bool = False) -> Population:
     """Load a population.
 
     Args:
         population: Name of a shipped population, or path of a JSON file.
+        trust: Whether modules that the file names may be imported.
 
     Raises:
         UnknownNameError: There is no shipped population of this name.
         DataNotFoundError: The file, or a policy file that it names, cannot be read.
         DataFormatError: The file is malformed.
+        UnsafeFileError: A policy is `module:Class`, and the file is not trusted.
     """
     path = _find_path(population)
     content = _read_json(path)
@@ -127,6 +130,9 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION) -> 
         raise DataFormatError(f"{path}: keys must be {', '.join(_KEYS)}, got {shorten_text(found)}")
     name, version, description = (_check_text(path, key, content[key]) for key in _KEYS[:3])
     givers, receivers = (_parse_partners(path, key, content[key]) for key in _KEYS[3:])
+    for agent, partners in (("giver", givers), ("receiver", receivers)):
+        for partner in partners:
+            check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
     content_hash = _compute_hash(path, content, (*givers, *receivers))
     return Population(name, version, description, givers, receivers, content_hash, path)
 

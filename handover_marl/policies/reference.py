@@ -46,7 +46,7 @@ from handover_marl.policies.policy import (
     make_policy_context,
     milliseconds_from_wait,
 )
-from handover_marl.policies.registry import import_policy, list_available, load_registered
+from handover_marl.policies.registry import import_reference, list_available, load_registered
 
 _MAX_TEXT = 1000  # characters of a label or a hash of weights
 _OPTIONS = re.compile(r"[A-Za-z_]\w*=[^=,]*(,[A-Za-z_]\w*=[^=,]*)*")
@@ -200,8 +200,9 @@ class PolicyReference:
     def _load(self) -> Any:
         if self.pickled:
             return pickle.loads(self.pickled)
-        module, colon, attribute = self.name.partition(":")
-        return import_policy(self.agent, module, attribute) if colon else load_registered(self.agent, module)
+        if ":" in self.name:
+            return import_reference(self.agent, self.name, list_available(self.agent))
+        return load_registered(self.agent, self.name)
 
 
 def read_policy_file(path: Path) -> bytes:
@@ -280,7 +281,7 @@ def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) ->
             raise UnknownNameError(agent, text, list_available(agent))
         attribute, _, rest = tail.partition(":")
         name, tail = f"{head}:{attribute}", rest
-        policy_class = import_policy(agent, head, attribute)
+        policy_class = import_reference(agent, name, list_available(agent))
     elif colon and "path" in get_parameters(policy_class):
         file, tail = _split_file(tail)
         if not file:

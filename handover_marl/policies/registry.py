@@ -1,10 +1,15 @@
-"""Registry of policies by name, read from the entry points of installed packages."""
+"""Registry of policies by name, and import of a user's code by text `module:name`.
+
+Registered policies are entry points of installed packages. A user's text is the permission to import the module; text
+from a file needs `check_stored_reference` first, wherever a file is read.
+"""
 
 import importlib
+from collections.abc import Container, Iterable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from handover_marl.errors import OptionError, UnknownNameError, check_name
+from handover_marl.errors import OptionError, UnknownNameError, UnsafeFileError, check_name
 
 #: Entry-point group of each agent.
 GROUPS = {"giver": "handover_marl.givers", "receiver": "handover_marl.receivers"}
@@ -40,19 +45,47 @@ def load_registered(agent: str, name: str) -> type | None:
     return None
 
 
-def import_policy(agent: str, module: str, attribute: str) -> Any:
-    """Import a policy, given as a module's name and an attribute of it.
+def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name",)) -> Any:
+    """Import the class, function or value that a text `module:name` refers to.
+
+    Args:
+        kind: Kind of the choice, e.g. "features", for errors.
+        text: Text of the form `module:name`, by the caller or checked by `check_stored_reference`.
+        valid: Other choices, for errors.
 
     Raises:
-        UnknownNameError: The module or its attribute cannot be imported.
+        UnknownNameError: The module cannot be imported or has no such name.
     """
+    module, _, name = text.partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        return getattr(importlib.import_module(module), name)
     except (Exception, SystemExit) as error:  # importing a user's module may raise anything, and end the process
-        reason = f"{type(error).__name__}: {error}" if isinstance(error, SystemExit) else error
-        raise UnknownNameError(
-            agent, f"{module}:{attribute}", list_available(agent), f"and it cannot be imported ({reason})"
-        ) from error
+        reason = f"it cannot be imported ({type(error).__name__}: {error})"
+        raise UnknownNameError(kind, text, valid, reason) from error
+
+
+def check_stored_reference(
+    where: object, kind: str, text: str, trust: bool, registered: Container[str] = (), advice: str = ""
+) -> None:
+    """Check text from a file, which may name a module of the user's only if the user trusts the file.
+
+    Args:
+        where: The file, for errors.
+        kind: Kind of the choice, e.g. "features".
+        text: Text of the file: a name with or without options, or `module:name`.
+        trust: Whether modules that the file names may be imported.
+        registered: Names that may precede options.
+        advice: Another way for the user to allow the import, for errors.
+
+    Raises:
+        UnsafeFileError: The text names a module, and the file is not trusted.
+    """
+    head, colon, _ = text.partition(":")
+    if colon and head not in registered and not trust:
+        raise UnsafeFileError(
+            f"{where}: {kind} {text!r} must not be imported from a module that only a file names; {advice}pass "
+            "trust=True (--trust) if you know where the file comes from"
+        )
 
 
 def _get_group(agent: str) -> str:

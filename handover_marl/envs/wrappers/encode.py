@@ -87,12 +87,8 @@ class EncodedEnv(ParallelWrapper):
             _check_state(base.config.obs_mode, chosen_features[RECEIVER], chosen_schemes[RECEIVER])
         context = base.policy_context
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
-        self._features = {
-            agent: make_features(agent, choice, context, trust=True) for agent, choice in chosen_features.items()
-        }
-        self._schemes = {
-            agent: make_scheme(agent, choice, context, trust=True) for agent, choice in chosen_schemes.items()
-        }
+        self._features = {agent: make_features(agent, choice, context) for agent, choice in chosen_features.items()}
+        self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
         self.feature_names = {agent: made.name for agent, made in self._features.items()}
         self.scheme_names = {agent: made.name for agent, made in self._schemes.items()}
         self._output_spaces = {

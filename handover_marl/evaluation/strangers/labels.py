@@ -8,7 +8,9 @@ from handover_marl.policies.populations import Partner, Population
 from handover_marl.policies.reference import parse_policy
 
 
-def list_labels(population: Population, agent: str, partners: Sequence[Partner]) -> dict[str, Partner]:
+def list_labels(
+    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
+) -> dict[str, Partner]:
     """Return partners by the label that they have in result folders.
 
     Partners that cannot be made here, for example for lack of an optional package, are left out.
@@ -17,13 +19,14 @@ def list_labels(population: Population, agent: str, partners: Sequence[Partner])
         population: Population.
         agent: Agent of the partners, "giver" or "receiver".
         partners: Partners of this agent.
+        trust: Whether code in policy files may run.
     """
     # Labels do not depend on the data set.
     dataset = open_dataset("synthetic")
     labels: dict[str, Partner] = {}
     for partner in partners:
         try:
-            reference = parse_policy(agent, population.get_policy(partner)).resolve(dataset)
+            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
         except OptionError:
             continue
         labels[reference.label] = partner

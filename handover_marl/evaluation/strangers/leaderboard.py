@@ -133,6 +133,7 @@ def make_leaderboard(
     folders: Sequence[str | os.PathLike[str]] | Mapping[str, str | os.PathLike[str]],
     population: str | os.PathLike[str] = DEFAULT_POPULATION,
     references: str | os.PathLike[str] | None = None,
+    trust: bool = False,
 ) -> Leaderboard:
     """Make the leaderboard of folders that `strangers` wrote, one for each method.
 
@@ -143,6 +144,7 @@ def make_leaderboard(
             name of the method. The default name is the label of the policy.
         population: Population of the evaluations.
         references: File of references; default: that of the population.
+        trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
         OptionError: There is no folder, or the evaluations differ in population, partners or scenes.
@@ -154,9 +156,9 @@ def make_leaderboard(
     paths = [check_path("folder", folder) for folder in (folders.values() if isinstance(folders, Mapping) else folders)]
     reports = [read_report(path) for path in paths]
     names = [*folders] if isinstance(folders, Mapping) else [", ".join(report.policies) for report in reports]
-    found = load_population(population)
+    found = load_population(population, trust)
     for path, report in zip(paths, reports, strict=True):
-        _check_partners(path, report, found)
+        _check_partners(path, report, found, trust)
         _check_comparable(path, report, paths[0], reports[0])
     partners = [partner.name for partner in reports[0].partners]
     file = None if references is None else check_path("references", references)
@@ -175,7 +177,7 @@ def _find_best(reports: Sequence[StrangersReport]) -> npt.NDArray[np.float64]:
     return chosen
 
 
-def _check_partners(path: Path, report: StrangersReport, population: Population) -> None:
+def _check_partners(path: Path, report: StrangersReport, population: Population, trust: bool) -> None:
     """Check that a report has exactly the partners of its split of the population."""
     if report.population != population.label:
         raise OptionError(
@@ -189,7 +191,7 @@ def _check_partners(path: Path, report: StrangersReport, population: Population)
         for policy in report.policies
         for partner in report.partners
     ]
-    wrong = find_wrong_labels(list_labels(population, other, report.partners), found)
+    wrong = find_wrong_labels(list_labels(population, other, report.partners, trust), found)
     if wrong:
         raise ResultsError(f"{path} must have results of {wrong[0]!r} of the population, got another policy")
 

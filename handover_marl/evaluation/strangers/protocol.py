@@ -72,7 +72,7 @@ def strangers(
     if execution.shard is not None:
         raise OptionError(f"shard must be left out, got {execution.shard!r}; use workers, or a Ray cluster")
     agent = "receiver" if giver is None else "giver"
-    found = load_population(population)
+    found = load_population(population, execution.trust)
     chosen = found.select("giver" if agent == "receiver" else "receiver", partners)
     config = _choose_scenes(config, n_scenes)
     table = load_population_references(found, None if references is None else check_path("references", references))

@@ -63,6 +63,7 @@ def update_references(
     folders: Iterable[str | os.PathLike[str]],
     population: str | os.PathLike[str] = DEFAULT_POPULATION,
     out: str | os.PathLike[str] | None = None,
+    trust: bool = False,
 ) -> ReferenceSummary:
     """Update the references of a population from result folders and write them.
 
@@ -72,17 +73,18 @@ def update_references(
             policy can become a reference; in other folders, giver and receiver can.
         population: Name of a shipped population, or path of a file.
         out: File of references to update; default: that of the population.
+        trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
         ResultsError: A folder has no result, or the file cannot be written.
         HandoverError: The population or its references cannot be read.
     """
-    found = load_population(population)
+    found = load_population(population, trust)
     path = found.references_path if out is None else check_path("out", out)
     table = load_references(path, found.content_hash)
     labels = {
-        "giver": list_labels(found, "giver", found.givers),
-        "receiver": list_labels(found, "receiver", found.receivers),
+        "giver": list_labels(found, "giver", found.givers, trust),
+        "receiver": list_labels(found, "receiver", found.receivers, trust),
     }
     for report, agents in _read_reports(folders):
         for agent in agents:

@@ -35,6 +35,7 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.policies.registry import check_stored_reference, list_available
 
 
 def verify(
@@ -64,11 +65,12 @@ def verify(
             noise of the robot's initial joint positions that the folder states.
         workers: Number of worker processes; default: one per core.
         progress: Whether to show a progress bar on stderr.
-        trust: Whether policy files may run code.
+        trust: Whether policy files may run code, and a class that the folder names as its giver may be imported.
 
     Raises:
         ResultsError: The folder cannot be read, or was made with another world.
         OptionError: The folder's giver must be passed.
+        UnsafeFileError: The folder names a class of a module as its giver, and is not trusted.
         SceneError: A scene is not in the split.
         DataNotFoundError, DataFormatError: Files are missing or damaged.
     """
@@ -92,6 +94,9 @@ def verify(
     ]
     if not tasks:
         raise ResultsError(f"{path} has no results of these scenes (000.npz, 001.npz, ...)")
+    if giver is None:
+        advice = f"pass giver={metadata.giver!r} (--giver {metadata.giver}), or "
+        check_stored_reference(path, "giver", metadata.giver, trust, list_available("giver"), advice)
     config = EvaluationConfig(
         setup=metadata.setup,
         split=metadata.split,

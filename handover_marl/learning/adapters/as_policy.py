@@ -24,7 +24,13 @@ from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import list_features
-from handover_marl.learning.policy_files import RAW_ENCODINGS, check_control_period, read_file, read_policy
+from handover_marl.learning.policy_files import (
+    RAW_ENCODINGS,
+    check_control_period,
+    check_stored_encoding,
+    read_file,
+    read_policy,
+)
 from handover_marl.learning.schemes import list_schemes
 from handover_marl.policies.hashing.function_hash import hash_function, list_packages
 from handover_marl.policies.policy import Policy
@@ -70,7 +76,7 @@ def as_receiver(
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and
             a hash.
-        trust: Whether the code of a TorchScript file may run.
+        trust: Whether the code of a TorchScript file may run, and modules that a file names may be imported.
 
     Raises:
         OptionError: The policy does not fit the features or the action scheme, cannot be sent to worker
@@ -78,7 +84,7 @@ def as_receiver(
         UnknownNameError: There are no such features, no such action scheme or observation mode.
         DataNotFoundError: A file does not exist.
         DataFormatError: A file is damaged or does not fit.
-        UnsafeFileError: A file contains code and is not trusted.
+        UnsafeFileError: A file contains code, or names a module, and is not trusted.
     """
     check_obs_mode(obs_mode)
     return _adapt("receiver", policy, control_period, obs_mode, features, action_scheme, name, trust)
@@ -106,7 +112,7 @@ def as_giver(
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and
             a hash.
-        trust: Whether the code of a TorchScript file may run.
+        trust: Whether the code of a TorchScript file may run, and modules that a file names may be imported.
 
     Raises:
         HandoverError: As for `as_receiver`.
@@ -230,6 +236,8 @@ def _read_model(
         pair = None if chosen is None else _complete_pair(agent, chosen)
         found = read_stable_baselines(path, content, agent, pair)
         period = _match_period(path, found.control_period, control_period)
+        if pair is None and found.encoding is not None:
+            check_stored_encoding(path, found.encoding, trust)
         features, actions = pair or found.encoding or RAW_ENCODINGS[agent]
         encoding = Encoding(features, actions, period)
         return NetworkModel(found.function), path.stem, digest, encoding

@@ -73,10 +73,10 @@ class FunctionPolicy(NetworkPolicy):
         self.name = name  # type: ignore[misc]
         self.obs_mode = encoding.obs_mode
         self._agent, self._label, self._digest, self._features = agent, label, digest, encoding.features
-        scheme = make_scheme(agent, encoding.action_scheme, context, trust=True)
+        scheme = make_scheme(agent, encoding.action_scheme, context)
         features = None
         if not _is_observation(encoding.features):
-            features = make_features(agent, encoding.features, context, trust=True)
+            features = make_features(agent, encoding.features, context)
         super().__init__(
             _return_observation if features is None else features, scheme, encoding.control_period, wait, name
         )

@@ -64,7 +64,7 @@ def make_feature_batch(
     known = FEATURE_BATCHES[agent].get(choice) if isinstance(choice, str) else None
     if known is not None:
         return known(context, selector, count, arrays)
-    return SequentialFeatureBatch([make_features(agent, choice, context, trust=True) for _ in range(count)], arrays)
+    return SequentialFeatureBatch([make_features(agent, choice, context) for _ in range(count)], arrays)
 
 
 def find_scheme_batch(
@@ -100,9 +100,9 @@ def make_scheme_batch(
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
-    first = make_scheme(agent, choice, context, trust=True)
+    first = make_scheme(agent, choice, context)
     batch = find_scheme_batch(first, selector, count, arrays)
     if batch is not None:
         return batch
-    others = (make_scheme(agent, choice, context, trust=True) for _ in range(count - 1))
+    others = (make_scheme(agent, choice, context) for _ in range(count - 1))
     return SequentialSchemeBatch([first, *others], arrays)

@@ -1,6 +1,5 @@
-"""Checks and imports of user-defined features and action schemes: classes, functions, or text `module:name`."""
+"""Checks of user-defined features and action schemes: classes, functions, or text `module:name`."""
 
-import importlib
 import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -8,7 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
+from handover_marl.errors import EncodingError, OptionError
 from handover_marl.policies.policy import PolicyContext
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -72,32 +71,6 @@ def check_returned_vector(what: str, values: object, shape: tuple[int, ...], adv
 def is_reference(choice: object) -> bool:
     """Return whether a choice is text of the form `module:name`."""
     return isinstance(choice, str) and ":" in choice
-
-
-def import_reference(kind: str, text: str, trust: bool = True) -> Any:
-    """Import the class, function or value that a text `module:name` refers to.
-
-    Args:
-        kind: Kind of the choice, e.g. "features", for errors.
-        text: Text of the form `module:name`.
-        trust: Whether importing is allowed; False for text that was read from a file.
-
-    Raises:
-        UnsafeFileError: Importing is not allowed.
-        UnknownNameError: The module cannot be imported or has no such name.
-    """
-    if not trust:
-        raise UnsafeFileError(
-            f"{kind} {text!r} are code of a module, which a file may import only with trust=True (--trust); pass it "
-            "if you know where the file comes from"
-        )
-    module, _, name = text.partition(":")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (Exception, SystemExit) as error:  # importing a user's module may raise anything, and end the process
-        raise UnknownNameError(
-            kind, text, ("module:name",), f"it cannot be imported ({type(error).__name__}: {error})"
-        ) from error
 
 
 def get_choice_name(choice: object) -> str:

@@ -130,8 +130,8 @@ def _make_teacher_features(args: PpoArgs, teacher: str) -> type[FeatureExtractor
 
         def __init__(self, context: PolicyContext) -> None:
             super().__init__(context)
-            self._features = make_features(GIVER, args.features, context, trust=True)
-            self._scheme = make_scheme(GIVER, args.actions, context, trust=True)
+            self._features = make_features(GIVER, args.features, context)
+            self._scheme = make_scheme(GIVER, args.actions, context)
             self._teacher = givers.make(teacher, args.open_dataset())
             self.size = self._features.size + self._scheme.size
 

@@ -8,7 +8,7 @@ from gymnasium import spaces
 
 import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import EncodingError, OptionError, UnknownNameError, UnsafeFileError
+from handover_marl.errors import EncodingError, OptionError, UnknownNameError
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
 from handover_marl.learning.encodings.custom_features import FeatureExtractor
@@ -52,7 +52,7 @@ def scheme_that(result: Any) -> Any:
     ],
 )
 def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
-    made = make_features("receiver", choice, CONTEXT, trust=True)
+    made = make_features("receiver", choice, CONTEXT)
     assert (made.name, made.size, made.space.shape) == (name, size, (size,))
     np.testing.assert_array_equal(made(seen())[:3], offset_to_object(seen()))
 
@@ -160,14 +160,12 @@ def test_other_agents_and_unknown_names() -> None:
         make_features("receiver", "nothing", CONTEXT)
     for text in ("no_such_module:x", f"{MODULE}:nothing", ":", "a:"):
         with pytest.raises(UnknownNameError, match="it cannot be imported"):
-            make_features("receiver", text, CONTEXT, trust=True)
-    with pytest.raises(UnsafeFileError, match="only with trust=True"):
-        make_features("receiver", f"{MODULE}:offset_to_object", CONTEXT)
+            make_features("receiver", text, CONTEXT)
 
 
 @pytest.mark.parametrize("choice", [FirstJoint, move_first_joint, f"{MODULE}:FirstJoint", f"{MODULE}:move_first_joint"])
 def test_forms_of_own_schemes(choice: Any) -> None:
-    scheme = make_scheme("receiver", choice, CONTEXT, trust=True)
+    scheme = make_scheme("receiver", choice, CONTEXT)
     assert scheme.size == 1
     assert scheme.needs_outputs(seen())
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
@@ -244,12 +242,10 @@ def test_environments_of_a_batch_do_not_share_memory() -> None:
         envs.close()
 
 
-def test_policy_files_import_own_features_only_if_trusted(tmp_path: Any) -> None:
+def test_trusted_policy_files_import_own_features(tmp_path: Any) -> None:
     network = DenseNetwork((np.zeros((1, 4), np.float32),), (np.zeros(1, np.float32),))
     path = tmp_path / "policy.npz"
     write_policy(path, PolicySpec("receiver", f"{MODULE}:OffsetAndCount", f"{MODULE}:FirstJoint"), network)
-    with pytest.raises(UnsafeFileError, match="only with trust=True"):
-        LearnedPolicy("receiver", CONTEXT, path)
     policy = LearnedPolicy("receiver", CONTEXT, path, trust=True)
     policy.reset()
     np.testing.assert_array_equal(policy.act(seen()), START)

@@ -1,0 +1,184 @@
+"""Tests that names in files import no module unless the caller trusts the file or passes the name."""
+
+import contextlib
+import json
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import handover_marl
+from handover_marl.cli import main
+from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import HandoverError, UnsafeFileError
+from handover_marl.evaluation.comparison import compare
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
+from handover_marl.evaluation.strangers.protocol import strangers
+from handover_marl.evaluation.strangers.reference_update import update_references
+from handover_marl.evaluation.verification.verify import verify
+from handover_marl.learning.features import count_features
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
+from handover_marl.policies.populations import load_population
+from handover_marl.policies.reference import parse_policy
+from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
+
+MODULE = "module_of_a_stranger"
+CODE = f"""
+from pathlib import Path
+from handover_marl.givers.timing import HurriedGiver
+from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.receivers.hold import HoldReceiver
+
+Path("imported").touch()
+
+class OwnGiver(HurriedGiver):
+    name = "{MODULE}:OwnGiver"
+
+class OwnReceiver(HoldReceiver):
+    name = "own"
+
+@declare_size(2)
+def features(observation):
+    raise NotImplementedError
+
+@declare_size(9)
+def scheme(outputs, observation):
+    raise NotImplementedError
+"""
+ENCODING = {"features": f"{MODULE}:features", "actions": f"{MODULE}:scheme"}
+SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=100))
+DATA = open_dataset("synthetic")
+
+
+@pytest.fixture(autouse=True)
+def planted_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Put a module into the working folder, which is searched for modules."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    Path(f"{MODULE}.py").write_text(CODE)
+    yield
+    sys.modules.pop(MODULE, None)
+
+
+def write_sb3() -> str:
+    """Write a model of Stable-Baselines3 that records own features and an own action scheme."""
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+    state = {"mlp_extractor.policy_net.0.weight": torch.zeros(4, 2), "mlp_extractor.policy_net.0.bias": torch.zeros(4)}
+    state |= {"action_net.weight": torch.zeros(9, 4), "action_net.bias": torch.zeros(9)}
+    torch.save(state, "policy.pth")
+    space = {"low": str([-1.0] * 9), "high": str([1.0] * 9), "control_period": 0.1}
+    space["encoding"] = {"agent": "receiver", **ENCODING}
+    with zipfile.ZipFile("model.zip", "w") as archive:
+        archive.writestr("data", json.dumps({"action_space": space}))
+        archive.write("policy.pth")
+    return "model.zip"
+
+
+def write_strangers_population(agent: str = "giver") -> Path:
+    entries = [dict(each) for each in (GIVERS if agent == "giver" else RECEIVERS)]
+    entries[-1]["policy"] = f"{MODULE}:Own{agent.capitalize()}"
+    return write_population(Path(), **{f"{agent}s": entries})
+
+
+def write_results(giver: str = f"{MODULE}:OwnGiver") -> Path:
+    """Write a result folder that names a giver."""
+    options: Any = {"physics": "fast", "dataset": "synthetic", "progress": False, "workers": 1, "world_config": SHORT}
+    handover_marl.evaluate_pair("hurried", "hold", "s0", "val", scenes=[19], out="results", fresh=True, **options)
+    content = yaml.safe_load(Path("results/config.yaml").read_text())
+    content["HANDOVER_MARL"]["giver"] = giver
+    Path("results/config.yaml").write_text(yaml.safe_dump(content))
+    return Path("results")
+
+
+def make_receiver(policy: Any, trust: bool) -> None:
+    parse_policy("receiver", policy, trust).make(DATA)
+
+
+def write_npz(**names: str) -> str:
+    chosen = {"features": "close", "actions": "receiver"} | names
+    size = 2 if chosen["features"] == ENCODING["features"] else count_features("receiver", chosen["features"])
+    network = DenseNetwork((np.zeros((9, size), np.float32),), (np.zeros(9, np.float32),))
+    write_policy(Path("policy.npz"), PolicySpec("receiver", control_period=0.1, **chosen), network)
+    return "policy.npz"
+
+
+def verify_results(trust: bool, **options: Any) -> None:
+    verify(write_results(), workers=1, progress=False, trust=trust, world_config=SHORT, **options)
+
+
+def evaluate_strangers(trust: bool) -> None:
+    options: Any = {"dataset": "synthetic", "progress": False, "workers": 1, "trust": trust}
+    strangers("hold", population=write_strangers_population(), n_scenes=1, **options)
+
+
+def play_population(trust: bool) -> None:
+    policy = f"population:population={write_strangers_population()},partners=test"
+    parse_policy("giver", policy, trust).make(DATA)
+
+
+READERS: dict[str, Callable[[bool], object]] = {
+    "features of learned:FILE": lambda trust: make_receiver(f"learned:{write_npz(**ENCODING)}", trust),
+    "action scheme of learned:FILE": lambda trust: make_receiver(
+        f"learned:{write_npz(actions=ENCODING['actions'])}", trust
+    ),
+    "features of as_receiver(npz)": lambda trust: make_receiver(
+        handover_marl.as_receiver(write_npz(**ENCODING), trust=trust), False
+    ),
+    "features of as_receiver(zip)": lambda trust: make_receiver(
+        handover_marl.as_receiver(write_sb3(), trust=trust), False
+    ),
+    "features of learned:zip": lambda trust: make_receiver(f"learned:{write_sb3()}", trust),
+    "giver of a result folder": verify_results,
+    "givers of a population": lambda trust: parse_policy(
+        "giver", load_population(write_strangers_population(), trust).givers[-1].policy
+    ),
+    "receivers of a population": lambda trust: parse_policy(
+        "receiver", load_population(write_strangers_population("receiver"), trust).receivers[-1].policy
+    ),
+    "policy population": play_population,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_names_in_files_need_trust(reader: str) -> None:
+    with pytest.raises(UnsafeFileError, match=rf"{MODULE}:\w+' must not be imported .* pass trust=True \(--trust\)"):
+        READERS[reader](False)
+    assert not Path("imported").exists()
+    READERS[reader](True)
+    assert Path("imported").exists()
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda: evaluate_strangers(False),
+        lambda: update_references([write_results()], write_strangers_population()),
+        lambda: make_leaderboard(["entry"], write_strangers_population()),
+        lambda: verify(write_results(f"population:population={write_strangers_population()}"), world_config=SHORT),
+        lambda: main(["verify", str(write_results())]),
+        lambda: evaluate(write_results()),
+        lambda: compare(write_results(), "results"),
+    ],
+    ids=["strangers", "references", "leaderboard", "nested", "command line", "evaluate", "compare"],
+)
+def test_other_readers_import_nothing(read: Callable[[], object]) -> None:
+    with contextlib.suppress(HandoverError):
+        read()
+    assert not Path("imported").exists()
+
+
+def test_what_the_caller_passes_is_imported() -> None:
+    verify_results(False, giver=f"{MODULE}:OwnGiver")
+    assert Path("imported").exists()
+    sys.modules.pop(MODULE)
+    Path("imported").unlink()
+    handover_marl.as_receiver(write_sb3(), features=ENCODING["features"], action_scheme=ENCODING["actions"]).make(DATA)
+    assert Path("imported").exists()
