@@ -15,14 +15,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
-from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
+from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Array = npt.NDArray[np.float64]
 
-#: Largest accepted size of a URDF file (bytes); that of a human hand has 50 kB.
-MAX_URDF_BYTES = 10_000_000
 _REVOLUTE = ("revolute", "continuous")
 _PRISMATIC = ("prismatic",)
 # A point nearer to a joint axis than this is on it (m).
@@ -278,20 +276,6 @@ def _read_tree(urdf: Path, changed: int) -> KinematicTree:
     return KinematicTree(_read_joints(parse_urdf(urdf)))
 
 
-def parse_urdf(urdf: Path) -> ET.Element:
-    """Parse a URDF file and return its root element.
-
-    Raises:
-        OSError: The file cannot be read.
-        ValueError: The file is not a plain file, is too large, or is not XML.
-    """
-    content = read_plain_file(urdf, MAX_URDF_BYTES)
-    try:
-        return ET.fromstring(content)
-    except (ET.ParseError, LookupError) as error:  # LookupError: an unknown encoding
-        raise ValueError(f"it is not XML: {error}") from error
-
-
 def _read_joints(robot: ET.Element) -> list[TreeJoint]:
     """Read all joints of a URDF model, depth first from the base link."""
     elements = robot.findall("joint")
@@ -332,22 +316,3 @@ def matrix_from_rpy(rpy: str) -> Array:
     """Convert a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
     matrix: Array = Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix()
     return matrix
-
-
-def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
-    """Read an attribute of a child of an XML element, or return a default.
-
-    Args:
-        element: Parent element.
-        tag: Tag of the child.
-        name: Name of the attribute.
-        default: Value of a missing child or attribute.
-
-    Raises:
-        ValueError: The attribute is missing and there is no default.
-    """
-    found = element.find(tag)
-    value = default if found is None else found.get(name, default)
-    if value is None:
-        raise ValueError(f"<{element.tag}> without <{tag} {name}=...>")
-    return value

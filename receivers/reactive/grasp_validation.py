@@ -22,7 +22,7 @@ from handover_marl.assets.shipped import ValidationRecord, load_validation_recor
 from handover_marl.execution.files import wait_for_lock
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.array_cache import get_cache_path, load_cached_arrays, save_cached_arrays
-from handover_marl.geometry.kinematic_tree import MAX_URDF_BYTES
+from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.receivers.reactive.grasps import (

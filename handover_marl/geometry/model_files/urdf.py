@@ -15,13 +15,8 @@ import numpy.typing as npt
 
 from handover_marl.errors import SimulationError
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.kinematic_tree import (
-    MAX_URDF_BYTES,
-    KinematicTree,
-    matrix_from_rpy,
-    parse_urdf,
-    read_attribute,
-)
+from handover_marl.geometry.kinematic_tree import KinematicTree, matrix_from_rpy
+from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES, parse_urdf, read_attribute
 from handover_marl.geometry.poses import quaternion_from_matrix
 
 Color = tuple[float, ...]

@@ -18,6 +18,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.execution.options import require_pybullet
 from handover_marl.geometry.model_files.obj_files import check_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references
+from handover_marl.geometry.model_files.urdf_xml import parse_urdf
 
 
 @contextlib.contextmanager
@@ -207,7 +208,7 @@ def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:
 def check_model_files(urdf: Path, modified_ns: int) -> None:
     """Check the files of a model before PyBullet loads them.
 
-    PyBullet crashes on invalid vertex numbers, and waits forever if a path is a pipe.
+    PyBullet crashes on invalid vertex numbers, waits forever if a path is a pipe, and loads any number.
 
     Args:
         urdf: URDF file of the model.
@@ -218,6 +219,7 @@ def check_model_files(urdf: Path, modified_ns: int) -> None:
         SimulationError: The URDF file or a mesh file is not a plain file, is too large, or is damaged.
     """
     try:
+        parse_urdf(urdf)
         for _, mesh in list_mesh_references(urdf):
             if mesh.exists():
                 check_mesh(mesh)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, ObjectConfig, PandaConfig
-from handover_marl.geometry.kinematic_tree import parse_urdf
+from handover_marl.geometry.model_files.urdf_xml import parse_urdf
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.simulation.bullet.client import (
