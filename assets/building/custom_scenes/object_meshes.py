@@ -17,6 +17,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file
+from handover_marl.geometry.model_files.obj_files import read_obj
 
 Array = npt.NDArray[np.float64]
 
@@ -141,6 +142,10 @@ def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
         raise DataNotFoundError(f"mesh file {path} does not exist; give the path of a mesh file") from None
     except (OSError, ValueError) as error:
         raise DataFormatError(f"{path}: cannot be read ({error}); give a mesh file") from error
+    if path.suffix.lower() == ".obj":
+        # trimesh misreads vertex numbers that count back, tabs, comments and byte order marks.
+        obj = read_obj(path)
+        return trimesh.Trimesh(obj.vertices, obj.faces, process=False)
     try:
         loaded: Any = trimesh.load(path, force="mesh", process=False)
     except Exception as error:  # trimesh and its readers raise many types on damaged files

@@ -1,7 +1,9 @@
 """Reader and writer of OBJ mesh files, and safety check of mesh files."""
 
+import codecs
 import itertools
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +19,12 @@ Faces = npt.NDArray[np.int64]
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
 _MAX_MATERIAL_BYTES = 10_000_000
-# Vertex number of every corner of a face, the first of the numbers between slashes.
-_CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
+_LINE_END, _CONTINUATION, _COMMENT = (
+    re.compile(r"\r\n|\r|\n"),
+    re.compile(r"\\[ \t]*(\r\n|\r|\n)"),
+    re.compile(r"#[^\r\n]*"),
+)
+_MATERIALS = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,30 +45,51 @@ class ObjMesh:
 def read_obj(path: Path) -> ObjMesh:
     """Read vertices and triangles of an OBJ mesh file.
 
+    Vertex numbers may count back from the last vertex before the face. Normals, texture coordinates, colors and
+    curves are ignored.
+
     Raises:
-        DataFormatError: The file cannot be read, has no triangle, a vertex that is not finite, a face with fewer than
-            three corners, or a face with a vertex number out of range.
+        DataFormatError: The file cannot be read, has no triangle, a vertex that is not three finite numbers, a face
+            with fewer than three corners, or a face with a vertex number out of range.
     """
-    vertices: list[list[float]] = []
-    groups: list[list[tuple[int, int, int]]] = [[]]
     try:
-        for line in _read_lines(path):
-            kind, _, rest = line.strip().partition(" ")
-            if kind == "v":
-                vertices.append([float(word) for word in rest.split()[:3]])
-            elif kind in ("o", "g") and groups[-1]:
-                groups.append([])
-            elif kind == "f":
-                # Vertices count from 1, or backwards from -1, the last vertex before the face.
-                numbers = [int(word.partition("/")[0]) for word in rest.split()]
-                corners = [n - 1 if n > 0 else len(vertices) + n if n < 0 else -1 for n in numbers]
-                if len(corners) < 3:
-                    raise _make_face_error(path)
-                groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
-        points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-        found = tuple(np.array(group, dtype=np.int64).reshape(-1, 3) for group in groups if group)
+        return _parse_obj(path, _split_lines(read_plain_file(path)))
     except (OSError, ValueError, IndexError) as error:
+        if isinstance(error, DataFormatError):
+            raise
         raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
+
+
+def _split_lines(content: bytes) -> Iterator[list[str]]:
+    """Return the words of the lines of an OBJ file that are neither empty nor comments; a backslash joins lines."""
+    text = content.decode("utf-8-sig", errors="replace")
+    if "\\" in text:
+        text = _CONTINUATION.sub(" ", text)
+    if "#" in text:
+        text = _COMMENT.sub("", text)
+    return filter(None, map(str.split, _LINE_END.split(text)))
+
+
+def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
+    vertices: list[tuple[float, float, float]] = []
+    groups: list[list[tuple[int, int, int]]] = [[]]
+    for words in lines:
+        kind = words[0]
+        if kind == "v":
+            if len(words) < 4:
+                raise ValueError(f"a vertex must be three numbers, got {' '.join(words)[:40]!r}")
+            vertices.append((float(words[1]), float(words[2]), float(words[3])))
+        elif kind == "f":
+            if len(words) < 4:
+                raise DataFormatError(f"{path}: a face must have at least three corners; the file may be incomplete")
+            # Vertices count from 1, or backwards from -1, the last vertex before the face.
+            numbers = [int(word.partition("/")[0]) for word in words[1:]]
+            corners = [n - 1 if n > 0 else len(vertices) + n if n < 0 else -1 for n in numbers]
+            groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
+        elif kind in ("o", "g") and groups[-1]:
+            groups.append([])
+    points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    found = tuple(np.array(group, dtype=np.int64).reshape(-1, 3) for group in groups if group)
     if not found:
         raise DataFormatError(f"{path}: the mesh is empty; check the file")
     # Checked at the end: faces may precede their vertices.
@@ -88,56 +115,34 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
 
 
 def check_mesh(path: Path, solid: bool = False) -> None:
-    """Check quickly that a mesh file can be loaded; only the content of OBJ files is checked.
+    """Check that every engine can load a mesh file; only the content of OBJ files is checked.
 
-    PyBullet crashes on vertex numbers out of range, and loads empty meshes without an error.
+    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and drops a vertex after a
+    byte order mark.
 
     Args:
         path: Mesh file. Files of other formats than OBJ may be missing.
         solid: Whether to refuse meshes whose vertices all lie in one plane.
 
     Raises:
-        DataFormatError: The file is not a plain file or is too large; or an OBJ file cannot be read, has no
-            faces, a face with fewer than three corners, a vertex that is not finite, a vertex number out of
-            range, or is flat.
+        DataFormatError: The file is not a plain file or is too large; or an OBJ file cannot be read (`read_obj`),
+            begins with a byte order mark, or is flat.
     """
     if path.suffix.lower() != ".obj":
         _check_if_present(path)
         return
-    try:
-        lines = _read_lines(path)
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot read this mesh ({error}); check the model") from error
-    _check_materials(path.parent, lines)
-    faces = [line[2:] for line in lines if line.startswith(("f ", "f\t"))]
-    corners = np.array(_CORNERS.findall(" ".join(faces)), dtype=np.int64)
-    try:
-        vertices = np.array([line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))], dtype=np.float64)
-    except ValueError as error:
-        raise DataFormatError(f"{path}: a vertex must be three numbers ({error}); check the file") from error
-    if not len(corners) or not len(vertices):
-        raise DataFormatError(f"{path}: the mesh is empty; check the file")
-    if any(len(face.split()) < 3 for face in faces):
-        raise _make_face_error(path)
-    if not np.isfinite(vertices).all():
-        raise DataFormatError(f"{path}: a vertex is not finite; check the file")
-    if corners.max() > len(vertices) or corners.min() < -len(vertices) or not corners.all():
-        raise DataFormatError(f"{path}: a face names a corner that is not there; check the file")
-    if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
+    mesh = read_obj(path)
+    content = read_plain_file(path)
+    if content.startswith(codecs.BOM_UTF8):
+        raise DataFormatError(f"{path}: must not begin with a byte order mark, which PyBullet does not read; remove it")
+    _check_materials(path.parent, content)
+    if solid and np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
 
 
-def _make_face_error(path: Path) -> DataFormatError:
-    return DataFormatError(f"{path}: a face must have at least three corners; the file may be incomplete")
-
-
-def _read_lines(path: Path) -> list[str]:
-    return read_plain_file(path).decode(errors="replace").splitlines()
-
-
-def _check_materials(folder: Path, lines: list[str]) -> None:
-    """Check the material files and textures that lines of an OBJ file name; PyBullet opens them."""
-    for name in {line[7:].strip() for line in lines if line.startswith(("mtllib ", "mtllib\t"))}:
+def _check_materials(folder: Path, content: bytes) -> None:
+    """Check the material files and textures that an OBJ file names; PyBullet opens them."""
+    for name in {match.decode(errors="replace").strip() for match in _MATERIALS.findall(content)}:
         if name and _check_if_present(folder / name, _MAX_MATERIAL_BYTES):
             material = read_plain_file(folder / name, _MAX_MATERIAL_BYTES).decode(errors="replace")
             words = map(str.split, material.splitlines())
