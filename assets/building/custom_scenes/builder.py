@@ -23,11 +23,11 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
 from handover_marl.assets.building.custom_scenes.robot_grasps import make_robot_grasps
-from handover_marl.assets.building.custom_scenes.splits import check_placement, split_scenes
+from handover_marl.assets.building.custom_scenes.splits import split_scenes
 from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
 from handover_marl.assets.building.object_files import merge_meshes, read_parts
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
-from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME
+from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,
@@ -36,6 +36,7 @@ from handover_marl.datasets.custom.dataset import (
     CustomDataset,
     get_motion_path,
 )
+from handover_marl.datasets.custom.ranges import check_hand, check_objects
 from handover_marl.datasets.custom.scene_file import (
     SCENE_FILE,
     CustomObject,
@@ -48,6 +49,7 @@ from handover_marl.datasets.custom.scene_file import (
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 #: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
@@ -206,7 +208,8 @@ class CustomSceneFolder:
         table = read_motion_table(source, config or MotionConfig())
         self._check_bodies(table, others, hand)
         mesh = self._load_mesh(object_name)
-        check_placement(table, mesh)
+        bodies = {body: self._read_vertices(item) for body, item in zip((OBJECT, *others), names, strict=True)}
+        _check_ranges(check_objects, make_trajectory(table, others, None, None).object_dof, bodies)
         side_name: Side = "left" if side == "left" else "right"
         model, fingers = None, None
         if hand is not None and table.wrist is not None:
@@ -215,6 +218,9 @@ class CustomSceneFolder:
             if fingers is None:
                 table, fingers = close_hand(table, mesh, hand, side_name)
         trajectory = make_trajectory(table, others, model, fingers)
+        if trajectory.hand_span[0] >= 0:
+            frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)
+            _check_ranges(check_hand, trajectory.hand_dof[frames], trajectory.object_dof[frames])
         with self._prepare(MOTION_FOLDER) as scratch, self._change() as content:
             number = len(content.scenes)
             name = f"{person}/{_check('recording', check_file_name, recording or f'{number:06d}')}"
@@ -266,8 +272,8 @@ class CustomSceneFolder:
         dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
+            dataset.check_object(item)
             read_parts(dataset.find_object_urdf(item.name).with_name(VISUAL_NAME))
-            dataset.load_grasps(item.name)
         for scene_id in range(dataset.n_scenes):
             dataset.load_scene(scene_id)
         return dataset
@@ -288,6 +294,12 @@ class CustomSceneFolder:
 
             return load_visual_mesh(name)
         return merge_meshes(read_parts(self.folder / OBJECT_FOLDER / name / VISUAL_NAME))
+
+    def _read_vertices(self, name: str) -> npt.NDArray[np.float64]:
+        is_ycb = name in CLASS_NAMES.values()
+        return read_collision_mesh(
+            find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
+        )[0]
 
     @contextlib.contextmanager
     def _prepare(self, subfolder: str) -> Iterator[Path]:
@@ -312,6 +324,13 @@ class CustomSceneFolder:
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with exclusive_lock(self.folder):
             yield self.content
+
+
+def _check_ranges(check: Callable[..., None], *values: object) -> None:
+    try:
+        check(*values)
+    except ValueError as error:
+        raise DataFormatError(str(error)) from None
 
 
 def _check(argument: str, check: Callable[[object], str], value: object) -> str:

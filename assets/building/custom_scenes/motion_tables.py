@@ -18,6 +18,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
+from handover_marl.datasets.custom.ranges import (
+    DURATION,
+    MAX_DISTANCE,
+    MAX_FINGER_ANGLE,
+    MAX_NORM_ERROR,
+    MAX_SPEED,
+    MAX_TURN_SPEED,
+)
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_arrays, read_plain_file
@@ -35,10 +43,7 @@ _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _TIMES: Final = {"s": 1.0, "ms": 0.001}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
-_MIN_DURATION, _MAX_DURATION = 0.5, 60.0  # s
-_MAX_NORM_ERROR = 0.02
-_MAX_SPEED, _MAX_TURN_SPEED = 8.0, 60.0  # m/s, rad/s
-_MAX_DISTANCE = 5.0  # m from the world's origin
+_MAX_FRAME_DISTANCE = 100.0  # m
 
 
 @dataclass(frozen=True)
@@ -79,11 +84,12 @@ class MotionConfig:
             if (
                 pose.shape != (7,)
                 or not np.isfinite(pose).all()
-                or abs(np.linalg.norm(pose[3:]) - 1.0) > _MAX_NORM_ERROR
+                or np.linalg.norm(pose[:3]) > _MAX_FRAME_DISTANCE
+                or abs(np.linalg.norm(pose[3:]) - 1.0) > MAX_NORM_ERROR
             ):
                 raise OptionError(
-                    "frame must be 'world', 'table' or seven numbers, position and unit quaternion xyzw, got "
-                    f"{self.frame!r}"
+                    f"frame must be 'world', 'table' or seven numbers, position (within {_MAX_FRAME_DISTANCE:g} m) and "
+                    f"unit quaternion xyzw, got {self.frame!r}"
                 )
             object.__setattr__(self, "frame", tuple(map(float, pose)))
         if (
@@ -276,9 +282,9 @@ class _TableReader:
                 f"time must increase, got {time[row]:g} in row {row + 1} after {time[row - 1]:g}; sort the rows and "
                 "remove repeated ones"
             )
-        if not _MIN_DURATION <= seconds[-1] <= _MAX_DURATION:
+        if not DURATION[0] <= seconds[-1] <= DURATION[1]:
             raise self._make_error(
-                f"a motion must last {_MIN_DURATION} to {_MAX_DURATION:g} s, got {seconds[-1]:.4g} s; cut it, or pass "
+                f"a motion must last {DURATION[0]} to {DURATION[1]:g} s, got {seconds[-1]:.4g} s; cut it, or pass "
                 "the unit of time (time='ms')"
             )
         if steps.max() > max(self._config.max_gap, 1e-9):
@@ -313,7 +319,7 @@ class _TableReader:
         poses[:, :3] *= _LENGTHS[self._config.length]
         poses = self._fill_gaps(key, poses, time[first:end], first)
         norms = np.linalg.norm(poses[:, 3:], axis=1)
-        wrong = np.flatnonzero(np.abs(norms - 1.0) > _MAX_NORM_ERROR)
+        wrong = np.flatnonzero(np.abs(norms - 1.0) > MAX_NORM_ERROR)
         if len(wrong):
             raise self._make_error(
                 f"the quaternion of {key} must have norm 1, got {norms[wrong[0]]:.4g} in row {first + wrong[0] + 1}; "
@@ -323,12 +329,12 @@ class _TableReader:
         self._check_speed(key, poses, time[first:end], first)
         world: Array = compose(self._config.world_from_frame, poses)
         distances = np.linalg.norm(world[:, :3], axis=1)
-        if distances.max() > _MAX_DISTANCE:
+        if distances.max() > MAX_DISTANCE:
             units = [unit for unit in _LENGTHS if unit != self._config.length]
             raise self._make_error(
-                f"{key} must be within {_MAX_DISTANCE:g} m of the table, got a distance of {distances.max():.4g} m in "
-                f"row {first + int(np.argmax(distances)) + 1}; if it is in {units[-1]}, pass length={units[-1]!r}, or "
-                "pass the frame"
+                f"{key} must be within {MAX_DISTANCE:g} m of the world's origin, got a distance of "
+                f"{distances.max():.4g} m in row {first + int(np.argmax(distances)) + 1}; if it is in {units[-1]}, "
+                f"pass length={units[-1]!r}, or pass the frame"
             )
         return world
 
@@ -366,7 +372,7 @@ class _TableReader:
         speeds = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) / steps
         turns = np.abs(np.einsum("ij,ij->i", poses[1:, 3:], poses[:-1, 3:]))
         turn_speeds = 2.0 * np.arccos(np.minimum(turns, 1.0)) / steps
-        for values, limit, unit in ((speeds, _MAX_SPEED, "m/s"), (turn_speeds, _MAX_TURN_SPEED, "rad/s")):
+        for values, limit, unit in ((speeds, MAX_SPEED, "m/s"), (turn_speeds, MAX_TURN_SPEED, "rad/s")):
             if len(values) and values.max() > limit:
                 row = int(np.argmax(values))
                 raise self._make_error(
@@ -381,7 +387,7 @@ class _TableReader:
         if not np.isfinite(angles).all():
             row = int(np.flatnonzero(~np.isfinite(angles).all(axis=1))[0])
             raise self._make_error(f"fingers must be finite where the wrist is, got none in row {rows[0] + row + 1}")
-        if np.abs(angles).max() > 2.0 * np.pi:
+        if np.abs(angles).max() > MAX_FINGER_ANGLE:
             raise self._make_error(f"fingers must be angles in rad, got {np.abs(angles).max():.4g}; convert degrees")
         if self._config.fingers == "rotvec":
             rotations = Rotation.from_rotvec(angles.reshape(-1, 3))

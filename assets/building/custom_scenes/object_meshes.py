@@ -13,6 +13,8 @@ from scipy.spatial import QhullError
 from handover_marl.assets.building.custom_scenes.convex_parts import decompose_mesh
 from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
 from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
+from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
+from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
@@ -24,8 +26,7 @@ Array = npt.NDArray[np.float64]
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 #: Smallest and largest extent of an object (m).
-MIN_EXTENT, MAX_EXTENT = 0.005, 0.7
-_MIN_MASS, _MAX_MASS = 0.001, 20.0
+MIN_EXTENT, MAX_EXTENT = EXTENT
 _MAX_BYTES = 1_000_000_000
 _MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
 
@@ -65,9 +66,9 @@ class MeshConfig:
             raise OptionError("mass and density must not both be given; leave one of them out")
         limits: dict[str, tuple[float, float]] = {
             "scale": (1e-6, 1e6),
-            "mass": (_MIN_MASS, _MAX_MASS),
+            "mass": MASS,
             "density": (1.0, 30_000.0),
-            "friction": (0.0, 10.0),
+            "friction": FRICTION_RANGE,
             "concavity": (0.01, 1.0),
             "max_faces": (100, 1_000_000),
         }
@@ -116,9 +117,9 @@ def make_object_mesh(
     parts = decompose_mesh(mesh, config.concavity, name, show)
     volume = sum(float(part.volume) for part in parts)
     mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
-    if not _MIN_MASS <= mass <= _MAX_MASS:
+    if not MASS[0] <= mass <= MASS[1]:
         raise DataFormatError(
-            f"{name}: mass must be {_MIN_MASS:g} to {_MAX_MASS:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
+            f"{name}: mass must be {MASS[0]:g} to {MASS[1]:g} kg, got {mass:.3g} kg from the volume {volume:.3g} "
             "m^3; give mass or density"
         )
     return ObjectMesh(mesh, parts, mass, tuple(repairs))
@@ -203,7 +204,7 @@ def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
     largest = float(extents.max())
     if MIN_EXTENT <= largest <= MAX_EXTENT:
         distance = float(np.linalg.norm(mesh.bounds.mean(axis=0)))
-        if distance > MAX_EXTENT:
+        if distance > MAX_OFFSET:
             raise DataFormatError(
                 f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
             )

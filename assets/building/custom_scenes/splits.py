@@ -1,21 +1,15 @@
-"""Splits of custom scenes, and the check that a recording is at the table."""
+"""Splits of custom scenes."""
 
 from collections.abc import Iterable
 
 import numpy as np
-import trimesh
 
-from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, SceneFile, check_file_name
 from handover_marl.datasets.splits import SETUPS, SPLITS
-from handover_marl.errors import DataFormatError, OptionError, check_name
-from handover_marl.geometry.poses import transform_points
+from handover_marl.errors import OptionError, check_name
 
 #: Ways to divide scenes: by the object that is handed over, by the person, or at random.
 DIVISIONS = ("object", "person", "random")
-_MAX_REACH = 1.2  # m; the Panda reaches 0.855 m
-_MAX_SINK = 0.03  # m below the table's surface
 
 
 def split_scenes(
@@ -61,33 +55,3 @@ def split_scenes(
             f"the train split must not be empty, got all {len(keys)} scenes in val and test; lower the shares"
         )
     return setup
-
-
-def check_placement(table: MotionTable, mesh: trimesh.Trimesh) -> None:
-    """Check that an object starts above the table and ends where a robot can reach it.
-
-    Args:
-        table: Recorded poses in the world frame.
-        mesh: Surface of the object in its frame (m).
-
-    Raises:
-        DataFormatError: The object is below the table, or out of the robot's reach; the frame is wrong.
-    """
-    poses = table.bodies[OBJECT]
-    advice = "check frame: 'world' has its origin 0.92 m below the table's surface, 'table' on it; z points up"
-    lowest = float(transform_points(poses[0], np.asarray(mesh.vertices))[:, 2].min()) - TABLE_HEIGHT
-    if lowest < -_MAX_SINK:
-        raise DataFormatError(
-            f"object must start above the table, got its lowest point {-100 * lowest:.0f} cm below the surface; "
-            f"{advice}"
-        )
-    base = np.array(OFFICIAL_CONFIG.physics.panda.base_position)
-    distance = float(np.linalg.norm(poses[-1, :3] - base))
-    if distance > _MAX_REACH:
-        raise DataFormatError(
-            f"object must end within {_MAX_REACH} m of the robot's base, got {distance:.2f} m; {advice}"
-        )
-    others = {name: body for name, body in table.bodies.items() if name != OBJECT}
-    for name, body in others.items():
-        if body[0, 2] < TABLE_HEIGHT - _MAX_SINK:
-            raise DataFormatError(f"{name} must be above the table, got z = {body[0, 2]:.2f} m in the world; {advice}")

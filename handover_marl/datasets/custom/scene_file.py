@@ -9,13 +9,14 @@ motion/000000.npz             motion of scene 0, see `handover_marl.datasets.cus
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from handover_marl.assets.hand_model import SUBJECTS
 from handover_marl.config import MAX_OBJECTS
+from handover_marl.datasets.custom.ranges import FRICTION, MASS
 from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text, write_atomically
@@ -202,9 +203,10 @@ class _Reader:
             "version", known, f"must be {FORMAT_VERSION}, or install the version that wrote it", top["version"]
         )
         objects = self._read_list("objects", top["objects"], self._read_object)
-        self._check_objects(objects)
+        self._check_unique("objects", objects, ("name", "number"))
         names = {*CLASS_NAMES.values(), *(item.name for item in objects)}
         scenes = self._read_list("scenes", top["scenes"], lambda field, value: self._read_scene(field, value, names))
+        self._check_unique("scenes", scenes, ("name",))
         self._require("scenes", len(scenes) <= _MAX_SCENES, f"must be at most {_MAX_SCENES}", len(scenes))
         setups = self._read_setups(top["setups"], len(scenes))
         return SceneFile(self._call("name", check_file_name, top["name"]), objects, scenes, setups)
@@ -216,19 +218,21 @@ class _Reader:
         return CustomObject(
             name=self._call(f"{field}.name", check_class_name, item["name"]),
             number=self._read_integer(f"{field}.number", item["number"], LARGEST_YCB_CLASS + 1, 2**23),
-            mass=self._read_number(f"{field}.mass", item["mass"], 1e-3, 20.0),
-            friction=self._read_number(f"{field}.friction", item["friction"], 0.0, 10.0),
-            n_grasps=self._read_integer(f"{field}.n_grasps", item["n_grasps"], 0, 100_000),
-            n_candidates=self._read_integer(f"{field}.n_candidates", item["n_candidates"], 0, 1_000_000),
+            mass=self._read_number(f"{field}.mass", item["mass"], *MASS),
+            friction=self._read_number(f"{field}.friction", item["friction"], *FRICTION),
+            n_candidates=(
+                n_candidates := self._read_integer(f"{field}.n_candidates", item["n_candidates"], 0, 1_000_000)
+            ),
+            n_grasps=self._read_integer(f"{field}.n_grasps", item["n_grasps"], 0, n_candidates),
             repairs=self._read_texts(f"{field}.repairs", item["repairs"]),
         )
 
-    def _check_objects(self, objects: tuple[CustomObject, ...]) -> None:
-        for key in ("name", "number"):
-            values = [getattr(item, key) for item in objects]
-            for position, value in enumerate(values):
-                field = f"objects[{position}].{key}"
-                self._require(field, value not in values[:position], "must differ from all others", value)
+    def _check_unique(self, field: str, items: Sequence[object], keys: tuple[str, ...]) -> None:
+        for key in keys:
+            seen: set[object] = set()
+            for position, value in enumerate(getattr(item, key) for item in items):
+                self._require(f"{field}[{position}].{key}", value not in seen, "must differ from all others", value)
+                seen.add(value)
 
     def _read_scene(self, field: str, value: object, names: set[str]) -> CustomScene:
         scene = self._read_mapping(field, value, ("name", "side", "hand", "objects", "repairs"))

@@ -86,7 +86,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     "wrist without quaternion": (change("wrist", 9, slice(3, None), 0.0), "quaternion of wrist must have norm 1"),
     "object jumps": (change("object", 100, 0, 3.0), r"object must not jump, got 144 m/s between rows 100 and 101"),
     "wrist jumps": (change("wrist", 100, 2, 0.0), "wrist must not jump"),
-    "in mm": (in_mm(), r"must (be within 5 m|not jump).*length='mm'"),
+    "in mm": (in_mm(), r"must (be within 3 m|not jump).*length='mm'"),
     "object is a point": (
         {**make_recording(), "object": np.zeros((181, 3))},
         r"shape \(181, 7\), got \(181, 3\)",
@@ -158,6 +158,7 @@ def test_missing_file(tmp_path: Path) -> None:
         {"frame": (0.0,) * 6},
         {"frame": (0.0,) * 7},
         {"frame": (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
+        {"frame": (200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
         {"length": "inch"},
         {"time": "min"},
         {"quaternion": "wzyx"},

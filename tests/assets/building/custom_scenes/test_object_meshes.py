@@ -170,6 +170,18 @@ def test_failures_of_coacd_are_reported(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert not list(tmp_path.rglob("*.npz"))
 
 
+def test_vertex_numbers_that_count_back(tmp_path: Path) -> None:
+    """Several bodies in an OBJ file keep all their triangles, whatever the form of the file."""
+    bodies = [make_box(), make_box().apply_translation([0.1, 0.0, 0.0])]
+    lines = []
+    for number, body in enumerate(bodies):
+        lines += [f"o {number}", *(f"v\t{x}\t{y}\t{z}" for x, y, z in body.vertices)]
+        lines += ["f " + " ".join(str(corner - 8) for corner in face) for face in body.faces]
+    (tmp_path / "two.obj").write_text("\ufeff" + "\n".join(lines))
+    item = make_object_mesh(tmp_path / "two.obj", MeshConfig(mass=0.2, **ROUGH))
+    assert item.mesh.volume == pytest.approx(2 * 0.05 * 0.05 * 0.16)
+
+
 @pytest.mark.parametrize("content", [b"", b"no mesh", b"\x89PNG\r\n", b"solid box\nfacet", b"\x00" * 84])
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".xyzw"])
 def test_damaged_files(content: bytes, suffix: str, tmp_path: Path) -> None:
