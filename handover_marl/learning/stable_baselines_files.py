@@ -152,7 +152,8 @@ def _get_recorded_encoding(path: Path, record: Sb3TrainingRecord, agent: str) ->
     if own:
         raise DataFormatError(
             f"{path}: the policy was trained with {own[0]!r}, which is not in this library; pass its features and "
-            f"action scheme to handover_marl.as_{agent}"
+            f"action scheme to handover_marl.as_{agent}, or train with their names as text, 'module:name', and read "
+            "the file with trust=True (--trust)"
         )
     return features, actions
 

@@ -68,13 +68,13 @@ def planted_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     sys.modules.pop(MODULE, None)
 
 
-def write_sb3() -> str:
+def write_sb3(control_period: float = 0.1) -> str:
     """Write a model of Stable-Baselines3 that records own features and an own action scheme."""
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
     state = {"mlp_extractor.policy_net.0.weight": torch.zeros(4, 2), "mlp_extractor.policy_net.0.bias": torch.zeros(4)}
     state |= {"action_net.weight": torch.zeros(9, 4), "action_net.bias": torch.zeros(9)}
     torch.save(state, "policy.pth")
-    space = {"low": str([-1.0] * 9), "high": str([1.0] * 9), "control_period": 0.1}
+    space = {"low": str([-1.0] * 9), "high": str([1.0] * 9), "control_period": control_period}
     space["encoding"] = {"agent": "receiver", **ENCODING}
     with zipfile.ZipFile("model.zip", "w") as archive:
         archive.writestr("data", json.dumps({"action_space": space}))
@@ -182,3 +182,10 @@ def test_what_the_caller_passes_is_imported() -> None:
     Path("imported").unlink()
     handover_marl.as_receiver(write_sb3(), features=ENCODING["features"], action_scheme=ENCODING["actions"]).make(DATA)
     assert Path("imported").exists()
+
+
+@pytest.mark.parametrize("control_period", [float("inf"), float("nan"), -1.0])
+def test_control_periods_in_files(control_period: float) -> None:
+    for read in (handover_marl.as_receiver, lambda file, trust: make_receiver(f"learned:{file}", trust)):
+        with pytest.raises(HandoverError, match=r"control_period must be a time from 0\.001 to 60 s"):
+            read(write_sb3(control_period), trust=True)

@@ -258,7 +258,7 @@ def _match_period(where: object, recorded: float | None, requested: float | None
     if recorded is not None and requested is not None and abs(recorded - requested) > 1e-9:
         raise OptionError(f"{where}: control_period must be {recorded} as in training, got {requested}")
     found = recorded if requested is None else requested
-    return _DEFAULT_PERIOD if found is None else found
+    return _DEFAULT_PERIOD if found is None else check_control_period(found, f"{where}: ")
 
 
 def _complete_encoding(
