@@ -12,6 +12,7 @@ import handover_marl
 from handover_marl.cli import main
 from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.strangers import leaderboard
 from handover_marl.evaluation.strangers.entry import read_report
 from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
@@ -43,7 +44,10 @@ def run(data: Path, population: Path, **options: Any) -> StrangersReport:
 
 def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tmp_path: Path) -> None:
     content = json.loads((evaluated / "strangers.json").read_text())
-    assert content["summary"]["success"]["value"] == 0.0
+    # Two scenes for each of two partners; the rate with the worst partner is one of two episodes.
+    for key, n in (("success", 4), ("worst_partner_success", 2), ("largest_partner_contact", 2)):
+        expected = {"value": 0.0, "interval_95": pytest.approx(compute_wilson_interval(0, n), abs=1e-12)}
+        assert content["summary"][key] == expected
     assert content["results"]["slow"]["AS"] == 0.0
     assert str(population.parent) not in (evaluated / "strangers.json").read_text()
     text = (evaluated / "strangers.md").read_text()
@@ -85,7 +89,7 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     assert (estimates["br_prox"].value, estimates["br_prox"].interval_95) == (1.0, None)
     assert estimates["worst_br_prox"].interval_95 is None
     assert ["BR-Prox %", "100.0"] in [list(row) for row in found.build_tables()[0].rows]
-    assert json.loads((out / "strangers.json").read_text())["summary"]["br_prox"]["interval_95"] is None
+    assert json.loads(json.dumps(found.to_json()))["summary"]["br_prox"]["interval_95"] is None
     assert found.references is not None
     others = replace(found, references=tuple(replace(each, policy="best") for each in found.references))
     assert others.estimate_all()["br_prox"].interval_95 is not None
