@@ -5,8 +5,7 @@
 The files of `--first` must have the same features, action scheme and control period, and so must those of `--second`.
 MuJoCo simulates the episodes of the files of one option with a giver together, which takes a fraction of the time of
 `handover-marl strangers`. Scores, intervals and differences are computed as there: every file has the same scenes and
-the same seeds of the givers, and the reference of a giver is the best of all files. The script needs the extra
-`mujoco`.
+the same seeds of the givers. The script needs the extra `mujoco`.
 """
 
 import json
@@ -24,14 +23,8 @@ from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.strangers.scores import (
-    Estimate,
-    compute_interquartile_mean,
-    compute_mean,
-    compute_unclipped_proximity,
-    estimate,
-    estimate_difference,
-)
+from handover_marl.evaluation.strangers.report import format_estimate
+from handover_marl.evaluation.strangers.scores import compute_mean, estimate, estimate_difference
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import PolicyFunction, PolicySpec
@@ -166,26 +159,19 @@ def print_partner(name: str, family: str, status: StatusArray, n_first: int) -> 
 def print_comparison(args: Args, scores: Array, outcomes: dict[str, Array]) -> None:
     """Print the summary of both ways, and their differences, first minus second."""
     ways = slice(0, len(args.first)), slice(len(args.first), None)
-    best = scores[scores.mean(axis=-1).argmax(axis=0), np.arange(scores.shape[1])]
+    families = [partner.family for partner in load_population(args.population).select("giver", args.partners)]
     for name, way in zip(("first", "second"), ways, strict=True):
         rates = ", ".join(f"{key} {100 * values[way].mean():.1f} %" for key, values in outcomes.items())
-        proximity = estimate(compute_unclipped_proximity, scores[way], best)
         seeds = ", ".join(f"{100 * own.mean():.1f}" for own in scores[way])
-        print(f"{name}: {rates}, AS {format_points(estimate(compute_mean, scores[way]))} (by file {seeds}), ", end="")
-        middle = compute_interquartile_mean(scores[way].mean(axis=-1), 2)
-        print(f"BR-Prox {format_points(proximity)}, IQM of AS {100 * middle:.1f}")
+        found = estimate(compute_mean, scores[way], families)
+        print(f"{name}: {rates}, AS {format_estimate(found)} (by file {seeds})")
     first, second = (scores[way] for way in ways)
     first_success, second_success = (outcomes["success"][way] for way in ways)
-    success = estimate_difference(compute_mean, first_success, second_success)
-    print(f"success, first minus second: {format_points(success)} points")
-    print(f"AS, first minus second: {format_points(estimate_difference(compute_mean, first, second))} points")
-    proximity = estimate_difference(compute_unclipped_proximity, first, second, best)
-    print(f"BR-Prox, first minus second: {format_points(proximity)} points")
-
-
-def format_points(value: Estimate) -> str:
-    """Return a share in percent with its 95 % interval."""
-    return f"{100 * value.value:.1f} ({100 * value.low:.1f} to {100 * value.high:.1f})"
+    success = estimate_difference(compute_mean, first_success, second_success, families)
+    print(f"success, first minus second: {format_estimate(success)} points")
+    print(
+        f"AS, first minus second: {format_estimate(estimate_difference(compute_mean, first, second, families))} points"
+    )
 
 
 def main(args: Args) -> None:

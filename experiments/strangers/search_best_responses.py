@@ -4,10 +4,10 @@
     python experiments/strangers/search_best_responses.py --data-dir DIR --givers population --out results/population
 
 Every search draws settings at random (random search; Bergstra and Bengio, JMLR 2012) and evaluates them on a few
-scenes of the train split. The best of the draws by average success is evaluated on all scenes of the search. A giver
+scenes of the train split. The best of the draws by average success is evaluated on scenes of `--split`. A giver
 has several searches, which share no draws. The script prints the best response to every giver, and the result folders
 of all searches go to `OUT/best`, from which `handover-marl strangers-references` updates the references. The same
-command continues an interrupted search.
+command continues an interrupted search, and with another split evaluates the responses that are known.
 """
 
 import re
@@ -52,8 +52,9 @@ class Args(EvaluationArgs):
             one in each episode. All of them have the same draws.
         searches: Number of searches for each giver.
         draws: Number of settings that a search compares.
-        draw_scenes: Number of scenes on which the draws are compared.
-        n_scenes: Number of scenes on which the best draw is evaluated, the former among them.
+        draw_scenes: Number of scenes of the train split on which the draws are compared.
+        split: Split of the scenes on which the best draw is evaluated.
+        n_scenes: Number of scenes on which the best draw is evaluated.
     """
 
     out: Path = Path("results/best_responses")
@@ -63,7 +64,8 @@ class Args(EvaluationArgs):
     searches: int = 2
     draws: int = 5
     draw_scenes: int = 4
-    n_scenes: int = 12
+    split: str = "train"
+    n_scenes: int = 36
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class BestResponse:
 
     Attributes:
         receiver: Receiver with its settings.
-        score: Average success on all scenes of the search (0..1).
+        score: Average success on the scenes of `Args.split` (0..1).
         success_rate: Success rate on the same scenes (0..1).
     """
 
@@ -108,24 +110,26 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestR
         seed: Seed of the draws.
     """
     rng = np.random.default_rng(seed)
-    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "train"), args.n_scenes)
-    few = select_scenes_evenly(scenes, args.draw_scenes)
+    scenes, few = (
+        select_scenes_evenly(args.open_dataset().list_scenes(args.setup, split), n)
+        for split, n in ((args.split, args.n_scenes), ("train", args.draw_scenes))
+    )
     receivers = [draw_policy("reactive", SEARCH_SPACE, rng, logarithmic=True) for _ in range(args.draws)]
     scores = [
-        evaluate_draw(args, giver, receiver, few, args.out / "draws" / folder / str(number)).average_success
+        evaluate_draw(args, giver, receiver, "train", few, args.out / "draws" / folder / str(number)).average_success
         for number, receiver in enumerate(receivers)
     ]
     best = receivers[int(np.argmax(scores))]
-    report = evaluate_draw(args, giver, best, scenes, args.out / "best" / folder)
+    report = evaluate_draw(args, giver, best, args.split, scenes, args.out / "best" / args.split / folder)
     return BestResponse(best, report.average_success, report.success_rate)
 
 
 def evaluate_draw(
-    args: EvaluationArgs, giver: str, receiver: str, scenes: tuple[int, ...], folder: Path
+    args: EvaluationArgs, giver: str, receiver: str, split: str, scenes: tuple[int, ...], folder: Path
 ) -> handover_marl.Report:
-    """Evaluate a pair in scenes of the train split in this process, and write the result folder."""
+    """Evaluate a pair in scenes of a split in this process, and write the result folder."""
     options = args.evaluation_options | {"workers": 1, "progress": False, "out": str(folder)}
-    return handover_marl.evaluate_pair(giver, receiver, split="train", scenes=scenes, **options)
+    return handover_marl.evaluate_pair(giver, receiver, split=split, scenes=scenes, **options)
 
 
 def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], BestResponse], n_scenes: int) -> str:

@@ -102,7 +102,7 @@ def main(args: Args) -> None:
     def make_evaluation() -> Callable[[tuple[str, str]], float]:
         def run(task: tuple[str, str]) -> float:
             folder = args.out / f"{givers.index(task[0])}-{receivers.index(task[1])}"
-            report = evaluate_draw(args, *task, scenes, folder)
+            report = evaluate_draw(args, *task, "train", scenes, folder)
             return report.success_rate if args.score == "success" else report.average_success
 
         return run

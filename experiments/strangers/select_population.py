@@ -52,7 +52,7 @@ class Args:
     per_family: int = 3
     min_success: float = 0.25
     name: str = "strangers-v1"
-    version: str = "1.0"
+    version: str = "1.1"
     description: str = "Givers whose behaviour differs from the recordings in ten families, and receivers."
 
 

@@ -1,6 +1,5 @@
 """Commands that read result folders."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -147,11 +146,11 @@ def run_strangers_table(
     trust: bool = False,
     table_format: TableFormat = "markdown",
 ) -> None:
-    """Print the leaderboard of folders that `strangers` wrote, one for each method.
+    """Print the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
 
     Args:
-        folders: Output folders of `strangers` with the same partners and scenes, each with the name of the method or
-            without; default: the label of the policy.
+        folders: Output folders of `strangers` with the same partners, one for each method and split; each with the
+            name of the method, or all without; default: the label of the policy.
         population: Population of the evaluations.
         references: File of references, as `strangers-references` writes it; default: that of the population.
         heat_map: Picture to write, with the success rate of every method with every partner.
@@ -160,23 +159,26 @@ def run_strangers_table(
     """
     from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 
-    leaderboard = make_leaderboard(_split_names(folders), population, references, trust)
+    paths, names = _split_names(folders)
+    leaderboard = make_leaderboard(paths, population, references, names, trust)
     if heat_map is not None:
         leaderboard.write_heat_map(check_path("heat_map", heat_map))
     print_tables(leaderboard, table_format, f"Folders: {', '.join(folders)}")
 
 
-def _split_names(folders: tuple[str, ...]) -> Mapping[str, str] | tuple[str, ...]:
-    """Return folders by name if they are given as NAME=DIR.
+def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
+    """Return folders, and their names if they are given as NAME=DIR.
 
     Raises:
-        OptionError: Only some have a name, or two have the same one.
+        OptionError: Only some have a name.
     """
     named = [folder.partition("=") for folder in folders if not Path(folder).expanduser().is_dir()]
-    by_name = {name: folder for name, sign, folder in named if sign}
-    if by_name and (len(by_name) < len(folders) or "" in by_name):
-        raise OptionError(f"folders must have different names, all or none, got {' '.join(folders)}")
-    return by_name or folders
+    names = [name for name, sign, _ in named if sign]
+    if not names:
+        return list(folders), None
+    if len(names) < len(folders) or "" in names:
+        raise OptionError(f"folders must all have names, or none, got {' '.join(folders)}")
+    return [folder for _, _, folder in named], names
 
 
 def run_strangers_references(

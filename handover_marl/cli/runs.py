@@ -98,7 +98,7 @@ def run_strangers(
     giver: _OptionalNames = None,
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
-    n_scenes: int = 12,
+    n_scenes: int = 36,
     references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
     evaluation: StrangersArguments = _STRANGERS,
     execution: ExecutionConfig = ExecutionConfig(),

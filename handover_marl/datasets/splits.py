@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from handover_marl.errors import OptionError, SceneError, check_name
+from handover_marl.execution.files import shorten_text
 
 N_SCENES = 1000
 SETUPS = ("s0", "s1", "s2", "s3")
@@ -138,9 +139,9 @@ def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
     """Return at most n scenes, evenly spaced over a split.
 
     Raises:
-        OptionError: n is less than one.
+        OptionError: n is not a whole number of at least 1.
     """
-    if n < 1:
-        raise OptionError(f"number of scenes must be at least 1, got {n}")
+    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+        raise OptionError(f"number of scenes must be a whole number of at least 1, got {shorten_text(n)}")
     chosen = np.unique(np.linspace(0, len(scene_ids) - 1, min(n, len(scene_ids))).round().astype(int))
     return tuple(scene_ids[number] for number in chosen.tolist())

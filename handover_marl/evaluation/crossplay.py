@@ -235,8 +235,8 @@ def crossplay(
         require_modules("the heat map", "plot", "matplotlib", advice="; or leave out `out`")
     dataset = config.open_dataset()
     # All names are resolved before the first scene, so that misspelled ones are reported at once.
-    resolved_givers = _resolve_policies("giver", givers, dataset, config, execution.trust)
-    resolved_receivers = _resolve_policies("receiver", receivers, dataset, config, execution.trust)
+    resolved_givers = resolve_policies("giver", givers, dataset, config, execution.trust)
+    resolved_receivers = resolve_policies("receiver", receivers, dataset, config, execution.trust)
     # All folders are checked before the first scene, too.
     evaluations: dict[PolicyPair, Evaluation] = {}
     for giver in resolved_givers:
@@ -254,6 +254,26 @@ def crossplay(
     if execution.folder is not None:
         result.write(execution.folder)
     return result
+
+
+def resolve_policies(
+    agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
+) -> list[PolicyReference]:
+    """Resolve the policies of one agent, without duplicates, in the given order.
+
+    Raises:
+        OptionError: No policy is given, or two different ones have the same label.
+    """
+    requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
+    if not isinstance(requested, Sequence) or not requested:
+        raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
+    references: dict[str, PolicyReference] = {}
+    for policy in requested:
+        reference = parse_policy(agent, policy, trust).resolve(dataset, config.world_config, config.setup)
+        other = references.setdefault(reference.label, reference)
+        if other.code_hash != reference.code_hash:
+            raise OptionError(f"{agent}s must have different labels, got two with {reference.label!r}; rename one")
+    return list(references.values())
 
 
 def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
@@ -289,22 +309,6 @@ def format_pair_folder(pair: PolicyPair) -> str:
         return name
     start = name.encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
     return f"{start}-{hashlib.sha256(repr(pair).encode()).hexdigest()[:12]}"
-
-
-def _resolve_policies(
-    agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
-) -> list[PolicyReference]:
-    """Resolve the policies of one agent, without duplicates, in the given order."""
-    requested: Any = [policies] if isinstance(policies, (str, type, Policy, PolicyReference)) else policies
-    if not isinstance(requested, Sequence) or not requested:
-        raise OptionError(f"{agent}s must name at least one {agent}, got {policies!r}")
-    references: dict[str, PolicyReference] = {}
-    for policy in requested:
-        reference = parse_policy(agent, policy, trust).resolve(dataset, config.world_config, config.setup)
-        other = references.setdefault(reference.label, reference)
-        if other.code_hash != reference.code_hash:
-            raise OptionError(f"{agent}s must have different labels, got two with {reference.label!r}; rename one")
-    return list(references.values())
 
 
 def _format_csv_row(pair: PolicyPair, report: Report) -> list[object]:

@@ -7,9 +7,10 @@ the keys of `Partner`. `{folder}` in a policy stands for the folder of the file,
 import hashlib
 import json
 import os
+import re
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.bundle import PolicyBundle
+from handover_marl.policies.reference import parse_policy, read_policy_file
 from handover_marl.policies.registry import check_stored_reference, list_available
 
 #: Folder of the shipped populations.
@@ -63,7 +66,7 @@ class Population:
         description: Sentence on its purpose.
         givers: Givers, partners of receivers.
         receivers: Receivers, partners of givers.
-        content_hash: Hash (12 hex digits) of the file's content and of the policy files in its folder that it names.
+        content_hash: Hash (12 hex digits) of the file's content and of the files that its policies name.
         path: Path of the file.
     """
 
@@ -130,11 +133,14 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
         raise DataFormatError(f"{path}: keys must be {', '.join(_KEYS)}, got {shorten_text(found)}")
     name, version, description = (_check_text(path, key, content[key]) for key in _KEYS[:3])
     givers, receivers = (_parse_partners(path, key, content[key]) for key in _KEYS[3:])
+    found = Population(name, version, description, givers, receivers, "", path)
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
     for agent, partners in (("giver", givers), ("receiver", receivers)):
         for partner in partners:
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
-    content_hash = _compute_hash(path, content, (*givers, *receivers))
-    return Population(name, version, description, givers, receivers, content_hash, path)
+            for file in _read_policy_files(found, agent, partner):
+                digest.update(hashlib.sha256(file).digest())
+    return replace(found, content_hash=digest.hexdigest()[:12])
 
 
 def format_population(
@@ -220,17 +226,12 @@ def _check_text(path: Path, name: str, value: object) -> str:
     return value
 
 
-def _compute_hash(path: Path, content: Any, partners: Sequence[Partner]) -> str:
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    for partner in partners:
-        _, marker, name = partner.policy.partition(f":{_FOLDER}/")
-        if marker:
-            digest.update(_read_policy_file(path, path.parent / name))
-    return digest.hexdigest()[:12]
-
-
-def _read_policy_file(path: Path, file: Path) -> bytes:
-    try:
-        return read_plain_file(file)
-    except (OSError, ValueError) as error:
-        raise DataNotFoundError(f"{path} names {file}, which cannot be read ({shorten_text(error)})") from error
+def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:
+    """Yield the contents of the files that a partner's policy names."""
+    policy = population.get_policy(partner)
+    name, options, _ = policy.partition(":")
+    if options and name in list_available(agent):
+        yield from (content for *_, content in PolicyBundle.pack(parse_policy(agent, policy)).files)
+    else:  # The class may be one that is not installed here; which options name files is not known.
+        for file in re.findall(rf"{_FOLDER}/([^:,=]+)", partner.policy):
+            yield read_policy_file(population.path.parent / file)

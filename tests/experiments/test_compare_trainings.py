@@ -49,7 +49,7 @@ def test_scores_are_those_of_single_episodes(tmp_path: Path, capsys: pytest.Capt
         drops = [bool(episode.status & EpisodeStatus.OBJECT_DROP) for episode in report.episodes]
         np.testing.assert_array_equal(outcomes["drop"][number, 0], drops)
     main(args)
-    assert "BR-Prox, first minus second" in capsys.readouterr().out
+    assert "AS, first minus second" in capsys.readouterr().out
     assert (tmp_path / "scores.json").is_file()
 
 

@@ -12,7 +12,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
 from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
-from tests.evaluation.strangers.populations import GIVERS, make_content, write_population
+from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, make_content, write_population
 
 
 def test_own_file(tmp_path: Path) -> None:
@@ -29,14 +29,35 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert load_population(write_population(tmp_path, version="1.1")).content_hash != first
     learned = GIVERS[0] | {"policy": "learned:{folder}/giver.npz"}
     path = write_population(tmp_path, givers=[learned])
-    with pytest.raises(DataNotFoundError, match=r"giver\.npz, which cannot be read"):
+    with pytest.raises(DataNotFoundError, match=r"giver\.npz cannot be read"):
         load_population(path)
+    (tmp_path / "giver.npz").write_bytes(b"1")
+    found = load_population(path)
+    assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
+
+
+@pytest.mark.parametrize(
+    "policy",
+    [
+        "learned:{folder}/weights.pth",
+        "learned:{folder}/weights.pth:wait=1",
+        "vision:weights={folder}/weights.pth",
+        "gaddpg:weights={folder}/weights.pth,wait=1",
+        "gaddpg:weights={outside}/weights.pth",
+        "gaddpg:weights={outside}",
+        "not_installed.robots:MyReceiver:weights={folder}/weights.pth",
+    ],
+)
+def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: str) -> None:
+    outside, inside = tmp_path / "outside", tmp_path / "inside"
+    outside.mkdir()
+    inside.mkdir()
+    path = write_population(inside, receivers=[RECEIVERS[0] | {"policy": policy.replace("{outside}", str(outside))}])
     hashes = set()
     for content in (b"1", b"2"):
-        (tmp_path / "giver.npz").write_bytes(content)
-        found = load_population(path)
-        assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
-        hashes.add(found.content_hash)
+        for folder in (outside, inside):
+            (folder / "weights.pth").write_bytes(content)
+        hashes.add(load_population(path).content_hash)
     assert len(hashes) == 2
 
 
@@ -83,7 +104,8 @@ def test_shipped_populations() -> None:
     assert DEFAULT_POPULATION in list_populations()
     dataset = SyntheticDataset()
     found = load_population(DEFAULT_POPULATION)
-    assert found.name == DEFAULT_POPULATION
+    # One version names one content: whoever changes the file or a policy file beside it raises the version.
+    assert found.label == "strangers-v1 1.1 (55138fb9c728)"
     assert len(found.givers) >= 24
     assert len({giver.family for giver in found.givers}) >= 6
     for agent in ("giver", "receiver"):

@@ -1,25 +1,26 @@
 """Folder of an evaluation with strangers: `strangers.json` lists its pairs, which have official result folders."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from handover_marl.datasets import open_dataset
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.crossplay import format_pair_folder
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
+from handover_marl.evaluation.strangers.references import Condition
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Partner, Population
+from handover_marl.policies.reference import parse_policy
 
 ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 _MAX_BYTES = 10_000_000
-# Fields of `ResultMetadata` that all pairs of an entry must have in common.
-_COMMON = ("setup", "split", "physics", "dataset", "version", "seed", "robot", "world")
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,55 @@ def read_report(folder: Path) -> StrangersReport:
     }
     for (policy, partner_name), report in reports.items():
         _check_pair(folder, entry, policy, partner_name, report, next(iter(reports.values())))
-        _check_code(folder, entry, policy, report, reports[policy, entry.partners[0].name])
+    codes = check_code(folder, reports.values())
+    if len({codes[entry.agent, policy] for policy in entry.policies}) < len(entry.policies):
+        raise ResultsError(f"{folder} must have different policies, got two with the same code and weights")
     return StrangersReport(entry.population, entry.partner_split, entry.agent, entry.policies, entry.partners, reports)
+
+
+def list_labels(
+    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
+) -> dict[str, Partner]:
+    """Return partners by the label that they have in result folders.
+
+    Partners that cannot be made here, for example for lack of an optional package, are left out.
+
+    Args:
+        population: Population.
+        agent: Agent of the partners, "giver" or "receiver".
+        partners: Partners of this agent.
+        trust: Whether code in policy files may run.
+    """
+    # Labels do not depend on the data set.
+    dataset = open_dataset("synthetic")
+    labels: dict[str, Partner] = {}
+    for partner in partners:
+        try:
+            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
+        except OptionError:
+            continue
+        labels[reference.label] = partner
+    return labels
+
+
+def check_code(where: object, reports: Iterable[Report]) -> dict[tuple[str, str], str]:
+    """Return the hashes of code and weights by agent and label, checked so that each label has one.
+
+    Raises:
+        ResultsError: Two reports have different policies of the same label.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for metadata in (report.metadata for report in reports):
+        for agent, label, code in (
+            ("giver", metadata.giver, metadata.giver_hash),
+            ("receiver", metadata.receiver, metadata.receiver_hash),
+        ):
+            if found.setdefault((agent, label), code) != code:
+                raise ResultsError(
+                    f"{where} must have results of one version of {label!r}, got {found[agent, label]} and {code}; "
+                    "evaluate again"
+                )
+    return found
 
 
 def _get_folder(report: Report) -> str:
@@ -139,6 +187,8 @@ def _parse_entry(content: Any) -> StrangersEntry:
     plain = [*texts.values(), *policies, *names, *(value for each in partners for value in asdict(each).values())]
     if not policies or not partners or not all(isinstance(text, str) and text.isprintable() for text in plain):
         raise ValueError("policies and partners must be text, and not be empty")
+    if any(set(part) != {partner.name for partner in partners} for part in folders.values()):
+        raise ValueError("folders must have every partner of every policy")
     if any(Path(name).name != name for name in names):
         raise ValueError("folders must be names of folders beside strangers.json")
     if texts["agent"] not in ("receiver", "giver"):
@@ -156,21 +206,12 @@ def _check_pair(
         raise ResultsError(f"{folder / name} must have results of {policy!r}, got {label!r}")
     if metadata.world != OFFICIAL_WORLD:
         raise ResultsError(f"{folder / name} must have the official world and rules, got world {metadata.world!r}")
-    for key in _COMMON:
-        if getattr(metadata, key) != getattr(first.metadata, key):
-            raise ResultsError(
-                f"{folder / name} must have {key} {getattr(first.metadata, key)!r} as the other pairs, got "
-                f"{getattr(metadata, key)!r}"
-            )
-    scenes, expected = ([episode.scene_id for episode in each.episodes] for each in (report, first))
-    if scenes != expected:
-        raise ResultsError(f"{folder / name} must have the scenes of the other pairs; run the same command to resume")
-
-
-def _check_code(folder: Path, entry: StrangersEntry, policy: str, report: Report, first: Report) -> None:
-    """Check that a policy had the same code and weights with every partner."""
-    hashes = [getattr(each.metadata, f"{entry.agent}_hash") for each in (report, first)]
-    if hashes[0] != hashes[1]:
+    conditions = [Condition.from_report(entry.agent, each) for each in (report, first)]
+    differences = conditions[0].list_differences(conditions[1])
+    if metadata.robot != first.metadata.robot:
+        differences.append("robot")
+    if differences:
         raise ResultsError(
-            f"{folder} must have results of one version of {policy!r}, got {hashes[0]} and {hashes[1]}; evaluate again"
+            f"{folder / name} must have the {' and '.join(differences)} of the other pairs; run the same command to "
+            "resume"
         )

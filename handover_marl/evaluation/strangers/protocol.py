@@ -10,7 +10,7 @@ from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.crossplay import CrossPlay, crossplay
+from handover_marl.evaluation.crossplay import CrossPlay, crossplay, resolve_policies
 from handover_marl.evaluation.strangers.entry import StrangersEntry, check_folder, write_entry
 from handover_marl.evaluation.strangers.references import load_population_references
 from handover_marl.evaluation.strangers.report import StrangersReport
@@ -18,8 +18,8 @@ from handover_marl.execution.options import check_path, forward_signature
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import PolicyLike
 
-#: Number of scenes for each partner: 216 episodes with the 18 test givers of `strangers-v1`.
-DEFAULT_N_SCENES = 12
+#: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
+DEFAULT_N_SCENES = 36
 FAST = "fast"
 
 
@@ -55,8 +55,9 @@ def strangers(
             `physics` is "fast".
 
     Raises:
-        OptionError: Not exactly one of receiver and giver is given, the world or the rules are not the official ones,
-            the population has no partners in the split, or the output folder holds another evaluation.
+        OptionError: Not exactly one of receiver and giver is given, two trainings are the same, the world or the rules
+            are not the official ones, the population has no partners in the split, or the output folder holds another
+            evaluation.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
     if not isinstance(setup, EvaluationConfig) and "physics" not in options:
@@ -78,9 +79,14 @@ def strangers(
     table = load_population_references(found, None if references is None else check_path("references", references))
     if execution.folder is not None and not execution.fresh:
         check_folder(execution.folder, found.content_hash, partners)
-    result = _play(agent, policies, found, chosen, config, execution)
+    others = [found.get_policy(partner) for partner in chosen]
+    trainings = resolve_policies(agent, policies, config.open_dataset(), config, execution.trust)
+    if len({policy.code_hash for policy in trainings}) < len(trainings):
+        raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
+    givers, receivers = (others, trainings) if agent == "receiver" else (trainings, others)
+    result = crossplay(givers, receivers, config, execution=execution)
     report = _make_report(result, agent, found, chosen, partners)
-    report = replace(report, references=table.collect_scores(report.condition, [each.name for each in chosen]))
+    report = replace(report, references=table.find_all(report.condition, [each.name for each in chosen]))
     if execution.folder is not None:
         write_entry(execution.folder, StrangersEntry.from_report(report, found), report)
     return report
@@ -92,20 +98,6 @@ def _choose_scenes(config: EvaluationConfig, n_scenes: int) -> EvaluationConfig:
     dataset = config.open_dataset()
     split = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
     return replace(config, scenes=select_scenes_evenly(split, n_scenes))
-
-
-def _play(
-    agent: str,
-    policies: Sequence[PolicyLike] | PolicyLike,
-    population: Population,
-    partners: tuple[Partner, ...],
-    config: EvaluationConfig,
-    execution: ExecutionConfig,
-) -> CrossPlay:
-    others = [population.get_policy(partner) for partner in partners]
-    if agent == "receiver":
-        return crossplay(others, policies, config, execution=execution)
-    return crossplay(policies, others, config, execution=execution)
 
 
 def _make_report(

@@ -9,14 +9,12 @@ from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD
-from handover_marl.evaluation.strangers.entry import ENTRY_FILE, read_entry
-from handover_marl.evaluation.strangers.labels import list_labels
+from handover_marl.evaluation.strangers.entry import ENTRY_FILE, list_labels, read_entry
 from handover_marl.evaluation.strangers.references import (
     Condition,
     Reference,
     ReferenceTable,
     load_references,
-    make_condition,
     write_references,
 )
 from handover_marl.execution.options import check_path
@@ -118,7 +116,7 @@ def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Co
     version = f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip()
     scores = tuple(episode.speed_score for episode in report.episodes)
     policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {_OTHER[agent]: partner_policy}
-    return make_condition(agent, report), Reference(policy, version, _format_command(policies, report), scores)
+    return Condition.from_report(agent, report), Reference(policy, version, _format_command(policies, report), scores)
 
 
 def _format_command(policies: Mapping[str, str], report: Report) -> str:

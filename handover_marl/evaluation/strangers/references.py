@@ -1,4 +1,4 @@
-"""Reference scores: for every partner the best policy that has been evaluated with it, on the same scenes.
+"""Reference scores: for every partner its best response, the best policy that has been evaluated with it.
 
 A file of references has one section for each condition (`Condition`), and for each partner the label, version and
 command of the best policy, and its scores by scene.
@@ -6,12 +6,11 @@ command of the best policy, and its scores by scene.
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
 from handover_marl.evaluation.reports.report import Report
@@ -19,9 +18,9 @@ from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Population
 
-Array = npt.NDArray[np.float64]
 _MAX_BYTES = 20_000_000
 _DIGITS = 6
+_TEXTS = ("agent", "dataset", "setup", "split", "physics", "seed", "version")
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,10 @@ class Condition:
         setup: Setup of the scenes.
         split: Split of the scenes.
         physics: Physics of the simulation.
+        seed: Seed of the policies.
+        version: Version of the library.
         scenes: Scene numbers in ascending order.
+        data: For every scene the hash of its data files, the number of objects and the models.
     """
 
     agent: str
@@ -42,13 +44,27 @@ class Condition:
     setup: str
     split: str
     physics: str
+    seed: str
+    version: str
     scenes: tuple[int, ...]
+    data: tuple[str, ...]
+
+    @classmethod
+    def from_report(cls, agent: str, report: Report) -> "Condition":
+        """Return the condition of a report in which policies of one agent are evaluated."""
+        metadata, episodes = report.metadata, report.episodes
+        scenes = tuple(episode.scene_id if episode.scene_id is not None else -1 for episode in episodes)
+        data = tuple(f"{each.fingerprint}, objects: {each.n_objects}, {each.models}" for each in episodes)
+        return cls(agent, scenes=scenes, data=data, **{name: getattr(metadata, name) for name in _TEXTS[1:]})
+
+    def list_differences(self, other: "Condition") -> list[str]:
+        """Return the names of the fields in which another condition differs."""
+        return [name for name, value in vars(self).items() if value != vars(other)[name]]
 
     def contains(self, other: "Condition") -> bool:
         """Return whether another condition is the same on a part of these scenes."""
-        names = ("agent", "dataset", "setup", "split", "physics")
-        same = all(getattr(self, name) == getattr(other, name) for name in names)
-        return same and set(other.scenes) <= set(self.scenes)
+        same = set(self.list_differences(other)) <= {"scenes", "data"}
+        return same and set(zip(other.scenes, other.data, strict=True)) <= set(zip(self.scenes, self.data, strict=True))
 
 
 @dataclass(frozen=True)
@@ -85,19 +101,19 @@ class ReferenceTable:
     population_hash: str
     sections: Mapping[Condition, Mapping[str, Reference]]
 
-    def find(self, condition: Condition, partner: str) -> tuple[Reference, Array] | None:
-        """Return the best reference for a partner, and its scores in the scenes of a condition; None without one."""
+    def find(self, condition: Condition, partner: str) -> Reference | None:
+        """Return the best reference for a partner, with its scores in the scenes of a condition; None without one."""
         found = [
-            (section[partner], _select_scores(known, section[partner], condition))
+            _select_scores(known, section[partner], condition)
             for known, section in self.sections.items()
             if partner in section and known.contains(condition)
         ]
-        return max(found, key=lambda pair: pair[1].mean(), default=None)
+        return max(found, key=lambda reference: reference.mean, default=None)
 
-    def collect_scores(self, condition: Condition, partners: Sequence[str]) -> Array | None:
-        """Return the scores (partners, scenes) of the best policies; None if a partner has no reference."""
+    def find_all(self, condition: Condition, partners: Sequence[str]) -> tuple[Reference, ...] | None:
+        """Return the best reference for each of the partners; None if a partner has none."""
         found = [self.find(condition, partner) for partner in partners]
-        return None if None in found else np.array([scores for _, scores in filter(None, found)])
+        return None if None in found else tuple(filter(None, found))
 
     def update(self, condition: Condition, partner: str, reference: Reference) -> "ReferenceTable":
         """Return a table in which a reference replaces the stored one if its mean is larger."""
@@ -114,13 +130,6 @@ class ReferenceTable:
             for condition, section in self.sections.items()
         ]
         return json.dumps({"population_hash": self.population_hash, "sections": sections}, indent=1) + "\n"
-
-
-def make_condition(agent: str, report: Report) -> Condition:
-    """Return the condition of a report in which policies of one agent are evaluated."""
-    metadata = report.metadata
-    scenes = tuple(episode.scene_id if episode.scene_id is not None else -1 for episode in report.episodes)
-    return Condition(agent, metadata.dataset, metadata.setup, metadata.split, metadata.physics, scenes)
 
 
 def load_references(path: Path, population_hash: str) -> ReferenceTable:
@@ -177,8 +186,11 @@ def write_references(path: Path, table: ReferenceTable) -> None:
 
 
 def _parse_section(section: Mapping[str, Any]) -> tuple[Condition, dict[str, Reference]]:
-    texts = {name: _parse_text(section[name]) for name in ("agent", "dataset", "setup", "split", "physics")}
-    condition = Condition(**texts, scenes=tuple(int(scene) for scene in section["scenes"]))
+    texts = {name: _parse_text(section[name]) for name in _TEXTS}
+    scenes, data = tuple(int(scene) for scene in section["scenes"]), tuple(map(_parse_text, section["data"]))
+    if len(data) != len(scenes):
+        raise ValueError("data must have one text for each scene")
+    condition = Condition(**texts, scenes=scenes, data=data)
     partners = {}
     for name, entry in section["partners"].items():
         scores = tuple(float(score) for score in entry["scores"])
@@ -200,6 +212,6 @@ def _format_reference(reference: Reference) -> dict[str, object]:
     return {**asdict(reference), "mean": round(reference.mean, _DIGITS), "scores": scores}
 
 
-def _select_scores(known: Condition, reference: Reference, condition: Condition) -> Array:
+def _select_scores(known: Condition, reference: Reference, condition: Condition) -> Reference:
     by_scene = dict(zip(known.scenes, reference.scores, strict=True))
-    return np.array([by_scene[scene] for scene in condition.scenes])
+    return replace(reference, scores=tuple(by_scene[scene] for scene in condition.scenes))

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,6 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, FLUENCY, N_EPISODES
 from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
     NO_VALUE,
     ReportTable,
@@ -21,18 +20,17 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.strangers.references import Condition, make_condition
+from handover_marl.evaluation.strangers.references import Condition, Reference
 from handover_marl.evaluation.strangers.scores import (
     Estimate,
     Statistic,
-    compute_clipped_proximity,
-    compute_interquartile_mean,
     compute_largest,
     compute_mean,
-    compute_unclipped_proximity,
+    compute_proximity,
     compute_worst,
     compute_worst_proximity,
     estimate,
+    estimate_rate,
 )
 from handover_marl.policies.populations import Partner
 
@@ -41,10 +39,18 @@ _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idl
 _METRIC_COLUMNS = tuple(column for column in FLUENCY if column.key in _PARTNER_METRICS)
 
 NOTE = (
-    "Success, contact and AS: means over partners, scenes and policies. BR-Prox: AS divided by the AS of the best "
-    "policy known for the partner on these scenes, interquartile mean over partners and policies; clipped values count "
-    "as at most 1. 95 % intervals: bootstrap over policies, partners and scenes; for the worst and the largest value "
-    "over policies and scenes; those of rates are at least as wide as Wilson's. By partner: Wilson and bootstrap."
+    "Success, contact and AS: means over partners, scenes and policies. 95 % intervals: jackknife over policies, "
+    "families and scenes, in a single family over its partners; for the worst and the largest value over policies and "
+    "scenes; those of rates are at least as wide as Wilson's. By partner: Wilson and bootstrap."
+)
+PROXIMITY_NOTE = (
+    "BR-Prox: AS divided by the AS of the best policy known for the partner on these scenes, interquartile mean over "
+    "partners and policies; without an interval for a method that is itself the best known with a partner."
+)
+NO_REFERENCES_NOTE = (
+    "No BR-Prox: a partner has no reference for this version, physics, seed, scenes and data (hash, models, number of "
+    "objects). Search best responses on these scenes (experiments/strangers/search_best_responses.py) and pass them to "
+    "handover-marl strangers-references."
 )
 
 
@@ -59,7 +65,7 @@ class StrangersReport(TabularResult):
         policies: Labels of the evaluated policies, several trainings of one method.
         partners: Partners.
         reports: Report of every (label of the policy, name of the partner).
-        references: Scores (partners, scenes) of the best policy known for each partner, or None if a partner has none.
+        references: Best policy known for each partner on these scenes, or None if a partner has none.
     """
 
     population: str
@@ -68,7 +74,7 @@ class StrangersReport(TabularResult):
     policies: tuple[str, ...]
     partners: tuple[Partner, ...]
     reports: dict[tuple[str, str], Report]
-    references: Array | None = None
+    references: tuple[Reference, ...] | None = None
 
     @property
     def families(self) -> tuple[str, ...]:
@@ -76,9 +82,24 @@ class StrangersReport(TabularResult):
         return tuple(dict.fromkeys(partner.family for partner in self.partners))
 
     @property
+    def partner_families(self) -> list[str]:
+        """Family of every partner."""
+        return [partner.family for partner in self.partners]
+
+    @property
+    def best_scores(self) -> Array | None:
+        """Scores (partners, scenes) of the references, or None if a partner has none."""
+        return None if self.references is None else np.array([reference.scores for reference in self.references])
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether an evaluated policy is itself the reference of a partner, which defines its proximity as 1."""
+        return any(reference.policy in self.policies for reference in self.references or ())
+
+    @property
     def condition(self) -> Condition:
         """Scenes and simulation."""
-        return make_condition(self.agent, next(iter(self.reports.values())))
+        return Condition.from_report(self.agent, next(iter(self.reports.values())))
 
     @functools.cached_property
     def scores(self) -> Array:
@@ -97,19 +118,22 @@ class StrangersReport(TabularResult):
 
     def estimate_all(self) -> dict[str, Estimate]:
         """Estimate the metrics of the summary, by key; rates and shares 0..1, BR-Prox without references left out."""
+        families = self.partner_families
         found = {
-            "success": _estimate_rate(compute_mean, self.successes),
-            "contact": _estimate_rate(compute_mean, self.contacts),
-            AVERAGE_SUCCESS.key: estimate(compute_mean, self.scores),
-            "worst_partner_success": _estimate_rate(compute_worst, self.successes, resample_partners=False),
-            "largest_partner_contact": _estimate_rate(compute_largest, self.contacts, resample_partners=False),
-            "AS_iqm": estimate(lambda returns, _: compute_interquartile_mean(returns, n_axes=2), self.scores),
+            "success": estimate_rate(compute_mean, self.successes, families),
+            "contact": estimate_rate(compute_mean, self.contacts, families),
+            AVERAGE_SUCCESS.key: estimate(compute_mean, self.scores, families),
+            "worst_partner_success": estimate_rate(compute_worst, self.successes, None),
+            "largest_partner_contact": estimate_rate(compute_largest, self.contacts, None),
         }
-        if self.references is not None:
-            found["br_prox_clipped"] = estimate(compute_clipped_proximity, self.scores, self.references)
-            found["br_prox"] = estimate(compute_unclipped_proximity, self.scores, self.references)
-            found["worst_br_prox"] = estimate(compute_worst_proximity, self.scores, self.references, False)
+        if self.best_scores is not None:
+            found["br_prox"] = self._estimate_proximity(compute_proximity, families, self.best_scores)
+            found["worst_br_prox"] = self._estimate_proximity(compute_worst_proximity, None, self.best_scores)
         return found
+
+    def _estimate_proximity(self, statistic: Statistic, families: Sequence[str] | None, references: Array) -> Estimate:
+        found = estimate(statistic, self.scores, families, references)
+        return replace(found, interval_95=None) if self.is_reference else found
 
     def find_worst_partner(self) -> Partner:
         """Return the partner with the smallest success rate; of several the one with the smallest AS."""
@@ -123,15 +147,14 @@ class StrangersReport(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and notes."""
         summary, families, partners = self.build_tables()
-        notes = NOTE if self.references is not None else f"{NOTE} No references for these scenes: no BR-Prox."
+        notes = f"{NOTE} {NO_REFERENCES_NOTE if self.references is None else PROXIMITY_NOTE}"
         return [self._format_heading(), summary, families, partners, notes]
 
     def to_json(self) -> dict[str, object]:
         """Return the summary and the results by partner as JSON types; rates 0..1."""
         return {
             "summary": {
-                key: {"value": each.value, "interval_95": [each.low, each.high]}
-                for key, each in self.estimate_all().items()
+                key: {"value": each.value, "interval_95": each.interval_95} for key, each in self.estimate_all().items()
             },
             "worst_partner": self.find_worst_partner().name,
             "n_policies": len(self.policies),
@@ -143,7 +166,7 @@ class StrangersReport(TabularResult):
                     "success": float(self.successes[:, number].mean()),
                     "contact": float(self.contacts[:, number].mean()),
                     AVERAGE_SUCCESS.key: float(self.scores[:, number].mean()),
-                    "reference_AS": None if self.references is None else float(self.references[number].mean()),
+                    "reference_AS": None if self.references is None else self.references[number].mean,
                 }
                 for number, partner in enumerate(self.partners)
             },
@@ -166,7 +189,8 @@ class StrangersReport(TabularResult):
         return (
             f"{self.agent.capitalize()} {', '.join(self.policies)} with {len(self.partners)} {kind} of "
             f"{self.population}, families of {self.partner_split}.\n{metadata.setup} {metadata.split}, {report.extent} "
-            f"for each, {metadata.physics} physics, data: {report.data_label}. handover_marl {metadata.version}."
+            f"for each, {metadata.physics} physics, seed {metadata.seed}, data: {report.data_label}. handover_marl "
+            f"{metadata.version}."
         )
 
     def _build_summary(self) -> ReportTable:
@@ -174,8 +198,6 @@ class StrangersReport(TabularResult):
             "success": "success %",
             "contact": "contact %",
             AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
-            "AS_iqm": "AS %, interquartile mean",
-            "br_prox_clipped": "BR-Prox %, clipped",
             "br_prox": "BR-Prox %",
             "worst_partner_success": f"success % with the worst partner ({self.find_worst_partner().name})",
             "worst_br_prox": "BR-Prox % with the worst partner",
@@ -189,16 +211,14 @@ class StrangersReport(TabularResult):
         rows = []
         for family in self.families:
             chosen = [number for number, partner in enumerate(self.partners) if partner.family == family]
+            names = [family] * len(chosen)
             cells = [
-                format_estimate(_estimate_rate(compute_mean, self.successes[:, chosen])),
-                format_estimate(_estimate_rate(compute_mean, self.contacts[:, chosen])),
-                format_estimate(estimate(compute_mean, self.scores[:, chosen])),
+                format_estimate(estimate_rate(compute_mean, self.successes[:, chosen], names)),
+                format_estimate(estimate_rate(compute_mean, self.contacts[:, chosen], names)),
+                format_estimate(estimate(compute_mean, self.scores[:, chosen], names)),
             ]
-            if self.references is not None:
-                best = self.references[chosen]
-                cells.append(format_estimate(estimate(compute_unclipped_proximity, self.scores[:, chosen], best)))
             rows.append([family, *cells, self.scores[:, chosen].size])
-        return ReportTable(["family", "success %", "contact %", "AS %", *self._proximity_title, N_EPISODES.title], rows)
+        return ReportTable(["family", "success %", "contact %", "AS %", N_EPISODES.title], rows)
 
     def _build_partner_table(self) -> ReportTable:
         rows = []
@@ -211,7 +231,8 @@ class StrangersReport(TabularResult):
                 format_percent_mean([each.speed_score for each in episodes]),
             ]
             if self.references is not None:
-                cells.append(self._format_proximity(number, self.references))
+                best = np.array([self.references[number].mean])
+                cells.append(f"{100 * compute_proximity(self.scores[:, [number]].mean(axis=-1), best):.0f}")
             forces = [
                 NO_VALUE if column.key not in means or (mean := means[column.key].mean) is None
                 else f"{column.scale * mean:.3g}"
@@ -219,26 +240,11 @@ class StrangersReport(TabularResult):
             ]  # fmt: skip
             rows.append([partner.name, partner.family, *cells, *forces, n])
         titles = [column.title for column in _METRIC_COLUMNS]
-        header = ["partner", "family", "success %", "contact %", "AS %", *self._proximity_title]
+        header = ["partner", "family", "success %", "contact %", "AS %"]
+        header += [] if self.references is None else ["BR-Prox %"]
         return ReportTable([*header, *titles, N_EPISODES.title], rows, n_keys=2)
-
-    @property
-    def _proximity_title(self) -> Sequence[str]:
-        return () if self.references is None else ("BR-Prox %",)
-
-    def _format_proximity(self, number: int, references: Array) -> str:
-        returns = self.scores[:, [number]].mean(axis=-1)
-        return f"{100 * float(compute_unclipped_proximity(returns, references[[number]].mean(axis=-1))):.0f}"
 
 
 def format_estimate(found: Estimate, scale: float = 100.0, spec: str = ".1f") -> str:
     """Format an estimate with its interval, by default in percent."""
-    return append_interval(f"{scale * found.value:{spec}}", (found.low, found.high), spec, scale)
-
-
-def _estimate_rate(statistic: Statistic, flags: Array, resample_partners: bool = True) -> Estimate:
-    """Estimate a rate; its interval is at least as wide as Wilson's for as many episodes as it is computed from."""
-    found = estimate(statistic, flags, resample_partners=resample_partners)
-    n = flags.size if resample_partners else flags.size // flags.shape[1]
-    low, high = compute_wilson_interval(round(found.value * n), n)
-    return Estimate(found.value, min(low, found.low), max(high, found.high))
+    return append_interval(f"{scale * found.value:{spec}}", found.interval_95, spec, scale)

@@ -1,23 +1,28 @@
-"""Scores of a policy with partners that it has not met, and their intervals by a bootstrap.
+"""Scores of a policy with partners that it has not met, and their 95 % intervals by a jackknife.
 
 Arrays of scores have the axes policies (several trainings of one method), partners and scenes. The return J of a
 policy with a partner is the mean score over scenes, here of average success. Best-response proximity is
 J(policy, partner) / J(best, partner) (BR-Prox; Wang et al., "ZSC-Eval", NeurIPS 2024), where the best is the best
 policy known for the partner.
+
+An interval is a statistic plus and minus a standard error times a quantile of Student's distribution. The squared
+standard error is the sum of the jackknife variances (Efron and Stein, Annals of Statistics 9(3), 1981) when policies,
+families of partners and scenes are left out one at a time; its degrees of freedom are Satterthwaite's. The interval of
+a rate is Wilson's with the same quantile, for the number of independent episodes that have this standard error (Korn
+and Graubard, Survey Methodology 24(2), 1998). Percentiles of a bootstrap are too narrow for six families.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 Array = npt.NDArray[np.float64]
-#: Function from returns (..., policies, partners) and reference returns (..., partners) to numbers (...).
-Statistic = Callable[[Array, Array], Array]
+#: Function from returns (policies, partners) and reference returns (partners) to a number.
+Statistic = Callable[[Array, Array], float]
 
-N_RESAMPLES = 2000
 _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at each end
 
 
@@ -27,170 +32,156 @@ class Estimate:
 
     Attributes:
         value: Value for all policies, partners and scenes.
-        low: Lower end of the interval.
-        high: Upper end of the interval.
+        interval_95: Lower and upper end of the interval; None if it has none.
     """
 
     value: float
-    low: float
-    high: float
+    interval_95: tuple[float, float] | None
 
 
-def compute_interquartile_mean(values: npt.ArrayLike, n_axes: int = 1) -> Array:
-    """Compute the mean of the middle half of the values over the last axes (Agarwal et al., NeurIPS 2021).
-
-    Args:
-        values: Values of any shape.
-        n_axes: Number of last axes over whose values the mean is computed.
-    """
-    array = np.asarray(values, dtype=np.float64)
-    flat = array.reshape(*array.shape[: array.ndim - n_axes], -1)
-    return np.asarray(scipy.stats.trim_mean(flat, _TRIMMED, axis=-1), dtype=np.float64)
+def compute_interquartile_mean(values: npt.ArrayLike) -> float:
+    """Compute the mean of the middle half of all values (Agarwal et al., NeurIPS 2021)."""
+    return float(scipy.stats.trim_mean(values, _TRIMMED, axis=None))
 
 
-def compute_proximities(returns: Array, references: Array, clipped: bool = True) -> Array:
-    """Compute best-response proximities (..., policies, partners).
+def compute_proximities(returns: Array, references: Array) -> Array:
+    """Compute best-response proximities (policies, partners).
 
     Args:
-        returns: Returns (..., policies, partners).
-        references: Returns (..., partners) of the best policy known for each partner.
-        clipped: Whether proximities above 1 count as 1. They occur if a policy is better than the reference.
+        returns: Returns (policies, partners).
+        references: Returns (partners,) of the best policy known for each partner.
 
     Returns:
-        Proximities; 1 for partners with whom no policy has a positive return.
+        Proximities, above 1 where a policy exceeds the reference; 1 for partners with whom no policy has a positive
+        return.
     """
-    best = np.broadcast_to(references[..., None, :], returns.shape)
-    ratios = np.divide(returns, best, out=np.ones_like(returns), where=best > 0.0)
-    return np.minimum(ratios, 1.0) if clipped else ratios
+    return np.divide(returns, references, out=np.ones_like(returns), where=references > 0.0)
 
 
-def compute_clipped_proximity(returns: Array, references: Array) -> Array:
-    """Compute the interquartile mean of the clipped proximities over policies and partners."""
-    return compute_interquartile_mean(compute_proximities(returns, references), n_axes=2)
+def compute_proximity(returns: Array, references: Array) -> float:
+    """Compute the interquartile mean of the proximities over policies and partners."""
+    return compute_interquartile_mean(compute_proximities(returns, references))
 
 
-def compute_unclipped_proximity(returns: Array, references: Array) -> Array:
-    """Compute the interquartile mean of the unclipped proximities over policies and partners."""
-    return compute_interquartile_mean(compute_proximities(returns, references, clipped=False), n_axes=2)
-
-
-def compute_mean(returns: Array, references: Array) -> Array:
+def compute_mean(returns: Array, references: Array) -> float:
     """Compute the mean of the returns over policies and partners."""
-    return np.asarray(returns.mean(axis=(-2, -1)), dtype=np.float64)
+    return float(returns.mean())
 
 
-def compute_worst(returns: Array, references: Array) -> Array:
+def compute_worst(returns: Array, references: Array) -> float:
     """Compute the mean over policies of the return with the worst partner."""
-    return np.asarray(returns.mean(axis=-2).min(axis=-1), dtype=np.float64)
+    return float(returns.mean(axis=0).min())
 
 
-def compute_largest(returns: Array, references: Array) -> Array:
+def compute_largest(returns: Array, references: Array) -> float:
     """Compute the mean over policies of the return with the partner for which it is largest."""
-    return np.asarray(returns.mean(axis=-2).max(axis=-1), dtype=np.float64)
+    return float(returns.mean(axis=0).max())
 
 
-def compute_worst_proximity(returns: Array, references: Array) -> Array:
-    """Compute the mean over policies of the unclipped proximity with the worst partner."""
-    return compute_worst(compute_proximities(returns, references, clipped=False), references)
+def compute_worst_proximity(returns: Array, references: Array) -> float:
+    """Compute the mean over policies of the proximity with the worst partner."""
+    return compute_worst(compute_proximities(returns, references), references)
 
 
 def estimate(
-    statistic: Statistic, scores: Array, references: Array | None = None, resample_partners: bool = True
+    statistic: Statistic, scores: Array, families: Sequence[str] | None, references: Array | None = None
 ) -> Estimate:
-    """Estimate a statistic with its bootstrap 95 % interval.
-
-    Policies, partners and scenes are drawn with replacement. All policies and partners have the same scenes, so
-    one draw of scenes applies to all of them (Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 1(2),
-    2007). The generator has a fixed seed: equal scores have equal intervals.
+    """Estimate a statistic with its 95 % interval, for other policies, families and scenes of the same kind.
 
     Args:
         statistic: Function of returns and reference returns.
-        scores: Scores (policies, partners, scenes).
-        references: Scores (partners, scenes) of the best policy for each partner; default: zeros.
-        resample_partners: Whether partners are drawn; otherwise they are fixed, as for the worst partner.
+        scores: Scores (policies, partners, scenes) from 0 to 1.
+        families: Family of every partner. Partners of a single family vary one by one; None if they are fixed, as for
+            the worst partner.
+        references: Scores (partners, scenes) of the best policy for each partner; default: none.
     """
-    best = _check_references(scores, references)
-    draws = _draw(scores.shape, resample_partners)
-    values = statistic(_resample(scores, draws), _resample(best[None], draws.fix_policies())[:, 0])
-    return _make_estimate(_compute(statistic, scores, best), values)
+
+    def compute(own: Array, best: Array) -> float:
+        return statistic(own.mean(axis=-1), best[0].mean(axis=-1))
+
+    value, error, quantile = _apply_jackknife(compute, [scores], families, references)
+    limit = 1.0 if references is None else np.inf
+    return Estimate(value, (max(0.0, value - quantile * error), min(limit, value + quantile * error)))
+
+
+def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
+    """Estimate a rate with its 95 % interval, at least as wide as Wilson's for as many episodes as it is computed from.
+
+    Args:
+        statistic: Function of returns and reference returns.
+        flags: Outcomes (policies, partners, scenes), 0 or 1.
+        families: Family of every partner; None for the rate with a single one of them. See `estimate`.
+    """
+    value, error, quantile = _apply_jackknife(lambda own, _: statistic(own.mean(axis=-1), own), [flags], families, None)
+    n = flags.size if families is not None else flags.size // flags.shape[1]
+    weight = quantile**2 / (min(n, value * (1.0 - value) / error**2) if error else n)
+    center = (value + weight / 2.0) / (1.0 + weight)
+    half = np.sqrt(weight * value * (1.0 - value) + weight**2 / 4.0) / (1.0 + weight)
+    return Estimate(value, (max(0.0, float(center - half)), min(1.0, float(center + half))))
 
 
 def estimate_difference(
-    statistic: Statistic, first: Array, second: Array, references: Array | None = None, resample_partners: bool = True
+    statistic: Statistic,
+    first: Array,
+    second: Array,
+    families: Sequence[str] | None,
+    references: Array | None = None,
 ) -> Estimate:
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
-
-    Both methods get the same draws of partners and scenes; their policies are drawn separately.
 
     Args:
         statistic: Function of returns and reference returns.
         first: Scores (policies, partners, scenes) of the first method.
         second: Scores of the second method with the same partners and scenes; its number of policies may differ.
-        references: Scores (partners, scenes) of the best policy for each partner; default: zeros.
-        resample_partners: Whether partners are drawn.
+        families: Family of every partner; see `estimate`.
+        references: Scores (partners, scenes) of the best policy for each partner; default: none.
 
     Raises:
         ValueError: Partners or scenes of the methods differ in number.
     """
     if first.shape[1:] != second.shape[1:]:
         raise ValueError(f"first and second must have the same partners and scenes, got {first.shape}, {second.shape}")
-    best = _check_references(first, references)
-    draws = _draw(first.shape, resample_partners)
-    others = replace(draws, policies=np.random.default_rng(1).integers(len(second), size=(N_RESAMPLES, len(second))))
-    means = _resample(best[None], draws.fix_policies())[:, 0]
-    values = statistic(_resample(first, draws), means) - statistic(_resample(second, others), means)
-    return _make_estimate(_compute(statistic, first, best) - _compute(statistic, second, best), values)
+
+    def compute(one: Array, other: Array, best: Array) -> float:
+        returns = best[0].mean(axis=-1)
+        return statistic(one.mean(axis=-1), returns) - statistic(other.mean(axis=-1), returns)
+
+    value, error, quantile = _apply_jackknife(compute, [first, second], families, references)
+    limit = 1.0 if references is None else np.inf
+    return Estimate(value, (max(-limit, value - quantile * error), min(limit, value + quantile * error)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Draws:
-    """Resamples of policies, partners and scenes.
-
-    Attributes:
-        policies: Indices (resamples, policies).
-        partners: Indices (resamples, partners).
-        scene_weights: Share (resamples, scenes) of every scene.
-    """
-
-    policies: npt.NDArray[np.int_]
-    partners: npt.NDArray[np.int_]
-    scene_weights: npt.NDArray[np.float64]
-
-    def fix_policies(self) -> "_Draws":
-        """Return the same draws of partners and scenes for a single policy."""
-        return replace(self, policies=np.zeros((N_RESAMPLES, 1), dtype=int))
-
-
-def _check_references(scores: Array, references: Array | None) -> Array:
-    if scores.ndim != 3 or 0 in scores.shape:
-        raise ValueError(f"scores must have the axes policies, partners and scenes, none empty, got {scores.shape}")
-    best = np.zeros(scores.shape[1:]) if references is None else references
-    if best.shape != scores.shape[1:]:
-        raise ValueError(f"references must have shape {scores.shape[1:]}, got {best.shape}")
-    return best
-
-
-def _draw(shape: tuple[int, ...], resample_partners: bool) -> _Draws:
-    rng = np.random.default_rng(0)
-    policies, partners, scenes = (rng.integers(size, size=(N_RESAMPLES, size)) for size in shape)
-    if not resample_partners:
-        partners = np.tile(np.arange(shape[1]), (N_RESAMPLES, 1))
-    weights = np.array([np.bincount(row, minlength=shape[2]) for row in scenes]) / shape[2]
-    return _Draws(policies, partners, weights)
+def _apply_jackknife(
+    compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None, references: Array | None
+) -> tuple[float, float, float]:
+    """Return a function's value of the scores of methods and references, its standard error, and the quantile."""
+    shape = methods[0].shape
+    if len(shape) != 3 or 0 in shape:
+        raise ValueError(f"scores must have the axes policies, partners and scenes, none empty, got {shape}")
+    best = np.zeros(shape[1:]) if references is None else references
+    if best.shape != shape[1:]:
+        raise ValueError(f"references must have shape {shape[1:]}, got {best.shape}")
+    arrays = [*methods, best[None]]
+    everywhere = range(len(arrays))
+    # Which arrays vary together, along which axis, and the index sets that are left out one at a time.
+    variations: list[tuple[Sequence[int], int, list[list[int]]]] = [(everywhere, 2, _group(range(shape[2])))]
+    variations += [([number], 0, _group(range(len(method)))) for number, method in enumerate(methods)]
+    if families is not None:
+        variations.append((everywhere, 1, _group(families if len(set(families)) > 1 else range(shape[1]))))
+    variances, freedoms = [], []
+    for chosen, axis, groups in variations:
+        if len(groups) > 1:
+            values = [
+                compute(*(np.delete(each, group, axis) if n in chosen else each for n, each in enumerate(arrays)))
+                for group in groups
+            ]
+            freedoms.append(len(groups) - 1)
+            variances.append(freedoms[-1] * np.var(values))
+    variance = np.array(variances)
+    freedom = variance.sum() ** 2 / (variance**2 / freedoms).sum() if variance.any() else np.inf
+    return compute(*arrays), float(np.sqrt(variance.sum())), float(scipy.stats.t.ppf(0.975, freedom))
 
 
-def _resample(scores: Array, draws: _Draws) -> Array:
-    """Return the returns (resamples, policies, partners) of all resamples."""
-    means = np.einsum("pks,rs->rpk", scores, draws.scene_weights)
-    rows = np.arange(len(means))[:, None, None]
-    chosen: Array = means[rows, draws.policies[:, :, None], draws.partners[:, None, :]]
-    return chosen
-
-
-def _compute(statistic: Statistic, scores: Array, references: Array) -> float:
-    return float(statistic(scores.mean(axis=-1), references.mean(axis=-1)))
-
-
-def _make_estimate(value: float, values: Array) -> Estimate:
-    low, high = np.percentile(values, [2.5, 97.5])
-    return Estimate(value, float(low), float(high))
+def _group(labels: Sequence[object]) -> list[list[int]]:
+    """Return the indices of every label."""
+    return [[n for n, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]

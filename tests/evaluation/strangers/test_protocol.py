@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,13 @@ import handover_marl
 from handover_marl.cli import main
 from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.evaluation.strangers import leaderboard
+from handover_marl.evaluation.strangers.entry import read_report
 from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
 from handover_marl.evaluation.strangers.reference_update import update_references
 from handover_marl.evaluation.strangers.report import StrangersReport
+from handover_marl.policies.populations import POPULATION_FOLDER
 from tests.evaluation.strangers.populations import write_population
 
 SCENES = (9, 14)
@@ -39,13 +44,17 @@ def run(data: Path, population: Path, **options: Any) -> StrangersReport:
 
 def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tmp_path: Path) -> None:
     content = json.loads((evaluated / "strangers.json").read_text())
-    assert content["summary"]["success"]["value"] == 0.0
+    # Two scenes for each of two partners; the rate with the worst partner is one of two episodes.
+    for key, n in (("success", 4), ("worst_partner_success", 2), ("largest_partner_contact", 2)):
+        expected = {"value": 0.0, "interval_95": pytest.approx(compute_wilson_interval(0, n), abs=1e-12)}
+        assert content["summary"][key] == expected
     assert content["results"]["slow"]["AS"] == 0.0
     assert str(population.parent) not in (evaluated / "strangers.json").read_text()
     text = (evaluated / "strangers.md").read_text()
     assert "Receiver hold with 2 givers of small 1.0" in text
     assert "fast physics" in text
-    assert "No references" in text
+    assert "No BR-Prox" in text
+    assert "seed 0" in text
     # The same call computes the same tables from the stored results, without a simulation.
     out = tmp_path / "out"
     shutil.copytree(evaluated, out)
@@ -74,8 +83,16 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     (out / "strangers.json").unlink()
     both = update_references([out], population, tmp_path / "both.json")
     assert [row[0] for row in both.build_tables()[0].rows] == ["fast", "slow", "still"]
-    # The reference scores of both partners are zero, so that every score counts as having reached them.
-    assert found.estimate_all()["br_prox"].value == 1.0
+    # The reference scores of both partners are zero, so that every score counts as having reached them. The policy is
+    # compared with itself, so that there is no interval.
+    estimates = found.estimate_all()
+    assert (estimates["br_prox"].value, estimates["br_prox"].interval_95) == (1.0, None)
+    assert estimates["worst_br_prox"].interval_95 is None
+    assert ["BR-Prox %", "100.0"] in [list(row) for row in found.build_tables()[0].rows]
+    assert json.loads(json.dumps(found.to_json()))["summary"]["br_prox"]["interval_95"] is None
+    assert found.references is not None
+    others = replace(found, references=tuple(replace(each, policy="best") for each in found.references))
+    assert others.estimate_all()["br_prox"].interval_95 is not None
 
 
 def test_evenly_spaced_scenes_and_receivers_as_partners(fake_data: Path, population: Path) -> None:
@@ -90,35 +107,105 @@ def test_other_worlds_are_refused(fake_data: Path, population: Path) -> None:
         run(fake_data, population, world_config=WorldConfig(initial_joint_noise=0.1))
 
 
+def change(report: StrangersReport, **changes: Any) -> StrangersReport:
+    """Return a report with other metadata or other episodes of all pairs."""
+    fields = {key: changes.pop(key) for key in list(changes) if key in ("fingerprint", "models", "n_objects")}
+    pairs = {
+        key: replace(
+            pair,
+            metadata=replace(pair.metadata, **changes),
+            episodes=tuple(replace(episode, **fields) for episode in pair.episodes),
+        )
+        for key, pair in report.reports.items()
+    }
+    return replace(report, reports=pairs)
+
+
+def make_changed_leaderboard(
+    monkeypatch: pytest.MonkeyPatch, evaluated: Path, population: Path, **changes: Any
+) -> leaderboard.Leaderboard:
+    """Make a leaderboard of an evaluation and the same one with changes."""
+    reports = iter([read_report(evaluated), change(read_report(evaluated), **changes)])
+    monkeypatch.setattr(leaderboard, "read_report", lambda path: next(reports))
+    return make_leaderboard([evaluated, evaluated], population, names=["one", "other"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": "1"}, "seed"),
+        ({"version": "0.1.0"}, "version"),
+        ({"giver_hash": "other"}, "code of 'hurried"),
+        ({"fingerprint": "other"}, "data"),
+        ({"models": "MANO hand"}, "data"),
+        ({"n_objects": 6}, "data"),
+        ({"split": "test", "seed": "1"}, "seed"),
+    ],
+)
+def test_evaluations_of_other_conditions_are_refused(
+    monkeypatch: pytest.MonkeyPatch, evaluated: Path, population: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ResultsError, match=f"must have the {message}.* of the other folders"):
+        make_changed_leaderboard(monkeypatch, evaluated, population, **changes)
+
+
+def test_both_splits_of_a_method_are_side_by_side(
+    monkeypatch: pytest.MonkeyPatch, evaluated: Path, population: Path
+) -> None:
+    reports = iter([change(read_report(evaluated), split=split) for split in ("val", "val", "test", "test")])
+    monkeypatch.setattr(leaderboard, "read_report", lambda path: next(reports))
+    table = make_leaderboard([evaluated] * 4, population, names=["one", "other", "other", "one"])
+    scores, differences, families = table.build_tables()
+    assert [row[:2] for row in scores.rows] == [["one", "val"], ["one", "test"], ["other", "val"], ["other", "test"]]
+    assert [row[:3] for row in differences.rows] == [["one", "other", "val"], ["one", "other", "test"]]
+    assert families.header[1:3] == ["one, val: success %", "one, test: success %"]
+    assert "2 scenes of val and 2 scenes of test each, fast physics, seed 0" in str(table)
+
+
+def test_the_same_policy_is_no_second_training(
+    fake_data: Path, evaluated: Path, population: Path, tmp_path: Path
+) -> None:
+    copies = [shutil.copy(POPULATION_FOLDER / "receiver_replay.npz", tmp_path / f"{name}.npz") for name in "ab"]
+    with pytest.raises(OptionError, match="receiver must name different policies, got two"):
+        run(fake_data, population, receiver=[f"learned:{copy}" for copy in copies])
+    out = tmp_path / "out"
+    shutil.copytree(evaluated, out)
+    content = json.loads((out / "strangers.json").read_text())
+    (out / "strangers.json").write_text(json.dumps(content | {"policies": ["hold", "hold"]}))
+    with pytest.raises(ResultsError, match="must have different policies"):
+        read_report(out)
+
+
 def test_leaderboard(
     fake_data: Path, population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "other"
     shutil.copytree(evaluated, other)
-    table = make_leaderboard([evaluated, other], population)
-    assert [report.policies for report in table.reports] == [("hold",), ("hold",)]
-    assert not table.has_stored_references
+    with pytest.raises(OptionError, match="must have one evaluation of 'hold' with the split val, got"):
+        make_leaderboard([evaluated, other], population)
+    named = ["strangers-table", f"one={evaluated}", f"another={other}", "--population", str(population)]
     picture = tmp_path / "heat_map.png"
-    command = ["strangers-table", str(evaluated), str(other), "--population", str(population)]
-    assert main([*command, "--heat-map", str(picture)]) == 0
-    assert "the best of these methods" in capsys.readouterr().out
+    assert main([*named, "--heat-map", str(picture)]) == 0
+    printed = capsys.readouterr().out
+    assert "| one     | val   | 1         | panda | 0." in printed
+    assert "| one    | another | val   |" in printed
+    # Without stored references there is no score relative to the best of the methods.
+    assert "No BR-Prox: a partner has no reference" in printed
     assert picture.read_bytes().startswith(b"\x89PNG")
     references = tmp_path / "references.json"
     update_references([evaluated], population, references)
-    named = ["strangers-table", f"one={evaluated}", f"another={other}", "--population", str(population)]
     assert main([*named, "--references", str(references)]) == 0
     printed = capsys.readouterr().out
-    assert "| one     | 1         | panda | 0." in printed
-    assert "| one    | another |" in printed
-    assert "stored references" in printed
+    assert "AS of the best policy known" in printed
+    assert "No BR-Prox" not in printed
     assert main([*named, "--references", str(tmp_path / "absent.json")]) == 2
     assert "references must be a file that" in capsys.readouterr().err
     assert main([*named[:2], str(other), *named[3:]]) == 2
-    assert "must have different names, all or none" in capsys.readouterr().err
+    assert "must all have names, or none" in capsys.readouterr().err
     for pair in json.loads((other / "strangers.json").read_text())["folders"]["hold"].values():
         next((other / pair).glob("*.npz")).unlink()
-    with pytest.raises(ResultsError, match="must have the same condition"):
-        make_leaderboard([evaluated, other], population)
+    with pytest.raises(ResultsError, match="must have the data and scenes of the other folders"):
+        make_leaderboard([evaluated, other], population, names=["one", "other"])
     with pytest.raises(OptionError, match="must be of population"):
         make_leaderboard([evaluated], write_population(tmp_path, version="2.0"))
     with pytest.raises(OptionError, match="at least one folder"):
@@ -129,9 +216,10 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     out = tmp_path / "out"
     shutil.copytree(evaluated, out)
     content = json.loads((out / "strangers.json").read_text())
+    _, slow = content["folders"]["hold"].items()
     folder = out / content["folders"]["hold"]["fast"]
     next(folder.glob("*.npz")).unlink()
-    with pytest.raises(ResultsError, match="must have the scenes of the other pairs"):
+    with pytest.raises(ResultsError, match="must have the scenes and data of the other pairs"):
         make_leaderboard([out], population)
     shutil.rmtree(folder)
     with pytest.raises(ResultsError, match="does not exist"):
@@ -140,7 +228,11 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     shutil.copytree(out / content["folders"]["hold"]["slow"], folder)
     with pytest.raises(ResultsError, match="must have results of 'fast' of the population"):
         make_leaderboard([out], population)
-    shortened = content | {"partners": content["partners"][1:]}
+    for partners in (content["partners"][1:], [content["partners"][0] | {"name": "renamed"}, content["partners"][1]]):
+        (out / "strangers.json").write_text(json.dumps(content | {"partners": partners}))
+        with pytest.raises(ResultsError, match="folders must have every partner of every policy"):
+            make_leaderboard([out], population)
+    shortened = content | {"partners": content["partners"][1:], "folders": {"hold": dict([slow])}}
     (out / "strangers.json").write_text(json.dumps(shortened))
     with pytest.raises(ResultsError, match="must have the partners of 'test', got others"):
         make_leaderboard([out], population)
@@ -163,6 +255,9 @@ def test_arguments(fake_data: Path, population: Path) -> None:
         run(fake_data, population, receiver=None)
     with pytest.raises(OptionError, match="shard must be left out"):
         run(fake_data, population, shard="1/2")
+    for n_scenes in (float("nan"), 1.5, "3", True, 0):
+        with pytest.raises(OptionError, match="number of scenes must be a whole number of at least 1"):
+            run(fake_data, population, scenes=None, n_scenes=n_scenes)
 
 
 def test_command(

@@ -5,16 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.strangers.scores import (
-    compute_clipped_proximity,
     compute_interquartile_mean,
     compute_largest,
     compute_mean,
     compute_proximities,
-    compute_unclipped_proximity,
+    compute_proximity,
     compute_worst,
+    compute_worst_proximity,
     estimate,
     estimate_difference,
+    estimate_rate,
 )
 
 SHAPES = st.tuples(st.integers(1, 3), st.integers(1, 5), st.integers(1, 6))
@@ -28,14 +30,67 @@ def scores_and_references(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
     return scores, np.maximum(rng.random(shape[1:]), 0.05)
 
 
+@pytest.mark.parametrize("varying", ["families", "partners", "scenes"])
+@pytest.mark.parametrize("kind", ["mean", "rate"])
+def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:
+    """At least 91 % of 200 intervals contain the value that the simulated evaluations have on average.
+
+    With six families of three partners and 36 scenes; 91 % are 2.6 standard errors less than 95 %.
+    """
+    rng = np.random.default_rng(0)
+    families = [str(number // 3) for number in range(18)]
+    covered = []
+    for _ in range(200):
+        effect = {
+            "families": np.repeat(rng.normal(size=6), 3)[:, None],
+            "partners": rng.normal(size=(18, 1)),
+            "scenes": rng.normal(size=(1, 36)),
+        }[varying]
+        if kind == "rate":
+            chances = 1.0 / (1.0 + np.exp(-3.0 - effect))
+            found = estimate_rate(compute_mean, (rng.random((1, 18, 36)) < chances).astype(float), families)
+        else:
+            found = estimate(compute_mean, 0.5 + 0.1 * effect + 0.05 * rng.normal(size=(1, 18, 36)), families)
+        assert found.interval_95 is not None
+        # A standard normal effect changes the logit 3 to a mean rate of 0.931.
+        covered.append(found.interval_95[0] <= (0.931 if kind == "rate" else 0.5) <= found.interval_95[1])
+    assert np.mean(covered) >= 0.91
+
+
+def test_references_vary_with_the_scenes() -> None:
+    """A policy with half the score of the reference in every scene has a proximity without variation."""
+    references = np.linspace(0.1, 0.9, 12)[None] * np.array([[0.5], [1.0], [0.8]])
+    found = estimate(compute_proximity, 0.5 * references[None], ["a", "b", "b"], references)
+    assert found.interval_95 == pytest.approx((0.5, 0.5))
+    assert found.value == pytest.approx(0.5)
+
+
+def test_the_worst_partner_is_that_of_the_mean_over_policies_and_scenes() -> None:
+    scores = np.array([[[1.0, 0.0], [0.0, 0.2]], [[0.0, 1.0], [0.6, 0.8]]])
+    assert estimate(compute_worst, scores, None).value == pytest.approx(0.4)
+    assert estimate(compute_largest, scores, None).value == pytest.approx(0.5)
+    assert estimate(compute_worst_proximity, scores, None, np.full((2, 2), 0.8)).value == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("count", [0, 12])
+def test_rates_with_a_single_partner_have_wilson_intervals_of_its_episodes(count: int) -> None:
+    flags = np.full((1, 18, 12), count / 12)
+    found = estimate_rate(compute_worst, flags, None)
+    assert found.interval_95 == pytest.approx(compute_wilson_interval(count, 12), abs=1e-12)
+    found = estimate_rate(compute_mean, flags, ["a"] * 9 + ["b"] * 9)
+    assert found.interval_95 == pytest.approx(compute_wilson_interval(count * 18, 216), abs=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
 @given(scores_and_references())
-def test_clipped_proximities_are_shares(pair: tuple[np.ndarray, np.ndarray]) -> None:
-    returns, references = pair[0].mean(axis=-1), pair[1].mean(axis=-1)
-    clipped, unclipped = (compute_proximities(returns, references, clipped=flag) for flag in (True, False))
-    assert (clipped >= 0.0).all()
-    assert (clipped <= 1.0).all()
-    np.testing.assert_array_equal(clipped, np.minimum(unclipped, 1.0))
-    assert compute_clipped_proximity(returns, references) <= compute_unclipped_proximity(returns, references) + 1e-12
+def test_intervals_of_rates_are_at_least_as_wide_as_wilsons(pair: tuple[np.ndarray, np.ndarray]) -> None:
+    flags = np.round(pair[0])
+    found = estimate_rate(compute_mean, flags, [str(number // 2) for number in range(flags.shape[1])])
+    assert found.interval_95 is not None
+    assert 0.0 <= found.interval_95[0] <= found.value <= found.interval_95[1] <= 1.0
+    low, high = compute_wilson_interval(int(flags.sum()), flags.size)
+    assert found.interval_95[0] <= low + 1e-12
+    assert high - 1e-12 <= found.interval_95[1]
 
 
 @given(scores_and_references())
@@ -63,62 +118,76 @@ def test_interquartile_means_ignore_the_ends() -> None:
 @settings(max_examples=10, deadline=None)
 @given(scores_and_references())
 def test_intervals_contain_the_mean_and_repeat(pair: tuple[np.ndarray, np.ndarray]) -> None:
-    scores, references = pair
-    found = estimate(compute_mean, scores, references)
-    assert found == estimate(compute_mean, scores, references)
+    scores, _ = pair
+    families = [str(number // 2) for number in range(scores.shape[1])]
+    found = estimate(compute_mean, scores, families)
+    assert found == estimate(compute_mean, scores, families)
     assert found.value == pytest.approx(scores.mean())
-    assert found.low - 1e-9 <= found.value <= found.high + 1e-9
-    assert scores.min() - 1e-9 <= found.low
-    assert found.high <= scores.max() + 1e-9
+    assert found.interval_95 is not None
+    assert 0.0 <= found.interval_95[0] <= found.value <= found.interval_95[1] <= 1.0
 
 
 @settings(max_examples=10, deadline=None)
 @given(scores_and_references())
 def test_worst_and_largest_bound_the_mean(pair: tuple[np.ndarray, np.ndarray]) -> None:
     scores, _ = pair
-    values = [estimate(each, scores, None, False).value for each in (compute_worst, compute_mean, compute_largest)]
+    values = [estimate(each, scores, None).value for each in (compute_worst, compute_mean, compute_largest)]
     assert values == sorted(values)
+
+
+def measure_width(scores: np.ndarray, families: list[str] | None) -> float:
+    found = estimate(compute_mean, scores, families)
+    assert found.interval_95 is not None
+    return found.interval_95[1] - found.interval_95[0]
 
 
 def test_intervals_cover_the_variation_between_trainings() -> None:
     """Three trainings with very different scores have a wide interval, however many scenes there are."""
     scores = np.array([0.1, 0.5, 0.9])[:, None, None] * np.ones((3, 4, 500))
-    assert estimate(compute_mean, scores).high - estimate(compute_mean, scores).low > 0.4
-    same = np.full((3, 4, 500), 0.5)
-    assert (estimate(compute_mean, same).low, estimate(compute_mean, same).high) == pytest.approx((0.5, 0.5))
+    assert measure_width(scores, ["a", "a", "b", "b"]) > 0.4
+    assert measure_width(np.full((3, 4, 500), 0.5), ["a", "a", "b", "b"]) == pytest.approx(0.0)
 
 
 def test_fixed_partners_add_no_variation() -> None:
     scores = np.array([0.1, 0.5, 0.9])[None, :, None] * np.ones((1, 3, 50))
-    found = estimate(compute_mean, scores, resample_partners=False)
-    assert found.low == pytest.approx(found.high)
-    assert estimate(compute_mean, scores).high > 0.6
+    assert measure_width(scores, None) == pytest.approx(0.0)
+    # Partners of a single family vary one by one.
+    assert measure_width(scores, ["a", "a", "a"]) == measure_width(scores, ["a", "b", "c"]) > 0.5
 
 
 @settings(max_examples=10, deadline=None)
 @given(scores_and_references())
 def test_a_method_does_not_differ_from_itself(pair: tuple[np.ndarray, np.ndarray]) -> None:
     scores, references = pair[0][:1], pair[1]
-    found = estimate_difference(compute_unclipped_proximity, scores, scores, references)
-    assert (found.value, found.low, found.high) == (0.0, 0.0, 0.0)
+    families = [str(number) for number in range(scores.shape[1])]
+    found = estimate_difference(compute_proximity, scores, scores, families, references)
+    assert (found.value, found.interval_95) == (0.0, (0.0, 0.0))
 
 
 def test_differences_are_paired_by_scene() -> None:
     """A constant gain in scenes of very different difficulty has a narrow interval."""
     rng = np.random.default_rng(0)
     first = np.round(rng.random((1, 4, 30)), 3)
-    found = estimate_difference(compute_mean, first + 0.1, first)
+    found = estimate_difference(compute_mean, first + 0.1, first, ["a", "a", "b", "b"])
     assert found.value == pytest.approx(0.1)
-    assert found.high - found.low < 1e-9
-    opposite = estimate_difference(compute_mean, first, first + 0.1)
-    assert (opposite.value, opposite.low) == pytest.approx((-found.value, -found.high))
+    assert found.interval_95 == pytest.approx((0.1, 0.1))
+    opposite = estimate_difference(compute_mean, first, first + 0.1, ["a", "a", "b", "b"])
+    assert opposite.interval_95 == pytest.approx((-0.1, -0.1))
+
+
+def test_differences_vary_with_the_trainings_of_both_methods() -> None:
+    first, second = np.full((1, 2, 3), 0.5), np.array([0.1, 0.5, 0.9])[:, None, None] * np.ones((3, 2, 3))
+    for pair in ((first, second), (second, first)):
+        found = estimate_difference(compute_mean, *pair, ["a", "b"])
+        assert found.interval_95 is not None
+        assert found.interval_95[1] > 0.4
 
 
 def test_wrong_shapes_are_refused() -> None:
     scores = np.ones((2, 3, 4))
     with pytest.raises(ValueError, match="same partners and scenes"):
-        estimate_difference(compute_mean, scores, scores[:, :2])
+        estimate_difference(compute_mean, scores, scores[:, :2], None)
     with pytest.raises(ValueError, match=r"references must have shape \(3, 4\)"):
-        estimate(compute_mean, scores, np.ones((3, 5)))
+        estimate(compute_mean, scores, None, np.ones((3, 5)))
     with pytest.raises(ValueError, match="none empty"):
-        estimate(compute_mean, np.ones((2, 0, 4)))
+        estimate(compute_mean, np.ones((2, 0, 4)), None)
