@@ -2,6 +2,9 @@
 
 import configparser
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import yaml
 
@@ -26,6 +29,15 @@ def test_the_first_screen_shows_how_to_start() -> None:
     first = "\n".join(README.read_text().splitlines()[:30])
     for part in ("![", "pip install", "parallel_env(", "docs/results/s0_test.svg"):
         assert part in first
+
+
+def test_a_script_beside_the_clone_imports_the_library(tmp_path: Path) -> None:
+    clone = re.search(r"^git clone <.+> ([\w-]+)", README.read_text(), re.MULTILINE)
+    assert clone is not None
+    (tmp_path / clone[1]).symlink_to(REPOSITORY)
+    script = tmp_path / "script.py"
+    script.write_text("import handover_marl; print(handover_marl.parallel_env)")
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, check=True)
 
 
 def test_supported_pythons_are_tested() -> None:

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 import handover_marl
 from handover_marl.config import WorldConfig
