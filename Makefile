@@ -6,23 +6,25 @@
 # make slow-tests  measures which tests are slow and writes tests/slow.txt
 # make loops       a venv with other RL libraries, then the tests of their training loops
 # make lerobot     a venv with LeRobot, then its reader on data sets in its format
-# make newer       a venv without PyBullet, then its tests: for Python 3.12 and later
+# make newer       a venv with everything, then the tests without PyBullet: for Python 3.14, which it has no wheels for
 # make docs        the site in build/site, with the notebook executed; a warning is an error
 # make smoke       wheel and sdist in clean environments, one episode with each
 # make release     the same with every supported Python; and checks before publishing
 # make lowest      the lowest versions that setup.cfg claims
+# make resolve     checks that constraints.txt holds for every Python that setup.cfg names; needs the network
 
 PYTHON ?= python3
 VENV ?= .venv
 LOOPS ?= .venv-loops
 LEROBOT ?= .venv-lerobot
-NEWER ?= .venv-newer
-EXTRAS ?= assets,demonstrations,dev,docs,import,lerobot,mujoco,onnx,planning,plot,ray,render,replay,torchrl,train,vision,warp
+EXTRAS ?= assets,demonstrations,dev,docs,import,lerobot,onnx,planning,plot,ray,render,replay,torchrl,train,vision,warp
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
 # Exact physics reproduces published results, which exist for DexYCB only. Evaluations with it take nine times as long.
-PHYSICS ?= $(if $(DATA),exact,fast)
+# PyBullet, which has both, has no wheels for Python 3.14.
+FASTEST = $(shell $(PYTHON) -c "import sys; print('fast' if sys.version_info < (3, 14) else 'mujoco')")
+PHYSICS ?= $(if $(DATA),exact,$(FASTEST))
 OUT ?= results/$(DATASET)-$(SETUP)-yang2021-$(PHYSICS)
 
 BIN := $(VENV)/bin
@@ -32,7 +34,7 @@ INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-ba
 # The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
 SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest clean
+.PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest resolve clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
@@ -76,7 +78,7 @@ loops: $(LOOPS)/.installed
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)
 	$(LOOPS)/bin/python $(INSTALL) -c constraints-loops.txt \
-		-e ".[benchmarl,mujoco,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
+		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
 # LeRobot's reader of data sets. torchcodec needs FFmpeg's libraries, which are in PyAV's package under other names.
@@ -96,15 +98,8 @@ $(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
 	done
 	touch $@
 
-# Without pins: they are for versions of Python with PyBullet wheels.
-newer: $(NEWER)/.installed
-	$(NEWER)/bin/python -m pytest tests/test_without_pybullet.py
-
-$(NEWER)/.installed: setup.cfg
-	$(PYTHON) -m venv $(NEWER)
-	$(NEWER)/bin/python $(INSTALL) \
-		-e ".[mujoco,planning,vision]" hypothesis pytest pytest-timeout
-	touch $@
+newer: $(VENV)/.tested-with
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/test_without_pybullet.py
 
 # Learning in the notebook uses one thread.
 docs: $(VENV)/.tested-with
@@ -135,6 +130,18 @@ lowest: $(VENV)/.tested-with
 	build/lowest/bin/python $(INSTALL) --quiet --no-deps .
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
+	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics mujoco
+
+# pip resolves for the Python that it runs in; uv resolves for any.
+resolve:
+	$(PYTHON) -m venv --clear build/resolve
+	build/resolve/bin/python $(INSTALL) --quiet uv
+	build/resolve/bin/python -m pip wheel --quiet --no-deps --wheel-dir build/resolve .
+	for version in $$(sed -n 's/.*Python :: \(3\.[0-9]*\)$$/\1/p' setup.cfg); do \
+		echo "handover-marl[$(EXTRAS)] @ file://$$(echo $(CURDIR)/build/resolve/*.whl)" | build/resolve/bin/uv pip compile \
+			--quiet --no-header --no-annotate --python-version $$version --only-binary :all: -c constraints.txt \
+			-o build/resolve/$$version.txt - && echo "Python $$version: build/resolve/$$version.txt" || exit 1; \
+	done
 
 clean:
-	rm -rf $(VENV) $(LOOPS) $(LEROBOT) $(NEWER) build dist *.egg-info
+	rm -rf $(VENV) $(LOOPS) $(LEROBOT) build dist *.egg-info

@@ -14,7 +14,7 @@ receivers and assets):
 Code that runs while modules are imported is not counted, nor are stack frames of other libraries.
 The measured calls are `benchmark()` of one scene with `yang2021` in fast physics and one worker in this process;
 one step of exact and one of MuJoCo physics after 500 steps; one decision of `vision`.
-The script needs Python 3.11 or later and the extras `mujoco` and `vision`.
+The script needs Python 3.11 or later and the extra `vision`.
 """
 
 import functools

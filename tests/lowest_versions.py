@@ -12,7 +12,7 @@ def requirements() -> list[str]:
     setup = configparser.ConfigParser()
     setup.read(Path(__file__).parents[1] / "setup.cfg")
     lines = setup["options"]["install_requires"].splitlines()
-    return [line.strip().replace(">=", "==") for line in lines if line.strip() and not line.strip().startswith("#")]
+    return [line.strip().replace(">=", "==", 1) for line in lines if line.strip() and not line.strip().startswith("#")]
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ EPISODE = (
     *("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9"),
     *("--out", "results", "--fresh", "--physics"),
 )
-_LAST_WITH_PYBULLET = (3, 11)
+_LAST_WITH_PYBULLET = (3, 13)
 # The modules are not compiled, because most modules of the dependencies are never imported.
 _PIP_INSTALL = ("-m", "pip", "--disable-pip-version-check", "install", "--no-compile", "--quiet")
 _PLAYED, _REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
@@ -114,12 +114,6 @@ def build(out: Path) -> list[Path]:
     return packages
 
 
-def needed_for(version: str) -> tuple[str, str]:
-    """Return the extra, in brackets as for pip, and the physics to use with a version of Python such as "3.11"."""
-    with_pybullet = tuple(map(int, version.split("."))) <= _LAST_WITH_PYBULLET
-    return ("", "fast") if with_pybullet else ("[mujoco]", "mujoco")
-
-
 def play_with(package: Path, version: str, python: str, place: Path) -> None:
     """Install a package in a clean environment, and play an episode.
 
@@ -134,8 +128,8 @@ def play_with(package: Path, version: str, python: str, place: Path) -> None:
     """
     _run(python, "-m", "venv", "--clear", str(place))
     pip = (str(place / "bin" / "python"), *_PIP_INSTALL)
-    extra, physics = needed_for(version)
-    _run(*pip, "-c", str(ROOT / "constraints.txt"), f"{package}{extra}")
+    _run(*pip, "-c", str(ROOT / "constraints.txt"), str(package))
+    physics = "fast" if tuple(map(int, version.split("."))) <= _LAST_WITH_PYBULLET else "mujoco"
     reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
     # The web page that the last line names needs templates, which are data files of the package.
     if _PLAYED not in reported or _REPORT not in reported:

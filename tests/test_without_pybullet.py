@@ -1,4 +1,4 @@
-"""Tests of the library in processes that cannot import PyBullet, as with Python 3.12 and later."""
+"""Tests of the library in processes that cannot import PyBullet, as with Python 3.14."""
 
 import hashlib
 import importlib.util
@@ -26,7 +26,7 @@ from handover_marl.receivers import make, yang2021_controller
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
 
 SCENE = 209
-NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.11"
+NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.13"
 # Content of sitecustomize.py, which Python runs when it starts, also in worker processes.
 BLOCKADE = 'import sys\nsys.modules["pybullet"] = sys.modules["pybullet_data"] = None\n'
 
@@ -214,7 +214,7 @@ for obs_mode in {{obs_modes}}:
     env.close()
 refused = dict(physics="exact"), dict(physics="fast"), dict(), dict(physics="mujoco", render_mode="rgb_array")
 for options in (*refused, dict(physics="mujoco", obs_mode="state+pointcloud", renderer="bullet")):
-    with pytest.raises(OptionError, match="needs PyBullet.*up to Python 3.11.*(physics='mujoco'|renderer='rays')"):
+    with pytest.raises(OptionError, match="needs PyBullet.*up to Python 3.13.*(physics='mujoco'|renderer='rays')"):
         handover_marl.parallel_env(dataset="synthetic", **options)
 """
 
@@ -230,7 +230,7 @@ REFUSED: list[tuple[list[str], str]] = [
     (["benchmark", "--physics", "fast"], "take physics='mujoco' (--physics mujoco)"),
     (["agreement", "--receiver", "hold"], "take physics='mujoco'"),
     (["render", "--scene", str(SCENE), "--physics", "mujoco", "--out", "video.gif"], "--out FILE.html"),
-    (["import", "--dexycb", "here", "--mano", "here", "--out", "there"], "import with Python 3.10 or 3.11"),
+    (["import", "--dexycb", "here", "--mano", "here", "--out", "there"], "import with Python 3.10 to 3.13"),
 ]
 
 

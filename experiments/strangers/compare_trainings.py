@@ -5,7 +5,7 @@
 The files of `--first` must have the same features, action scheme and control period, and so must those of `--second`.
 MuJoCo simulates the episodes of the files of one option with a giver together, which takes a fraction of the time of
 `handover-marl strangers`. Scores, intervals and differences are computed as there: every file has the same scenes and
-the same seeds of the givers. The script needs the extra `mujoco`.
+the same seeds of the givers.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Train giver and receiver together by independent PPO in plain PyTorch.
 
-The script needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
-but is slower.
+The script needs the extras `train` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/train_both_ippo.py --data-dir DIR --out runs/both
 

@@ -3,7 +3,7 @@
     python experiments/training/train_receiver_ppo.py --data-dir DIR --out runs/ppo.npz
 
 The policy learns from the sparse reward when to close the gripper and how to correct the approach to a grasp. The
-script needs the extras `train` and `mujoco`, and with `--backend warp` the extra `warp`: environments and networks are
+script needs the extra `train`, and with `--backend warp` the extra `warp`: environments and networks are
 then on one device, for example `--backend warp --device cuda --num-envs 1024`. The policy file runs without PyTorch:
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """

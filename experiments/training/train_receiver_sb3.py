@@ -1,7 +1,7 @@
 """Train a receiver from scratch for a frozen giver with Stable-Baselines3's PPO.
 
-The script needs the extras `train`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
-but is slower.
+The script needs the extras `train` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 

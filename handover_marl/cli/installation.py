@@ -4,8 +4,9 @@ import platform
 import re
 import sys
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
+from pathlib import Path
 
-from handover_marl import __version__
+import handover_marl
 from handover_marl.datasets.folder_check import Finding, Severity
 from handover_marl.simulation.engines import EXACT, list_available_physics
 
@@ -13,15 +14,15 @@ _DISTRIBUTION = "handover-marl"
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)[^;]*(?:;.*extra == ['\"]([a-z]+)['\"])?")
 _PYTHON_MARKER = re.compile(r"python_version\s*(<|>=)\s*['\"](\d+)\.(\d+)['\"]")
 _DEVELOPER_EXTRAS = ("assets", "dev")
-_LISTED_PACKAGES = ("numpy", "scipy", "pybullet", "pettingzoo", "gymnasium")
+_LISTED_PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco", "pettingzoo", "gymnasium")
 
 
 def examine_installation() -> tuple[Finding, ...]:
     """Check the library, its required packages, the physics engines and the optional extras."""
     python = (
-        f"handover_marl {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+        f"handover_marl {handover_marl.__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     )
-    findings = [Finding("library", python)]
+    findings = [_check_folder(python, Path(handover_marl.__file__).parents[1])]
     try:
         needed = _list_requirements()
     except PackageNotFoundError:
@@ -68,14 +69,25 @@ def _applies_to_this_python(requirement: str) -> bool:
     return all(running < version if sign == "<" else running >= version for sign, version in versions)
 
 
+def _check_folder(library: str, folder: Path) -> Finding:
+    """Check that the folder of the clone, if the library runs from one, does not hide the package."""
+    if folder.name != handover_marl.__name__:
+        return Finding("library", library)
+    advice = (
+        f"programs in {folder.parent} import the folder {folder.name} instead of the library and fail with \"module "
+        f"'{folder.name}' has no attribute ...\"; rename it, for example to {_DISTRIBUTION}, and install it again"
+    )
+    return Finding("library", library, Severity.NOTE, advice)
+
+
 def _check_physics() -> Finding:
     available = list_available_physics()
     if EXACT in available:
         return Finding("physics", ", ".join(available))
-    advice = "exact and fast need PyBullet, which has wheels up to Python 3.11"
+    advice = "exact and fast need PyBullet, which has wheels up to Python 3.13"
     if available:
         return Finding("physics", ", ".join(available), Severity.NOTE, f"{advice}; use --physics mujoco")
-    return Finding("physics", "none", Severity.FAULT, f"{advice}; pip install '{_DISTRIBUTION}[mujoco]'")
+    return Finding("physics", "none", Severity.FAULT, f"pip install {_DISTRIBUTION} again")
 
 
 def _find_version(name: str) -> str | None:

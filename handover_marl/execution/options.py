@@ -153,7 +153,7 @@ def check_boolean(name: str, value: object) -> None:
 
 
 def is_pybullet_installed() -> bool:
-    """Check whether PyBullet is installed, which has no wheels for Python after 3.11."""
+    """Check whether PyBullet is installed, which has no wheels for Python after 3.13."""
     return importlib.util.find_spec("pybullet") is not None
 
 
@@ -186,8 +186,7 @@ def require_pybullet(feature: str, advice: str) -> None:
     """
     if not is_pybullet_installed():
         raise OptionError(
-            f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.11; pip "
-            f"install pybullet compiles it on later ones); {advice}"
+            f"{feature} needs PyBullet, which is not installed (it has wheels up to Python 3.13); {advice}"
         )
 
 

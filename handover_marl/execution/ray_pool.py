@@ -25,7 +25,7 @@ from handover_marl.execution.worker import TaskFailure, activate_job, unpickle_r
 
 # Packages that results depend on bit for bit. The optional ones may be missing on a node: physics
 # that need them raise an error there, and all others do not use them.
-_PACKAGES = ("numpy", "scipy", "pybullet", "mujoco")
+_PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco")
 _OPTIONAL, _MISSING = ("mujoco",), "none"
 _RETRIES = 1
 _CONNECTION_TIMEOUT_S = 20.0

@@ -39,11 +39,13 @@ def check_physics(physics: str) -> None:
     """
     check_name("physics", physics, PHYSICS)
     if physics == MUJOCO:
-        alternative = ", or take physics='fast'" if is_pybullet_installed() else ""
-        require_modules("physics='mujoco' (Python 3.11 or later)", "mujoco", "mujoco", advice=alternative)
+        if not _is_mujoco_installed():
+            raise OptionError(
+                "physics='mujoco' needs MuJoCo, which is not installed (it has wheels for Python 3.11 and later); "
+                "take physics='fast'"
+            )
         return
-    installation = "" if _is_mujoco_installed() else ": pip install 'handover-marl[mujoco]'"
-    require_pybullet(f"physics={physics!r}", f"take physics='mujoco' (--physics mujoco){installation}")
+    require_pybullet(f"physics={physics!r}", "take physics='mujoco' (--physics mujoco)")
 
 
 def list_available_physics() -> tuple[str, ...]:

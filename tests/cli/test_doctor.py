@@ -2,6 +2,8 @@ import functools
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -171,6 +173,19 @@ def test_installation() -> None:
     assert found["packages"].severity is Severity.GOOD
     assert "numpy" in found["packages"].result
     assert {"extra train", "extra planning", "extra import"} <= set(found)
+
+
+def test_a_folder_that_hides_the_library_is_reported(tmp_path: Path) -> None:
+    found = {}
+    for name in ("handover_marl", "handover-marl"):
+        (tmp_path / name).symlink_to(Path(__file__).parents[2])
+        command = [sys.executable, "-c", "from handover_marl.cli import main; main(['doctor'])"]
+        elsewhere = {**os.environ, "PYTHONPATH": str(tmp_path / name)}
+        run = subprocess.run(command, cwd=tmp_path, env=elsewhere, capture_output=True, text=True, check=True)
+        found[name] = " ".join(run.stdout.split())
+    assert "import the folder handover_marl instead of the library" in found["handover_marl"]
+    assert "rename it, for example to handover-marl" in found["handover_marl"]
+    assert "instead of the library" not in found["handover-marl"]
 
 
 def test_command_and_exit_status(

@@ -48,7 +48,7 @@ NOT_WRITTEN = {
     "handover_marl.cli.folders.write_atomically": None,
 }
 _PYTHONS = ("python", ".venv/bin/python")
-_SHELL = ("tar", "done", "pytest")
+_SHELL = ("cd", "done", "git", "pytest", "tar")
 
 
 def commands(text: str) -> Iterator[list[str]]:

@@ -2,6 +2,9 @@
 
 import configparser
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import yaml
 
@@ -28,15 +31,23 @@ def test_the_first_screen_shows_how_to_start() -> None:
         assert part in first
 
 
+def test_a_script_beside_the_clone_imports_the_library(tmp_path: Path) -> None:
+    clone = re.search(r"^git clone <.+> ([\w-]+)", README.read_text(), re.MULTILINE)
+    assert clone is not None
+    (tmp_path / clone[1]).symlink_to(REPOSITORY)
+    script = tmp_path / "script.py"
+    script.write_text("import handover_marl; print(handover_marl.parallel_env)")
+    subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, check=True)
+
+
 def test_supported_pythons_are_tested() -> None:
     classifiers = setup_cfg()["metadata"]["classifiers"]
     supported = re.findall(r"Python :: (3\.\d+)$", classifiers, re.MULTILINE)
-    jobs = yaml.safe_load((WORKFLOWS / "tests.yml").read_text())["jobs"]
-    tested = []
-    for job, command in (("tests", "make test"), ("without-pybullet", "make newer")):
-        tested += jobs[job]["strategy"]["matrix"]["python"]
-        assert {"run": command} in jobs[job]["steps"]
-    assert tested == supported
+    job = yaml.safe_load((WORKFLOWS / "tests.yml").read_text())["jobs"]["tests"]
+    assert {"run": "${{ matrix.command }}"} in job["steps"]
+    tested = {entry["python"]: entry["command"] for entry in job["strategy"]["matrix"]["include"]}
+    assert list(tested) == supported
+    assert all(re.search(r"\.ci/run|make .*(test|newer)", command) for command in tested.values())
     assert "make test " in README.read_text()
 
 

@@ -303,7 +303,7 @@ def test_every_constructor_accepts_own_rewards(make: Make) -> None:
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 @pytest.mark.parametrize("agent", ["receiver", None])
 def test_vector_environments_have_the_rewards_of_single_ones(physics: str, agent: str | None, make: Make) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     rewards = combine_rewards(
         approach, Counter(), TermWeights(receiver={"gripper_jerk": -1.0, "object_force": -1.0, "clearance": 1.0})
     )

@@ -108,7 +108,7 @@ def test_other_environments_are_refused(make_wrong: Callable[[], Any], got: str)
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 @pytest.mark.parametrize("agent", ["receiver", None])
 def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options = {**OPTIONS, "physics": physics}
     envs = handover_marl.vector_env(2, agent, wrappers=[Cost, EpisodeReturns], threads=1, **options)
     alone = EpisodeReturns(Cost(handover_marl.parallel_env(**options)))
@@ -158,7 +158,7 @@ def test_returns_are_the_sums_of_the_terms() -> None:
 
 
 def test_make_vec_uses_the_vector_environment() -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     options = {**OPTIONS, "partner": "replay", "rewards": approach}
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, **options)
     assert isinstance(envs, HandoverVectorEnv)

@@ -20,6 +20,6 @@ def test_other_versions(name: str, there: str) -> None:
 def test_mujoco_may_be_missing_but_not_differ() -> None:
     check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "none"})
     if get_installed_versions()["mujoco"] == "none":
-        pytest.skip("needs the extra `mujoco`")
+        pytest.skip("needs MuJoCo")
     with pytest.raises(WorkerError, match=r"mujoco 3\.9\.0 there"):
         check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "3.9.0"})

@@ -13,7 +13,7 @@ from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from tests.evaluation.strangers.populations import write_population
 
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 
 def write(path: Path, slope: float, n_features: int = 12) -> Path:

@@ -9,7 +9,7 @@ from tests.learning.training.scripts import script
 
 
 def test_equal_backends_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     module = script("measure_warp_agreement", monkeypatch)
     monkeypatch.setattr(module, "WARP", module.THREADS)
     out = tmp_path / "agreement.md"

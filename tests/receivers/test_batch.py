@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 
 from handover_marl import givers
 from handover_marl.datasets.synthetic import SyntheticDataset

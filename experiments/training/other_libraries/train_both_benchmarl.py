@@ -1,7 +1,7 @@
 """Train giver and receiver together with BenchMARL, by MAPPO or another of its algorithms.
 
-The script needs the extras `benchmarl`, `plot` and, by default, `mujoco`; `--physics fast` does not need
-MuJoCo, but is slower.
+The script needs the extras `benchmarl` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/other_libraries/train_both_benchmarl.py --dataset synthetic --out runs/benchmarl
 

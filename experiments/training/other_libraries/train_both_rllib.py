@@ -1,7 +1,7 @@
 """Train giver and receiver together with RLlib's PPO on its new API stack.
 
-The script needs the extras `rllib`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
-but is slower.
+The script needs the extras `rllib` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/other_libraries/train_both_rllib.py --dataset synthetic --out runs/rllib
 

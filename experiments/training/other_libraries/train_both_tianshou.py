@@ -1,7 +1,7 @@
 """Train giver and receiver together with Tianshou's PPO, with one network for both.
 
-The script needs the extras `tianshou`, `plot` and, by default, `mujoco`; `--physics fast` does not need
-MuJoCo, but is slower.
+The script needs the extras `tianshou` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/other_libraries/train_both_tianshou.py --dataset synthetic --out runs/tianshou
 

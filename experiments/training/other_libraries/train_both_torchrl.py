@@ -1,7 +1,7 @@
 """Train giver and receiver together with TorchRL, by MAPPO or IPPO.
 
-The script needs the extras `torchrl`, `plot` and, by default, `mujoco`; `--physics fast` does not need MuJoCo,
-but is slower.
+The script needs the extras `torchrl` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
+is slower.
 
     python experiments/training/other_libraries/train_both_torchrl.py --dataset synthetic --out runs/torchrl
 

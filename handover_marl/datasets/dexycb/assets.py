@@ -166,7 +166,7 @@ def find_table_folder() -> Path:
     Raises:
         OptionError: PyBullet is not installed.
     """
-    advice = "import with Python 3.10 or 3.11: the folder then serves every Python"
+    advice = "import with Python 3.10 to 3.13: the folder then serves every Python"
     return find_bullet_data("HandoverSim's table, which is made of PyBullet's,", advice) / "table"
 
 

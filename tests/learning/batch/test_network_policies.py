@@ -209,7 +209,7 @@ OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "syntheti
 
 @pytest.mark.parametrize("agent", ["giver", "receiver"])
 def test_whole_episodes_equal_those_of_single_environments(agent: str, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     partner = "receiver" if agent == "giver" else "giver"
     features, scheme = ("close", "grasp_servo") if partner == "receiver" else ("giver", "offer")
     network = draw_network(count_features(partner, features), count_outputs(partner, scheme), 2)

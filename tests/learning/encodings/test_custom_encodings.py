@@ -229,7 +229,7 @@ def test_camera_data_alone_suffices_for_own_features() -> None:
 
 
 def test_environments_of_a_batch_do_not_share_memory() -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     instance = OffsetAndCount(CONTEXT)
     for choice in (OffsetAndCount, instance):
         envs = handover_marl.vector_env(

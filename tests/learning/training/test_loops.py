@@ -16,7 +16,7 @@ from tests.learning.training.scripts import REWARDS, files, reward_terms_of, scr
 from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytestmark = pytest.mark.filterwarnings("ignore")
 SCRIPTS = {
     "train_both_torchrl": "torchrl",

@@ -90,7 +90,7 @@ def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if physics == "mujoco":
-        pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+        pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_receiver_sb3", monkeypatch)
     own = "tests.learning.encodings.custom"
     args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics, "rewards": REWARDS, "time_limit": 0.6}
@@ -103,7 +103,7 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_both_ippo", monkeypatch)
     args = {
         "out": str(tmp_path / "run"),
@@ -190,7 +190,7 @@ def test_runs_are_not_resumed_on_another_dataset(
 
 
 def test_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_both_ippo", monkeypatch)
     options = {"dataset": "synthetic", "setup": "s0", "num_envs": 1, "batch_size": 4, "val_scenes": 1, "resume": True}
     args = train.Args(out=str(tmp_path / "run"), **options)

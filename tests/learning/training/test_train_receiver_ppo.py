@@ -17,7 +17,7 @@ from tests.learning.training.scripts import script
 from tests.short_episodes import shorten_episodes
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 
 

@@ -118,8 +118,9 @@ class WarpModel:
         model = copy.copy(scene.model)
         # MuJoCo Warp refuses this flag; it never resets a world.
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        # With sparse matrices, rounding in a world depends on the other worlds.
-        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE if model.nv <= _MAX_DENSE else mujoco.mjtJacobian.mjJAC_AUTO
+        # The matrices of scene models are dense. With sparse ones, rounding in a world depends on the other worlds.
+        if model.nv > _MAX_DENSE:
+            model.opt.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         self.source = model
         # Absent hulls are left out of arrays of at least two rows only.
         self.model = mujoco_warp.put_model(model, dict.fromkeys(_ROW_FIELDS, max(worlds, 2)))

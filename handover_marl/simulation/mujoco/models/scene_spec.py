@@ -301,6 +301,8 @@ def _make_empty_spec(tuning: MujocoTuning) -> "mujoco.MjSpec":
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = tuning.impratio
+    # MuJoCo 4.0.0 factorizes sparse matrices wrongly, which it would choose for models with many objects.
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     # A state that is not finite must raise an error instead of a silent reset.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     # The robot connects all moving bodies, so that there is only one constraint island to find.

@@ -12,6 +12,8 @@ import pytest
 
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
+import mujoco
+
 import handover_marl
 from handover_marl.config import PandaConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
@@ -22,7 +24,10 @@ from handover_marl.geometry.poses import quaternions_from_euler
 from handover_marl.simulation.contacts import ContactBatch
 from handover_marl.simulation.engines import make_batch_worlds
 from handover_marl.simulation.mujoco.batches import warp_group
+from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
+from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
+from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.tensor_state import ReferenceBatch
@@ -204,6 +209,12 @@ def test_released_objects_lie_on_the_table() -> None:
             )
         else:
             assert supported[1:] == expected[:-1].tolist(), "an object falls from the step after its release on"
+
+
+def test_jacobians_are_dense() -> None:
+    scene = load_scene_model(load_small_objects()[0].assets, CONFIG, padding=ModelPadding(objects=8, hulls=20))
+    assert scene.model.nv == 57
+    assert not mujoco.mj_isSparse(WarpModel(scene, 1, TENSORS).source)
 
 
 def test_too_little_memory_for_contacts_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

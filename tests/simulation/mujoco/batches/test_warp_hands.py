@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.config import HandConfig, PhysicsConfig, ProtocolConfig

@@ -1,5 +1,6 @@
 """Tests of scene models in MuJoCo, which have Bullet's masses, link poses, joint limits and collision masks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,13 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
+from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts
 from handover_marl.simulation.mujoco.models.model_variants import CollisionGroup
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
+from handover_marl.simulation.mujoco.models.tuning import TUNING
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
@@ -42,6 +46,17 @@ def scene() -> SceneModel:
 
 def bodies_of(scene: SceneModel, urdf: Path) -> list[int]:
     return [scene.model.body(joint.link).id for joint in read_tree(urdf).joints]
+
+
+def test_all_jacobians_are_dense() -> None:
+    """MuJoCo would choose sparse matrices from 60 degrees of freedom on."""
+    many = replace(ASSETS, objects=ASSETS.objects * 9)
+    scenes = [load_scene_model(assets, CONFIG) for assets in (ASSETS, many)]
+    scenes.append(load_scene_model(ASSETS, CONFIG, padding=ModelPadding(objects=9, hulls=20)))
+    gripper = GripperModelBuilder(ASSETS.objects[0], ASSETS.panda, CONFIG, TUNING).spec.compile()
+    models = [gripper, *(model for scene in scenes for model in (scene.model, scene.robot_only.model))]
+    assert max(model.nv for model in models) > 60
+    assert [mujoco.mj_isSparse(model) for model in models] == [0] * len(models)
 
 
 def test_masses_and_inertias_equal_bullets(client: BulletClient, scene: SceneModel) -> None:
