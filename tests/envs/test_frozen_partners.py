@@ -19,6 +19,7 @@ from handover_marl.episode.loop import derive_scene_seed, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.givers import Action, Giver, make_giver_action
+from handover_marl.policies.reference import parse_policy
 from tests.envs.test_handover_env import REPLAY, START
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -57,7 +58,7 @@ def play_pair(agent: str, partner: str, scene: int, **options: Any) -> tuple[End
     """Play an episode of a partner and an agent at rest as `pair` does; return the seed of the camera, too."""
     base = make_env(agent, **options)
     config = base.config
-    policy = {"giver": givers, "receiver": receivers}[agent].make(partner, base.dataset, config.world_config)
+    policy = parse_policy(agent, partner).make(base.dataset, config.world_config, config.setup)
     episode = Episode(config.physics, config.world_config)
     episode.reset(base.dataset.load_scene(scene))
     pair = (policy, None) if agent == "receiver" else (receivers.make("hold", base.dataset), policy)
@@ -114,7 +115,7 @@ def test_givers_act_as_in_pair(partner: str) -> None:
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_a_recorded_scene_ends_as_in_pair(real_data: Path, period: float) -> None:
-    options: dict[str, Any] = {"dataset": "official", "data_dir": real_data, "physics": "fast"}
+    options: dict[str, Any] = {"dataset": "dexycb", "data_dir": real_data, "physics": "fast"}
     end = play_frozen("receiver", "reactive", 19, period, 0, **options)
     assert end.outcome[1:] == (3362, 2761)
 
@@ -204,11 +205,10 @@ def test_partners_in_vector_environments_keep_their_own_periods(backend: str) ->
     options: dict[str, Any] = {"dataset": "synthetic", "split": "val", "scenes": [9], "control_period": 0.1}
     envs = handover_marl.vector_env(3, "receiver", Irregular, backend=backend, **options)
     envs.reset(seed=SEED)
-    for _ in range(2):
-        observations, *_, infos = envs.step(np.tile(START, (3, 1)))
-    np.testing.assert_array_equal(to_numpy(infos["steps"]), 200)
-    np.testing.assert_allclose(to_numpy(observations["time"])[:, 0], 0.2, rtol=1e-6)
+    observations, *_, infos = envs.step(np.tile(START, (3, 1)))
+    np.testing.assert_array_equal(to_numpy(infos["steps"]), 100)
+    np.testing.assert_allclose(to_numpy(observations["time"])[:, 0], 0.1, rtol=1e-6)
     envs.close()
-    expected = [expect_decisions(SEED + number, 9, 200) for number in range(3)]
+    expected = [expect_decisions(SEED + number, 9, 100) for number in range(3)]
     assert Irregular.decisions == {**expected[0], **expected[1], **expected[2]}
     assert len({len(asked) for asked in Irregular.decisions.values()}) > 1, "their decisions are at different times"
