@@ -213,9 +213,7 @@ def _decide(episode: Episode, receiver: EpisodeAgent, giver: EpisodeAgent | None
         receiver.decide(state)
         planning_time, rendering_time = receiver.planning_time, receiver.rendering_time
     giver_action = NO_DEVIATION if giver is None else giver.action
-    return PolicyDecision(
-        receiver.action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time
-    )
+    return PolicyDecision(receiver.action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time)
 
 
 def run_episode(

@@ -42,7 +42,7 @@ class PolicyBatch(ABC):
 
     @abstractmethod
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return the actions (r, ...), new ones where a decision is due, and the physics steps (r,) of the next decisions.
+        """Return the actions (r, ...), new ones where a decision is due, and the steps (r,) of the next decisions.
 
         Args:
             rows: Indices (r,) of the episodes.

@@ -1,11 +1,12 @@
 """Episodes with the policies and encodings of an environment, simulated together as arrays."""
 
+import functools
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.results import EnvResult
@@ -75,8 +76,8 @@ class ArrayEpisodes:
         space = base.action_space(GIVER)
         self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
         self._partner: PolicyBatch | None = None
+        self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
         if len(self._agents) == 1:
-            (self._partner_agent,) = set(AGENTS) - set(self._agents)
             chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
             reference = parse_policy(self._partner_agent, chosen, trust)
             self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count, arrays)
@@ -207,15 +208,13 @@ class ArrayEpisodes:
             The actions of the first physics step, with those of the partner; the giver's are clipped to their bounds.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
-        referees, first = episodes.referees, None
+        referees, agent, first = episodes.referees, self._partner_agent, None
+        observe = functools.partial(self._select_observation, agent)
         ends = referees.steps[rows] + steps
         while len(rows):
             until = ends
             if self._partner is not None:
-                agent = self._partner_agent
-                actions[agent], due = self._partner.act(
-                    rows, lambda some: self._select_observation(agent, some), referees.steps[rows]
-                )
+                actions[agent], due = self._partner.act(rows, observe, referees.steps[rows])
                 until = xp.minimum(ends, due)
             # For NumPy several times as fast as `xp.clip`.
             actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
@@ -223,7 +222,7 @@ class ArrayEpisodes:
             self._advance_until(until, rows, actions)
             # The control period of the others goes on: their partner's next decision is due.
             left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
-            rows, ends, actions = rows[left], ends[left], {agent: values[left] for agent, values in actions.items()}
+            rows, ends, actions = rows[left], ends[left], {name: values[left] for name, values in actions.items()}
             episodes.observe(rows)
         return first or actions
 

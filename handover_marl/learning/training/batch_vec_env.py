@@ -25,9 +25,8 @@ class BatchVecEnv(VecEnv):
 
     def __init__(self, envs: HandoverVectorEnv) -> None:
         if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
-            raise OptionError(
-                f"envs must have autoreset='same_step', got {envs.autoreset_mode.name.lower()!r}; pass it to vector_env()"
-            )
+            mode = envs.autoreset_mode.name.lower()
+            raise OptionError(f"envs must have autoreset='same_step', got {mode!r}; pass it to vector_env()")
         self._envs = envs
         self._actions: npt.NDArray[np.floating] = np.zeros(0)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
