@@ -20,6 +20,7 @@ from handover_marl.envs.rewards import Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy
 from handover_marl.episode.observations import (
     Observation,
     giver_observation_space,
@@ -31,7 +32,7 @@ from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import ResetNeededError
 from handover_marl.execution.options import forward_signature
-from handover_marl.policies.policy import PolicyContext, make_policy_context
+from handover_marl.policies.policy import Action, PolicyContext, make_policy_context
 
 Info = dict[str, float]
 Observations = dict[str, Observation]
@@ -118,6 +119,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._recorder = TransitionRecorder(config.control_period)
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
+        self._partner: EpisodeAgent | None = None
         self._rng: np.random.Generator | None = None
         self._cycles = 0
         self._observation_spaces = {
@@ -182,8 +184,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             RewardError: A user-defined reward fails.
         """
         # If anything fails below, no episode is running.
-        self.agents = []
-        self._observation = None
+        self._stop()
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         scene = self.dataset.load_scene(self._choose_scene(options))
@@ -216,7 +217,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         started = time.monotonic()
         # If the simulation fails below, no episode is running.
         self.agents = []
-        self._episode.advance(robot_target, self.config.control_steps, giver_action)
+        self._advance({RECEIVER: robot_target, GIVER: giver_action})
         self._cycles += 1
         if self.render_mode == "human":
             self._sleep_until_real_time(started)
@@ -277,20 +278,32 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """
         return self._episode.capture_wrist_camera()
 
-    def observe_for_policy(self, agent: str, policy: object) -> Observation:
-        """Return an agent's observation in the observation mode that its policy declares.
+    def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
+        """Let a policy act for an agent until the next reset, at its own control period and with seeds as in `pair`.
+
+        Actions that `step` gets for this agent are not used.
 
         Args:
             agent: Agent that the policy acts for, "giver" or "receiver".
-            policy: Policy; its attribute `obs_mode` names the mode of a receiver.
+            policy: Policy of this agent.
+            seed: Seed of the run.
 
         Raises:
+            PolicyError: A giver fails.
             ResetNeededError: No episode has been started.
         """
-        state = self._require_observation()
-        episode = self._episode
-        observation = episode.observe_giver(state) if agent == GIVER else episode.observe_for_policy(policy, state)
-        return {key: value.copy() for key, value in observation.items()}
+        self._partner = EpisodeAgent(self._episode, agent, policy, seed)
+
+    def act_for_partner(self) -> Action:
+        """Return the action of the policy that `set_partner` has set, at the present physics step.
+
+        Raises:
+            ActionError, PolicyError, OptionError: See `EpisodeAgent.decide`.
+            ResetNeededError: No policy has been set since the last reset.
+        """
+        if self._partner is None:
+            raise ResetNeededError("no policy acts for an agent; call reset() of the environment made by freeze()")
+        return self._partner.act()
 
     @property
     def _split_name(self) -> str:
@@ -298,7 +311,18 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
     def _stop(self) -> None:
         self.agents = []
-        self._observation = None
+        self._observation = self._partner = None
+
+    def _advance(self, actions: dict[str, Action]) -> None:
+        """Simulate one control period; the partner decides at its own control period."""
+        episode, partner, actions = self._episode, self._partner, dict(actions)
+        end = episode.steps + self.config.control_steps
+        while episode.steps < end and not episode.status:
+            until = end
+            if partner is not None:
+                actions[partner.agent] = partner.act()
+                until = min(end, partner.due)
+            episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
 
     def _choose_scene(self, options: dict[str, Any] | None) -> int:
         chosen = check_scene_option(options or {}, self.scene_ids, self._split_name)

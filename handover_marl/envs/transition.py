@@ -28,8 +28,8 @@ class Transition:
             observation spaces. The receiver's depends on `obs_mode`; the giver's always contains the
             full state, see `state`.
         next_observations: Observation after the step, by agent.
-        actions: Action by agent: giver (8,), clipped to its bounds; receiver (9,) target joint
-            positions (rad, m); float32.
+        actions: Action by agent at the start of the step: giver (8,), clipped to its bounds; receiver (9,)
+            target joint positions (rad, m); float32. A frozen partner may act again within the step.
         infos: Infos after the step by agent, without reward terms: `scene_id`, `status`, `steps`
             (physics steps of 1 ms), `release_step` and `release`.
         contacts: Contacts of robot, object and human hand in the last physics step (1 ms) of the

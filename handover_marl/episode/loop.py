@@ -123,67 +123,97 @@ def steps_from_hold_time(hold_time: float) -> int:
     return max(1, round(min(hold_time, _LONGEST_HOLD) / TIME_STEP))
 
 
-class _PolicyPair:
-    """Policies of both agents in one episode, with the actions that they hold.
+class EpisodeAgent:
+    """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
+
+    The policy's seed is derived from the seed of the run: `derive_scene_seed` for a giver, `derive_receiver_seed` for a
+    receiver, which starts at its first decision.
 
     Args:
         episode: Episode at the start of a scene.
-        receiver: Policy of the robot.
-        giver: Policy of the person; None replays the recording.
+        agent: Agent that the policy acts for, "giver" or "receiver".
+        policy: Policy; the observation of a receiver is empty if its attribute `obs_mode` is None.
         seed: Seed of the run.
+
+    Attributes:
+        agent: Agent that the policy acts for, "giver" or "receiver".
+        action: Action that is held; empty before the first decision.
+        planning_time: Time of the last call of the policy (s).
+        rendering_time: Time in which the observation of the last decision was made (s).
+
+    Raises:
+        PolicyError: A giver fails.
     """
 
-    def __init__(
-        self, episode: Episode, receiver: EpisodePolicy, giver: EpisodePolicy | None, seed: int | None
-    ) -> None:
-        self._episode, self._seed = episode, seed
-        scene = episode.scene.info
-        self._objects = scene.object_names
-        self._receiver, self._receiver_scheduler, self._receiver_started = receiver, PolicyScheduler(receiver), False
-        self._receiver_observes = getattr(receiver, "obs_mode", STATE) is not None
-        self._giver_scheduler = None if giver is None else PolicyScheduler(giver)
-        if self._giver_scheduler is not None:
-            self._giver_scheduler.reset(derive_scene_seed(seed, scene.scene_id, "giver"), self._objects)
-        self._giver_space = giver_action_space(episode.config.giver)
-        self._receiver_action, self._giver_action = np.zeros(0, dtype=np.float32), NO_DEVIATION
+    def __init__(self, episode: Episode, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
+        self.agent, self.action = agent, np.zeros(0, dtype=np.float32)
+        self.planning_time = self.rendering_time = 0.0
+        self._episode, self._policy, self._seed = episode, policy, seed
+        self._scheduler, self._is_giver = PolicyScheduler(policy), agent == "giver"
+        self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
+        if self._is_giver:
+            self._scheduler.reset(derive_scene_seed(seed, episode.scene.info.scene_id, "giver"), self._objects)
 
     @property
     def due(self) -> int:
-        """Physics step from which on a policy is to be called again."""
-        schedulers = self._receiver_scheduler, self._giver_scheduler
-        return min(scheduler.due for scheduler in schedulers if scheduler is not None)
+        """Physics step from which on the policy is to be called again."""
+        return self._scheduler.due
 
-    def decide(self) -> PolicyDecision:
-        """Call the policies that are due, and return the actions of both agents.
+    @property
+    def observes(self) -> bool:
+        """Whether the policy gets an observation."""
+        return self._is_giver or getattr(self._policy, "obs_mode", STATE) is not None
+
+    def act(self) -> Action:
+        """Return the action at the present physics step: a new one if a decision is due, else the last one.
 
         Raises:
-            ActionError: An action of a policy is malformed.
-            PolicyError: A policy fails.
-            OptionError: The hold time of a policy is not a positive number.
+            ActionError, PolicyError, OptionError: See `decide`.
         """
-        episode, now, planning_time, rendering_time = self._episode, self._episode.steps, 0.0, 0.0
-        giver_decides = self._giver_scheduler is not None and now >= self._giver_scheduler.due
-        receiver_decides = now >= self._receiver_scheduler.due
-        state = episode.observe() if self._receiver_observes or giver_decides else {}
-        if self._giver_scheduler is not None and giver_decides:
-            observation = episode.observe_giver(state)
+        if self._episode.steps >= self.due:
+            self.decide(self._episode.observe() if self.observes else {})
+        return self.action
+
+    def decide(self, state: Observation) -> None:
+        """Call the policy, and hold its action.
+
+        Args:
+            state: Full state as `Episode.observe` returns it now.
+
+        Raises:
+            ActionError: The action is malformed.
+            PolicyError: The policy fails.
+            OptionError: The hold time of the policy is not a positive number.
+        """
+        episode, now = self._episode, self._episode.steps
+        started = time.perf_counter()
+        if self._is_giver:
             # Copies, so that a policy that writes into its arrays does not change the other's.
-            observation = {key: value.copy() for key, value in observation.items()}
-            self._giver_action = check_giver_action(self._giver_scheduler.decide(observation, now), self._giver_space)
-        if receiver_decides:
-            started = time.perf_counter()
-            observation = episode.observe_for_policy(self._receiver, state) if self._receiver_observes else {}
-            rendering_time = time.perf_counter() - started
-            if not self._receiver_started:
-                self._receiver_scheduler.reset(derive_receiver_seed(self._seed, observation), self._objects)
-                self._receiver_started = True
-            started = time.perf_counter()
-            action = self._receiver_scheduler.decide(observation, now)
-            planning_time = time.perf_counter() - started
-            self._receiver_action = check_receiver_action(action)
-        return PolicyDecision(
-            self._receiver_action, self._giver_action, planning_time, receiver_decides, giver_decides, rendering_time
-        )
+            observation = {key: value.copy() for key, value in episode.observe_giver(state).items()}
+        else:
+            observation = episode.observe_for_policy(self._policy, state) if self.observes else {}
+        self.rendering_time = time.perf_counter() - started
+        if not self._is_giver and not self.action.size:
+            self._scheduler.reset(derive_receiver_seed(self._seed, observation), self._objects)
+        started = time.perf_counter()
+        action = self._scheduler.decide(observation, now)
+        self.planning_time = time.perf_counter() - started
+        self.action = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
+
+
+def _decide(episode: Episode, receiver: EpisodeAgent, giver: EpisodeAgent | None) -> PolicyDecision:
+    """Call the policies that are due, the giver first, and return the actions of both agents."""
+    now = episode.steps
+    receiver_decides, giver_decides = now >= receiver.due, giver is not None and now >= giver.due
+    state = episode.observe() if giver_decides or (receiver_decides and receiver.observes) else {}
+    if giver is not None and giver_decides:
+        giver.decide(state)
+    planning_time = rendering_time = 0.0
+    if receiver_decides:
+        receiver.decide(state)
+        planning_time, rendering_time = receiver.planning_time, receiver.rendering_time
+    giver_action = NO_DEVIATION if giver is None else giver.action
+    return PolicyDecision(receiver.action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time)
 
 
 def run_episode(
@@ -214,18 +244,19 @@ def run_episode(
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
     episode.seed_camera(derive_scene_seed(seed, episode.scene.info.scene_id, "camera"))
-    policies = _PolicyPair(episode, receiver, giver, seed)
+    robot = EpisodeAgent(episode, "receiver", receiver, seed)
+    person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
     step_hooks = [callback.on_step for callback in callbacks]
     for callback in callbacks:
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
-        now, decision = episode.steps, policies.decide()
+        decision = _decide(episode, robot, person)
         if callable(until) and until():
             break
         for callback in callbacks:
             callback.on_decision(episode, decision)
-        steps = min(end, policies.due) - now
-        episode.advance(decision.receiver_action, steps, decision.giver_action, step_hooks)
+        due = robot.due if person is None else min(robot.due, person.due)
+        episode.advance(decision.receiver_action, min(end, due) - episode.steps, decision.giver_action, step_hooks)
     for callback in callbacks:
         callback.on_end(episode)
 

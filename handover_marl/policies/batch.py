@@ -41,8 +41,8 @@ class PolicyBatch(ABC):
         """
 
     @abstractmethod
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
-        """Return the actions (r, ...): new ones at decisions, otherwise those of the last decision.
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
+        """Return the actions (r, ...), new ones where a decision is due, and the steps (r,) of the next decisions.
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -70,8 +70,8 @@ class SequentialPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._schedulers[row].reset(seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
-        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
+        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
         schedulers = [self._schedulers[row] for row in rows.tolist()]
         is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
         found = observe(rows[is_due]) if is_due.any() else {}
@@ -81,12 +81,11 @@ class SequentialPolicyBatch(PolicyBatch):
             number = next(observations)
             return {key: values[number] for key, values in found.items()}
 
-        return np.stack(
-            [
-                self._check(scheduler.act(observe_next, step))
-                for scheduler, step in zip(schedulers, steps.tolist(), strict=True)
-            ]
-        )
+        actions = [
+            self._check(scheduler.act(observe_next, step))
+            for scheduler, step in zip(schedulers, steps.tolist(), strict=True)
+        ]
+        return np.stack(actions), np.array([scheduler.due for scheduler in schedulers])
 
 
 class HostPolicyBatch(PolicyBatch):
@@ -104,13 +103,14 @@ class HostPolicyBatch(PolicyBatch):
         """Start an episode; see `PolicyBatch.reset`."""
         self._batch.reset(row, seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
-        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
+        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
 
         def observe_on_host(some: AnyIndices) -> Observation:
             return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
 
-        return self._arrays.asarray(self._batch.act(to_numpy(rows), observe_on_host, to_numpy(steps)))
+        actions, due = self._batch.act(to_numpy(rows), observe_on_host, to_numpy(steps))
+        return self._arrays.asarray(actions), self._arrays.asarray(due)
 
 
 class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
@@ -139,14 +139,14 @@ class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
         self._due[row] = 0
         self.start(row, seed)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
-        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
+        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
             due = rows[numbers]
             self._actions[due] = self.decide(due, observe(due))
             self._due[due] = steps[numbers] + self.count_hold_steps(due)
-        return self._actions[rows]
+        return self._actions[rows], self._due[rows]
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode.

@@ -181,8 +181,8 @@ class Policy(ABC):
     def hold_time(self) -> float:
         """Time (s) for which the last action is held; default: the control period.
 
-        Subclasses may override it to act more often in some phases. Evaluations call the policy after
-        exactly this time; an environment calls a frozen partner at the first control step after it.
+        Subclasses may override it to act more often in some phases. Evaluations, and environments in which
+        the policy is a frozen partner, call it after exactly this time.
         """
         return self.control_period
 

@@ -32,7 +32,7 @@ NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/w
     "docs/how_to/demonstrations.md": ("h5py", "minari", "embreex"),
     "docs/how_to/many_machines.md": ("ray",),
     "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
-    "docs/how_to/vector_environments.md": ("mujoco", "torch"),
+    "docs/how_to/vector_environments.md": ("mujoco", "stable_baselines3", "torchrl"),
     "docs/tutorials/own_network.md": ("stable_baselines3", "onnxruntime", "onnx"),
     "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
 }

@@ -71,10 +71,13 @@ def compare(agent: str, policy: Any) -> list[PolicyBatch]:
                 batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), arrays.asarray(steps))
                 for batch, arrays in zip(batches, makers, strict=True)
             ]
-            assert is_tensor(found[1])
-            assert to_numpy(found[1]).dtype == found[0].dtype == np.float32
-            np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)
-            assert found[0].any()
+            (expected, due), (actions, tensor_due) = found
+            assert is_tensor(actions)
+            assert to_numpy(actions).dtype == expected.dtype == np.float32
+            np.testing.assert_allclose(to_numpy(actions), expected, rtol=0, atol=1e-6)
+            np.testing.assert_array_equal(to_numpy(tensor_due), due)
+            assert expected.any()
+            assert (due > steps).all()
     return batches
 
 

@@ -1,5 +1,6 @@
 """Tests that TorchRL accepts the environment, with and without this library's wrappers."""
 
+import numpy as np
 import pytest
 
 import handover_marl
@@ -31,4 +32,25 @@ def test_wrapped_environments(frozen: bool) -> None:
     env = torchrl_envs.PettingZooWrapper(handover_marl.encode(handover_marl.freeze(world) if frozen else world))
     check_env_specs(env)
     assert sorted(env.group_map) == (["receiver"] if frozen else ["giver", "receiver"])
+    env.close()
+
+
+@pytest.mark.parametrize("autoreset", ["disabled", "same_step"])
+@pytest.mark.parametrize("encoded", [False, True])
+def test_vector_environments(autoreset: str, encoded: bool) -> None:
+    from torchrl.envs.utils import check_env_specs
+
+    pytest.importorskip("mujoco", reason="needs the extra `mujoco`")
+    encoding = {"features": "receiver", "schemes": "cartesian_delta"} if encoded else {}
+    options = {**OPTIONS, **encoding, "physics": "mujoco", "max_cycles": 3, "threads": 1}
+    env = torchrl_envs.GymWrapper(handover_marl.vector_env(2, "receiver", "replay", autoreset=autoreset, **options))
+    check_env_specs(env)
+    rollout = env.rollout(8, break_when_any_done=False)
+    assert rollout.shape == (2, 8)
+    assert (rollout["next", "done"][:, [2, 5], 0]).all()
+    assert rollout["next", "done"].sum() == 4
+    if not encoded:
+        # The last observations of an episode are its own, and the next episode starts anew.
+        for times, expected in ((rollout["time"], [0.0, 0.2, 0.4]), (rollout["next", "time"], [0.2, 0.4, 0.6])):
+            np.testing.assert_allclose(times[0, :6, 0], expected * 2, atol=1e-6)
     env.close()

@@ -92,6 +92,27 @@ def test_equal_to_single_environments_to_the_bit(agent: str, partner: str, autor
     assert any(step.any() for step in expected[4::5] + expected[5::5]), "episodes have ended"
 
 
+@pytest.mark.parametrize("autoreset", ["next_step", "same_step", "disabled"])
+def test_the_interface_is_gymnasiums(autoreset: str) -> None:
+    envs = handover_marl.vector_env(2, autoreset=autoreset, threads=1, **SHORT)
+    mode = gymnasium.vector.AutoresetMode[autoreset.upper()]
+    alone = gymnasium.vector.SyncVectorEnv([lambda: single("receiver", "replay", **SHORT)] * 2, autoreset_mode=mode)
+    base = gymnasium.vector.VectorEnv
+    names = {name for name in (*vars(base), *base.__annotations__) if not name.startswith("_")} - {"spec"}
+    for name in sorted(names | {"autoreset_mode"}):
+        assert type(getattr(envs, name)) is type(getattr(alone, name)), name
+    assert envs.autoreset_mode is envs.metadata["autoreset_mode"] is alone.autoreset_mode
+    assert envs.spec is None
+    if autoreset != "disabled":
+        counted = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+        observations, _ = counted.reset(seed=0)
+        for _ in range(SHORT["max_cycles"]):
+            *_, infos = counted.step(observations["robot_joint_position"])
+        np.testing.assert_array_equal(infos["episode"]["l"], SHORT["max_cycles"])
+    envs.close()
+    alone.close()
+
+
 def test_features_and_schemes_that_wait_are_equal_too() -> None:
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
     expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: encoded(**options)] * COUNT), 12)
@@ -482,7 +503,9 @@ def test_malformed_actions_change_nothing(three: HandoverVectorEnv, actions: Any
     "arguments",
     [
         {"seed": 1.5},
+        {"seed": -1},
         {"seed": [1, 2]},
+        {"seed": [1, -2, 3]},
         {"seed": np.array([1.0, 2.0, 3.0])},
         {"seed": ["a", "b", "c"]},
         {"options": [5]},

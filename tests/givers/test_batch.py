@@ -84,7 +84,7 @@ def test_batches_act_as_single_givers(name: str) -> None:
         parts = [np.array([1, 3, 4]), np.array([0, 2, 5])]
         found = np.empty((COUNT, 8), dtype=np.float32)
         for rows in parts:
-            found[rows] = batch.act(rows, functools.partial(select, arrays), steps[rows])
+            found[rows], _ = batch.act(rows, functools.partial(select, arrays), steps[rows])
         expected = np.array([single.act(one) for single, one in zip(singles, observations, strict=True)])
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
         acted.append(expected)
@@ -115,7 +115,7 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
                 for batch, arrays in zip(batches, makers, strict=True):
                     assert batch is not None
                     steps = arrays.asarray(100 * decision - starts[rows])
-                    found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps))
+                    found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
                 assert is_tensor(found[1])
                 assert to_numpy(found[1]).dtype == np.float32
                 np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)

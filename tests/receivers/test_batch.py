@@ -98,7 +98,7 @@ def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_
                 seen = [waiting[row][0][numbers[row]][1] for row in expected]
                 return {key: np.stack([one[key] for one in seen]) for key in seen[0]}
 
-            actions = batch.act(running, observe, np.array([now - starts[row] for row in running]))
+            actions, _ = batch.act(running, observe, np.array([now - starts[row] for row in running]))
             for row, action in zip(running.tolist(), actions, strict=True):
                 number = numbers[row] if row in due else numbers[row] - 1
                 np.testing.assert_array_equal(action, waiting[row][0][number][2])
@@ -121,7 +121,7 @@ def test_an_object_without_grasps() -> None:
     found["object_classes"][1, 0] += 1
     for row in range(3):
         batch.reset(row, None, scene.info.object_names)
-    actions = batch.act(
+    actions, _ = batch.act(
         np.arange(3), lambda rows: {key: values[rows] for key, values in found.items()}, np.zeros(3, int)
     )
     np.testing.assert_array_equal(actions[1, :7], state["robot_joint_position"][:7])

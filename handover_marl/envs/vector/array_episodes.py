@@ -1,11 +1,12 @@
 """Episodes with the policies and encodings of an environment, simulated together as arrays."""
 
+import functools
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
+from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.results import EnvResult
@@ -16,10 +17,11 @@ from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.batch.camera_observations import WristCameraBatch
 from handover_marl.episode.batch.make_episodes import make_episode_batch
+from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
 from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
 from handover_marl.learning.batch.features import FeatureBatch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
@@ -74,8 +76,8 @@ class ArrayEpisodes:
         space = base.action_space(GIVER)
         self._giver_limits = arrays.asarray(space.low), arrays.asarray(space.high)
         self._partner: PolicyBatch | None = None
+        self._partner_agent = GIVER if self._agents == [RECEIVER] else RECEIVER
         if len(self._agents) == 1:
-            (self._partner_agent,) = set(AGENTS) - set(self._agents)
             chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
             reference = parse_policy(self._partner_agent, chosen, trust)
             self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count, arrays)
@@ -132,14 +134,12 @@ class ArrayEpisodes:
         Args:
             row: Index of the episode.
             scene: Scene of the episode.
-            seed: Seed of the partner.
+            seed: Run seed, from which the seed of the partner is derived.
             robot_seed: Seed of the robot's initial joint positions.
             camera_seed: Seed of the wrist camera.
         """
         episodes, rows = self._episodes, self.arrays.asarray([row])
         episodes.reset(row, scene, robot_seed)
-        if self._partner is not None:
-            self._partner.reset(row, seed, scene.info.object_names)
         for scheme in self._schemes.values():
             scheme.reset(row)
         for features in self._features.values():
@@ -147,6 +147,8 @@ class ArrayEpisodes:
         if self._camera is not None:
             self._camera.reset(row, scene.assets, camera_seed)
         episodes.observe(rows)
+        if self._partner is not None:
+            self._partner.reset(row, self._derive_partner_seed(seed, scene, rows), scene.info.object_names)
         self._cycles[row] = 0
         self._terminated[row] = self._truncated[row] = False
         self._rewards.start(row)
@@ -180,16 +182,10 @@ class ArrayEpisodes:
             rows: Indices (r,) of running episodes.
             actions: Actions (r, ...) by agent; those of agents with an action scheme are not used.
         """
-        config, episodes, actions, xp = self._base.config, self._episodes, dict(actions), self.arrays.xp
-        if self._partner is not None:
-            agent, steps = self._partner_agent, episodes.referees.steps[rows]
-            actions[agent] = self._partner.act(rows, lambda some: self._select_observation(agent, some), steps)
+        config, episodes, actions = self._base.config, self._episodes, dict(actions)
         for agent, scheme in self._schemes.items():
             actions[agent] = scheme.compute_actions(rows, self._select_observation(agent, rows))
-        low, high = self._giver_limits
-        # For NumPy several times as fast as `xp.clip`.
-        actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
-        episodes.advance(rows, actions[RECEIVER], config.control_steps, actions[GIVER])
+        actions = self._simulate(rows, actions, config.control_steps)
         episodes.observe(rows)
         self._cycles[rows] += 1
         status, timeout = episodes.referees.status[rows], int(EpisodeStatus.TIMEOUT)
@@ -199,6 +195,43 @@ class ArrayEpisodes:
             truncated |= (self._cycles[rows] >= config.max_cycles) & ~terminated
         self._terminated[rows], self._truncated[rows] = terminated, truncated
         self._rewards.add(rows, actions, terminated, truncated)
+
+    def _simulate(self, rows: AnyIndices, actions: ByAgent, steps: int) -> ByAgent:
+        """Simulate up to `steps` physics steps, in which the partner decides at its own control period.
+
+        Args:
+            rows: Indices (r,) of running episodes.
+            actions: Actions (r, ...) by agent.
+            steps: Number of physics steps.
+
+        Returns:
+            The actions of the first physics step, with those of the partner; the giver's are clipped to their bounds.
+        """
+        episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
+        referees, agent, first = episodes.referees, self._partner_agent, None
+        observe = functools.partial(self._select_observation, agent)
+        ends = referees.steps[rows] + steps
+        while len(rows):
+            until = ends
+            if self._partner is not None:
+                actions[agent], due = self._partner.act(rows, observe, referees.steps[rows])
+                until = xp.minimum(ends, due)
+            # For NumPy several times as fast as `xp.clip`.
+            actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
+            first = first or dict(actions)
+            self._advance_until(until, rows, actions)
+            # The control period of the others goes on: their partner's next decision is due.
+            left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
+            rows, ends, actions = rows[left], ends[left], {name: values[left] for name, values in actions.items()}
+            episodes.observe(rows)
+        return first or actions
+
+    def _advance_until(self, until: AnyIntegers, rows: AnyIndices, actions: ByAgent) -> None:
+        """Simulate with constant actions up to the physics steps `until` (r,), those of equal length together."""
+        lengths = until - self._episodes.referees.steps[rows]
+        for length in np.unique(to_numpy(lengths)).tolist():
+            group = self.arrays.xp.nonzero(lengths == length)[0]
+            self._episodes.advance(rows[group], actions[RECEIVER][group], length, actions[GIVER][group])
 
     def make_result(self, rows: AnyIndices) -> EnvResult:
         """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""
@@ -223,6 +256,13 @@ class ArrayEpisodes:
         self._episodes.close()
         if self._camera is not None:
             self._camera.close()
+
+    def _derive_partner_seed(self, seed: int | None, scene: Scene, rows: AnyIndices) -> int:
+        """Derive the seed of the partner from the run seed; `rows` (1,) is the episode, whose state was observed."""
+        if self._partner_agent == GIVER:
+            return derive_scene_seed(seed, scene.info.scene_id, GIVER)
+        observation = self._select_observation(RECEIVER, rows)
+        return derive_receiver_seed(seed, {key: to_numpy(values)[0] for key, values in observation.items()})
 
     def _select_observation(self, agent: str, rows: AnyIndices) -> Observation:
         if agent == GIVER:

@@ -152,8 +152,8 @@ class EnvBatch:
             Result of all environments; environments that were not reset keep their last result.
 
         Raises:
-            OptionError: The number of seeds is not the number of environments, a seed is not an integer,
-                or `options` is not a mapping.
+            OptionError: The number of seeds is not the number of environments, a seed is not an integer from
+                0 on, or `options` is not a mapping.
             ResetNeededError: The environments are closed, or were made by another process.
             SimulationError: Another thread is using the environments.
         """
@@ -262,11 +262,12 @@ class EnvBatch:
         count = self.num_envs
         if seed is None:
             return [None] * count
-        if isinstance(seed, (int, np.integer)):
+        if isinstance(seed, (int, np.integer)) and seed >= 0:
             return list(range(int(seed), int(seed) + count))
         seeds = list(seed) if isinstance(seed, (Sequence, np.ndarray)) else [seed]
-        if len(seeds) != count or not all(value is None or isinstance(value, (int, np.integer)) for value in seeds):
-            raise OptionError(f"seed must be an integer or {count} seeds (integers), got {seed!r}")
+        is_valid = all(value is None or (isinstance(value, (int, np.integer)) and value >= 0) for value in seeds)
+        if len(seeds) != count or not is_valid:
+            raise OptionError(f"seed must be an integer from 0 on or {count} such seeds, got {seed!r}")
         return [None if value is None else int(value) for value in seeds]
 
 

@@ -40,6 +40,7 @@ class ParallelVectorEnv:
     Attributes:
         num_envs: Number of environments.
         possible_agents: Names of the agents; both act in all environments at all times.
+        autoreset_mode: Gymnasium's mode of the reset after an episode's end.
         metadata: Metadata of a single environment, and `autoreset_mode`.
     """
 
@@ -47,6 +48,7 @@ class ParallelVectorEnv:
         self._batch, self._template = batch, template
         self.num_envs = batch.num_envs
         self.possible_agents: list[str] = list(template.possible_agents)
+        self.autoreset_mode = batch.autoreset
         self.metadata: dict[str, Any] = {**template.unwrapped.metadata, "autoreset_mode": batch.autoreset}
 
     @property

@@ -53,15 +53,17 @@ class PopulationBatch(PolicyBatch):
         self._numbers[row] = number
         self._batches[number].reset(row, member_seed, object_names)
 
-    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> Actions:
-        """Return the current actions (r, ...); see `PolicyBatch.act`."""
+    def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
+        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
         arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
-        actions = []
+        found = []
         for group in groups:
             group_rows = arrays.asarray(group)
-            actions.append(self._batches[numbers[group[0]]].act(rows[group_rows], observe, steps[group_rows]))
-        return arrays.xp.concat(actions)[arrays.asarray(np.argsort(np.concatenate(groups)))]
+            found.append(self._batches[numbers[group[0]]].act(rows[group_rows], observe, steps[group_rows]))
+        order = arrays.asarray(np.argsort(np.concatenate(groups)))
+        actions, due = (arrays.xp.concat(list(parts))[order] for parts in zip(*found, strict=True))
+        return actions, due
 
 
 def make_policy_batch(

@@ -50,6 +50,9 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     Args:
         batch: The environments.
         template: Single environment with the same spaces.
+
+    Attributes:
+        autoreset_mode: Gymnasium's mode of the reset after an episode's end.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_vector_v0"}
@@ -60,6 +63,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         (self._agent,) = agents
         self._batch, self._template = batch, template
         self.num_envs, self.render_mode = batch.num_envs, template.render_mode
+        self.autoreset_mode = batch.autoreset
         self.metadata = {**type(self).metadata, **template.metadata, "autoreset_mode": batch.autoreset}
         self.single_observation_space = template.observation_space(self._agent)
         self.single_action_space = template.action_space(self._agent)

@@ -15,8 +15,6 @@ from handover_marl.envs.wrappers.wrapper import (
     WrappableEnv,
     convert_api,
 )
-from handover_marl.episode.loop import PolicyScheduler
-from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
@@ -25,6 +23,10 @@ DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 
 class FrozenPartnerEnv(ParallelWrapper):
     """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
+
+    The partner acts as in `pair` and in evaluations: at its own control period, whatever that of the environment, and
+    with seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither its
+    observations nor its actions.
 
     Args:
         env: Environment with both agents, neither of them encoded.
@@ -67,24 +69,21 @@ class FrozenPartnerEnv(ParallelWrapper):
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
         reference = parse_policy(self.partner_agent, chosen, trust)
         self.policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
-        self._scheduler = PolicyScheduler(self.policy)
-        self._steps = 0
         self._rng, _ = seeding.np_random(None)
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode with a new seed for the partner; return observation and info by agent.
+        """Start an episode with a new run seed for the partner; return observation and info by agent.
 
         The result is that of `HandoverEnv.reset` without the entries of the partner.
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
         observations, infos = self.env.reset(seed=seed, options=options)
-        self._scheduler.reset(int(self._rng.integers(2**32)), self.unwrapped.object_names)
-        self._steps = 0
+        self.unwrapped.set_partner(self.partner_agent, self.policy, int(self._rng.integers(2**32)))
         return self._select_live(observations), self._select_live(infos)
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
-        """Let both agents act for one control period; the partner acts by its policy.
+        """Let both agents act for one control period; the partner's policy decides at its own control period.
 
         The result is that of `HandoverEnv.step` without the entries of the partner.
 
@@ -102,16 +101,11 @@ class FrozenPartnerEnv(ParallelWrapper):
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
             raise ActionError(f"actions must be a dict with one action, for the {live}")
-        partner_action = self._scheduler.act(self._observe_partner, self._steps)
         observations, rewards, terminations, truncations, infos = self.env.step(
-            {live: actions.get(live), partner: partner_action}
+            {live: actions.get(live), partner: self.unwrapped.act_for_partner()}
         )
-        self._steps = self.unwrapped.steps
         select = self._select_live
         return select(observations), select(rewards), select(terminations), select(truncations), select(infos)
-
-    def _observe_partner(self) -> Observation:
-        return self.unwrapped.observe_for_policy(self.partner_agent, self.policy)
 
     def _select_live(self, by_agent: ByAgent) -> ByAgent:
         return {self.live_agent: by_agent[self.live_agent]}

@@ -4,9 +4,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
+from handover_marl.errors import OptionError
 
 
 class BatchVecEnv(VecEnv):
@@ -15,10 +17,16 @@ class BatchVecEnv(VecEnv):
     Attributes and methods of single environments are not accessible.
 
     Args:
-        envs: The environments, with `autoreset="same_step"`.
+        envs: The environments, with `autoreset="same_step"` and the backend "threads".
+
+    Raises:
+        OptionError: The environments have another mode of resets.
     """
 
     def __init__(self, envs: HandoverVectorEnv) -> None:
+        if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
+            mode = envs.autoreset_mode.name.lower()
+            raise OptionError(f"envs must have autoreset='same_step', got {mode!r}; pass it to vector_env()")
         self._envs = envs
         self._actions: npt.NDArray[np.floating] = np.zeros(0)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)

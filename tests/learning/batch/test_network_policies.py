@@ -125,7 +125,7 @@ def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, sch
             for batch, arrays in zip(batches, makers, strict=True):
                 assert batch is not None
                 steps = arrays.asarray(100 * decision - starts[rows])
-                found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps))
+                found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
             assert is_tensor(found[1])
             np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=1e-5, atol=1e-5)
 
@@ -147,13 +147,13 @@ def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str,
         for decision in range(5):
             observation = draw_observation(8 * episode + decision)
             steps = np.full(COUNT, 100 * decision)
-            found = batch.act(ROWS, functools.partial(select, observation), steps)
+            found, _ = batch.act(ROWS, functools.partial(select, observation), steps)
             expected = np.stack([single.act(select(observation, row)) for row, single in enumerate(singles)])
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
-            by_itself = alone.act(some, functools.partial(select, observation), steps[some])
+            by_itself, _ = alone.act(some, functools.partial(select, observation), steps[some])
             np.testing.assert_array_equal(by_itself, found[some])
             # The action is held until the next decision.
-            held = batch.act(ROWS, functools.partial(select, draw_observation(99)), steps + 99)
+            held, _ = batch.act(ROWS, functools.partial(select, draw_observation(99)), steps + 99)
             np.testing.assert_array_equal(held, found)
 
 
@@ -186,7 +186,7 @@ def test_a_batch_waits_as_the_option_says(tmp_path: Path) -> None:
     assert batch is not None
     assert usual is not None
     observation = draw_observation(0) | {"time": np.full((COUNT, 1), 0.6, dtype=np.float32)}
-    acted, waited = (one.act(ROWS, functools.partial(select, observation), 0 * ROWS) for one in (batch, usual))
+    acted, waited = (one.act(ROWS, functools.partial(select, observation), 0 * ROWS)[0] for one in (batch, usual))
     assert (acted != waited).any(axis=1).sum() > COUNT // 2
 
 

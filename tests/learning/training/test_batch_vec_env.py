@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 import handover_marl
 from handover_marl import givers
-from handover_marl.errors import PolicyError
+from handover_marl.errors import OptionError, PolicyError
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.environments import make_frozen_env_factory, record_first_decisions
@@ -57,6 +57,19 @@ def test_batches_equal_single_environments() -> None:
                     np.testing.assert_array_equal(value, theirs[key], err_msg=key)
         else:
             np.testing.assert_array_equal(one, other)
+
+
+def test_stable_baselines_learns_from_vector_environments() -> None:
+    from stable_baselines3 import PPO
+
+    envs = handover_marl.vector_env(2, "receiver", "replay", autoreset="same_step", threads=1, **OPTIONS)
+    model = PPO("MultiInputPolicy", BatchVecEnv(envs), n_steps=8, batch_size=8, n_epochs=1, device="cpu")
+    model.learn(32)
+    assert model.num_timesteps == 32
+    envs.close()
+    for autoreset in ("next_step", "disabled"):
+        with pytest.raises(OptionError, match=f"envs must have autoreset='same_step', got '{autoreset}'"):
+            BatchVecEnv(handover_marl.vector_env(1, autoreset=autoreset, threads=1, **OPTIONS))
 
 
 def test_errors_of_processes_are_raised() -> None:
