@@ -16,7 +16,8 @@ Faces = npt.NDArray[np.int64]
 
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
-_MAX_MATERIAL_BYTES = 10_000_000
+#: Largest accepted size of a material file (bytes).
+MAX_MATERIAL_BYTES = 10_000_000
 # Vertex number of every corner of a face, the first of the numbers between slashes.
 _CORNERS = re.compile(r"(?:^|\s)(-?[0-9]{1,9})(?=[/\s]|$)")
 
@@ -138,8 +139,8 @@ def _read_lines(path: Path) -> list[str]:
 def _check_materials(folder: Path, lines: list[str]) -> None:
     """Check the material files and textures that lines of an OBJ file name; PyBullet opens them."""
     for name in {line[7:].strip() for line in lines if line.startswith(("mtllib ", "mtllib\t"))}:
-        if name and _check_if_present(folder / name, _MAX_MATERIAL_BYTES):
-            material = read_plain_file(folder / name, _MAX_MATERIAL_BYTES).decode(errors="replace")
+        if name and _check_if_present(folder / name, MAX_MATERIAL_BYTES):
+            material = read_plain_file(folder / name, MAX_MATERIAL_BYTES).decode(errors="replace")
             words = map(str.split, material.splitlines())
             for texture in {entry[-1] for entry in words if entry and entry[0].startswith("map_")}:
                 _check_if_present(folder / texture)
