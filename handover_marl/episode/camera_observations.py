@@ -1,5 +1,6 @@
 """Wrist camera of the robot: configuration, images and point clouds, camera observations."""
 
+import hashlib
 from collections import deque
 from dataclasses import dataclass
 from enum import IntEnum
@@ -173,7 +174,7 @@ class CameraCapture:
 class WristCamera:
     """Wrist camera in the episodes of one world; an image is rendered on request and at most once a step.
 
-    Random draws depend on the seed and the number of simulated steps only, not on earlier images.
+    Random draws depend on the seed, the number of simulated steps and the image only, not on earlier images.
 
     Args:
         config: Configuration of the camera.
@@ -278,7 +279,7 @@ class WristCamera:
         rendered = content if self._noise is None else _ImageContent.WHOLE
         image = self._render(world, color=content == _ImageContent.WHOLE, content=rendered)
         if self._noise is not None:
-            image = apply_camera_noise(image, self._noise, self._rng(steps, _NOISE_STREAM))
+            image = apply_camera_noise(image, self._noise, self._make_rng(image.depth, steps, _NOISE_STREAM))
         self._images[content] = (steps, image)
         return image
 
@@ -303,12 +304,14 @@ class WristCamera:
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
         """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""
         if len(cloud) > N_POINTS:
-            chosen = self._rng(steps, stream).choice(len(cloud), N_POINTS, replace=False)
+            chosen = self._make_rng(cloud, steps, stream).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]
         return _pad_cloud(cloud, N_POINTS)
 
-    def _rng(self, steps: int, stream: int) -> np.random.Generator:
-        return np.random.default_rng((self._seed, steps, stream))
+    def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
+        """Return a generator that differs between images, so that a run's seed suffices for all scenes."""
+        digest = hashlib.sha256(np.ascontiguousarray(content)).digest()
+        return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 
 
 def _pad_cloud(cloud: Cloud, rows: int) -> Cloud:

@@ -185,7 +185,7 @@ class Episode:
         return observe_giver(state, playback, self._preview)
 
     def seed_camera(self, seed: int) -> None:
-        """Seed the random draws of the wrist camera, which depend on the seed and the physics step only."""
+        """Seed the random draws of the wrist camera; they depend on this seed, the physics step and the image."""
         self._camera_seed = seed
         if self._wrist_camera is not None:
             self._wrist_camera.seed(seed)

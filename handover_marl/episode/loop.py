@@ -3,12 +3,13 @@
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
+from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
@@ -243,7 +244,7 @@ def run_episode(
     """
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
-    episode.seed_camera(derive_scene_seed(seed, episode.scene.info.scene_id, "camera"))
+    episode.seed_camera(derive_seed(seed, "camera"))
     robot = EpisodeAgent(episode, "receiver", receiver, seed)
     person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
     step_hooks = [callback.on_step for callback in callbacks]
@@ -262,17 +263,29 @@ def run_episode(
 
 
 def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
-    """Derive a seed for a scene: a hash of the run's seed, the scene number and the user of the seed.
+    """Derive a giver's seed for a scene: a hash of the run's seed, the scene number and the user of the seed.
 
-    A receiver must not get this seed, since it could find the scene number by trying all numbers.
+    Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
+    trying all numbers. It may only see the motion of a giver that acts at random.
 
     Args:
         seed: Seed of the run; None is 0.
         scene_id: Scene number.
-        user: "giver", "camera" or "robot".
+        user: "giver".
     """
-    digest = hashlib.sha256(f"handover_marl {seed or 0} {scene_id} {user}".encode())
-    return int.from_bytes(digest.digest()[:4], "big")
+    return derive_seed(seed, f"{scene_id} {user}")
+
+
+def derive_robot_seed(seed: int | None, scene: Scene) -> int:
+    """Derive the seed of the robot's initial joint positions: a hash of the run's seed and the objects' first poses.
+
+    The joint positions are observed, so they do not depend on the scene number, but on what is observed with them.
+
+    Args:
+        seed: Seed of the run; None is 0.
+        scene: Scene of the episode.
+    """
+    return derive_seed(seed, "robot", scene.object_dof[0])
 
 
 def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
@@ -284,12 +297,17 @@ def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
         seed: Seed of the run; None is 0.
         observation: First observation of the receiver.
     """
-    digest = hashlib.sha256(f"handover_marl {seed or 0} receiver".encode())
     others = observation.get("wrist_other_points")
     if others is not None and not others.any():
         # Without other objects in the image, the seed is that of the observation mode "pointcloud".
         observation = {**observation, "wrist_point_counts": observation["wrist_point_counts"][:2]}
         del observation["wrist_other_points"]
-    for key in sorted(observation):
-        digest.update(key.encode() + np.ascontiguousarray(observation[key]).tobytes())
+    return derive_seed(seed, "receiver", *(part for key in sorted(observation) for part in (key, observation[key])))
+
+
+def derive_seed(seed: int | None, user: str, *observed: str | npt.NDArray[Any]) -> int:
+    """Derive a seed of 32 bits: a hash of the run's seed (None is 0), the user's name, and what the user observes."""
+    digest = hashlib.sha256(f"handover_marl {seed or 0} {user}".encode())
+    for part in observed:
+        digest.update(part.encode() if isinstance(part, str) else part.tobytes())
     return int.from_bytes(digest.digest()[:4], "big")

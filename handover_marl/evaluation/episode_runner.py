@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodePolicy, derive_scene_seed, run_episode
+from handover_marl.episode.loop import EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
@@ -97,7 +97,7 @@ class EpisodeRunner:
         scene = self._dataset.load_scene(task.scene_id)
         fingerprint = self._dataset.compute_fingerprint(task.scene_id)
         check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
-        self._episode.reset(scene, derive_scene_seed(self._config.seed, task.scene_id, "robot"))
+        self._episode.reset(scene, derive_robot_seed(self._config.seed, scene))
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
         try:
             run_episode(

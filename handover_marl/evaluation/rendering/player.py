@@ -7,7 +7,7 @@ from typing import Any
 from handover_marl.config import CameraConfig
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_scene_seed, run_episode
+from handover_marl.episode.loop import derive_robot_seed, run_episode
 from handover_marl.evaluation.config import build_configs, set_dataset
 from handover_marl.evaluation.replays import format_replay_facts
 from handover_marl.policies.reference import PolicyLike, parse_policy
@@ -55,7 +55,7 @@ class ScenePlayer:
             callbacks: Callbacks of the episode.
         """
         seed = self.config.seed
-        self.episode.reset(self.scene, derive_scene_seed(seed, self.scene.info.scene_id, "robot"))
+        self.episode.reset(self.scene, derive_robot_seed(seed, self.scene))
         run_episode(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
         return self.episode.steps
 

@@ -31,13 +31,11 @@ class VisualMesh:
         link: Number of the link, -1 for the base.
         vertices: (v, 3) float32 vertices in the link's frame (m).
         faces: (f, 3) int32 vertex numbers of triangles, counterclockwise seen from outside.
-        colors: (f, 3) float32 red, green and blue of each triangle, 0 to 1.
     """
 
     link: int
     vertices: npt.NDArray[np.float32]
     faces: npt.NDArray[np.int32]
-    colors: npt.NDArray[np.float32]
 
 
 def select_extreme_points(points: Array, limit: int) -> Array:
@@ -168,22 +166,25 @@ def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str]
         SimulationError: A shape cannot be read from the model.
         DataFormatError: A mesh is missing or cannot be read.
     """
+    meshes = []
+    for link, shapes in group_visual_shapes(urdf, tree, without).items():
+        vertices, faces = concatenate_meshes([read_shape_mesh(shape, urdf) for shape in shapes])
+        meshes.append(VisualMesh(link, vertices.astype(np.float32), faces.astype(np.int32)))
+    return meshes
+
+
+def group_visual_shapes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> dict[int, list[UrdfShape]]:
+    """Return the visual shapes of a URDF model by link number; see `read_visual_meshes`.
+
+    Raises:
+        SimulationError: A shape cannot be read from the model.
+    """
     excluded = {number for number, joint in enumerate(tree.joints) if joint.link in without}
     shapes: dict[int, list[UrdfShape]] = {}
     for shape in read_urdf_shapes(urdf, tree, "visual"):
         if shape.link not in excluded:
             shapes.setdefault(shape.link, []).append(shape)
-    return [_read_visual_mesh(urdf, link, own) for link, own in shapes.items()]
-
-
-def _read_visual_mesh(urdf: Path, link: int, shapes: Sequence[UrdfShape]) -> VisualMesh:
-    parts = [read_shape_mesh(shape, urdf) for shape in shapes]
-    vertices, faces = concatenate_meshes(parts)
-    colors = [
-        np.tile(np.array(shape.color[:3], dtype=np.float32), (len(own), 1))
-        for shape, (_, own) in zip(shapes, parts, strict=True)
-    ]
-    return VisualMesh(link, vertices.astype(np.float32), faces.astype(np.int32), np.concatenate(colors))
+    return shapes
 
 
 def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Faces]:

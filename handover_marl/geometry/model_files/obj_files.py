@@ -18,7 +18,8 @@ Faces = npt.NDArray[np.int64]
 
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
-_MAX_MATERIAL_BYTES = 10_000_000
+#: Largest accepted size of a material file (bytes).
+MAX_MATERIAL_BYTES = 10_000_000
 _LINE_END, _CONTINUATION, _COMMENT = (
     re.compile(r"\r\n|\r|\n"),
     re.compile(r"\\[ \t]*(\r\n|\r|\n)"),
@@ -143,8 +144,8 @@ def check_mesh(path: Path, solid: bool = False) -> None:
 def _check_materials(folder: Path, content: bytes) -> None:
     """Check the material files and textures that an OBJ file names; PyBullet opens them."""
     for name in {match.decode(errors="replace").strip() for match in _MATERIALS.findall(content)}:
-        if name and _check_if_present(folder / name, _MAX_MATERIAL_BYTES):
-            material = read_plain_file(folder / name, _MAX_MATERIAL_BYTES).decode(errors="replace")
+        if name and _check_if_present(folder / name, MAX_MATERIAL_BYTES):
+            material = read_plain_file(folder / name, MAX_MATERIAL_BYTES).decode(errors="replace")
             words = map(str.split, material.splitlines())
             for texture in {entry[-1] for entry in words if entry and entry[0].startswith("map_")}:
                 _check_if_present(folder / texture)

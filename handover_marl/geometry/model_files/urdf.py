@@ -179,14 +179,18 @@ def _read_shapes(urdf: Path, changed: int, tree: KinematicTree, purpose: str) ->
         raise SimulationError(f"{urdf}: cannot read this model ({error}); check the file") from error
     numbers = {joint.link: number for number, joint in enumerate(tree.joints)}
     try:
-        colors = {material.get("name"): _read_color(material) for material in robot.findall("material")}
+        # The last definition of a name counts, as in PyBullet, which reads those in links after those of the model.
+        materials = [*robot.findall("material"), *robot.findall("link/visual/material")]
+        named = ((material.get("name"), _read_color(material)) for material in materials)
+        colors = {name: color for name, color in named if color is not None}
     except (ValueError, KeyError) as error:
         raise SimulationError(f"{urdf}: cannot read a material's colour ({error!r}); check the file") from error
     shapes = []
     for link in robot.findall("link"):
         for element in link.findall(purpose):
             try:
-                color = _resolve_color(element.find("material"), colors)
+                material = element.find("material")
+                color = _WHITE if material is None else colors.get(material.get("name"), _WHITE)
                 shapes.append(_read_shape(element, numbers.get(link.attrib["name"], -1), urdf.parent, color))
             except (ValueError, KeyError, IndexError, TypeError) as error:
                 raise SimulationError(
@@ -220,12 +224,6 @@ def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError(f"expected {count} finite numbers, found {text!r}")
     return values
-
-
-def _resolve_color(material: ET.Element | None, named: dict[str | None, Color | None]) -> Color:
-    if material is None:
-        return _WHITE
-    return _read_color(material) or named.get(material.get("name")) or _WHITE
 
 
 def _read_color(material: ET.Element) -> Color | None:

@@ -63,6 +63,9 @@ def render_wrist_camera(
             viewMatrix=_compute_view_matrix(client, panda.read_camera_pose()),
             projectionMatrix=client.computeProjectionMatrixFOV(FIELD_OF_VIEW, 1.0, NEAR, FAR),
             renderer=client.ER_TINY_RENDERER,
+            # PyBullet's defaults, which would be those of an overview camera after it has rendered an image.
+            shadow=0,
+            lightDirection=(-50.0, 30.0, 100.0),
         )
     shape = (height, width)
     rgba = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4) if color else None

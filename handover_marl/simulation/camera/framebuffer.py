@@ -5,6 +5,8 @@ import numpy.typing as npt
 
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.optics import (
+    AMBIENT,
+    DIFFUSE,
     EMPTY_DEPTH,
     FAR,
     GROUND,
@@ -14,8 +16,8 @@ from handover_marl.simulation.camera.optics import (
     N_PIXELS,
     NEAR,
     SAMPLE_OFFSET_PX,
-    SHADE,
     SKY,
+    SPECULAR,
 )
 from handover_marl.simulation.camera.ray_body import PosedMeshes
 from handover_marl.simulation.camera.screen_bounds import Pixels, find_candidate_pixels, split_pixels_by_part
@@ -67,7 +69,9 @@ class Framebuffer:
         is_hit = (depth > NEAR) & (depth < EMPTY_DEPTH)
         self._depth[is_hit] = depth[is_hit]
         if self._rgb is not None:
-            self._rgb[is_hit] = GROUND
+            places = self._position + self._depth[is_hit, None] * (_RAYS[is_hit] @ self._rotation.T)
+            squares = np.floor(places[:, :2]).astype(np.int64).sum(axis=1) % 2
+            self._rgb[is_hit] = _shade(np.array(GROUND)[squares], np.array([0.0, 0.0, 1.0]))
 
     def add(self, meshes: PosedMeshes) -> Pixels:
         """Draw a body and return the numbers of the changed pixels.
@@ -176,17 +180,19 @@ class Framebuffer:
         self._depth[drawn] = hits.depth
         self._labels[drawn] = meshes.body.label
         if self._rgb is not None:
-            self._rgb[drawn] = _shade_faces(mesh.normals[hits.face], meshes, link, hits.face)
+            colors = meshes.body.surfaces[link].sample(hits.face, hits.weights)
+            self._rgb[drawn] = _shade(colors, mesh.normals[hits.face] @ meshes.rotations[link].T)
         return drawn
 
     def _clear(self, pixels: Pixels) -> None:
         self._depth[pixels], self._labels[pixels] = EMPTY_DEPTH, SegmentationLabel.BACKGROUND
 
 
-def _shade_faces(normals: Array, meshes: PosedMeshes, link: int, faces: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
-    """Return the shaded colours (n, 3) of n mesh faces of a link, by face normals and light."""
-    cosine = normals @ meshes.rotations[link].T @ np.array(LIGHT) / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
-    brightness = SHADE + (1.0 - SHADE) * np.clip(cosine, 0.0, 1.0)
-    colors = np.rint(255.0 * meshes.body.colors[link][faces] * brightness[:, None])
-    shaded: npt.NDArray[np.uint8] = colors.astype(np.uint8)
+def _shade(colors: npt.NDArray[np.integer], normals: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+    """Return colours (n, 3) in the light that falls on faces with normals (n, 3) or (3,) in the world."""
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    cosine = unit @ np.array(LIGHT)
+    height = 2.0 * cosine * unit[..., 2] - LIGHT[2]
+    brightness = AMBIENT + DIFFUSE * np.maximum(cosine, 0.0) + SPECULAR * np.maximum(height, 0.0) ** 2
+    shaded: npt.NDArray[np.uint8] = (colors * brightness[..., None]).astype(np.uint8)
     return shaded

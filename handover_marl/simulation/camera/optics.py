@@ -1,4 +1,4 @@
-"""Optics of the wrist camera: projection, deprojection, shading.
+"""Optics of the wrist camera: projection, deprojection, light.
 
 The camera is HandoverSim's: a pinhole at (0.036, 0, 0.036) m in the Panda's hand link that looks along the link's z
 axis; image right is the link's y axis, image down its negative x axis. Images have 224 x 224 pixels, 90 degrees field
@@ -52,12 +52,17 @@ _SCALE, _SHIFT = float(np.float32(1.0) / _FOCAL), float(-np.float32(HALF_SIZE_PX
 BACK_FACE_OFFSET: Final = 1e-5
 #: A ray that meets more back faces than this is dropped.
 MAX_BACK_FACES: Final = 32
-#: Direction towards the light in the world, and brightness of faces turned away from it.
-LIGHT: Final = (0.22, -0.44, 0.87)
-SHADE: Final = 0.5
-#: Red, green and blue of the sky and of the ground, 0 to 255.
+#: Brightness of a face with unit normal n in the world, as in PyBullet's renderer without shadows:
+#: ambient + diffuse * max(0, n . l) + specular * max(0, z)^2, where l is the direction towards the light and z the height
+#: of the reflected light 2 (n . l) n - l.
+LIGHT: Final = (-0.43193421, 0.25916052, 0.86386843)
+AMBIENT: Final = 0.6
+DIFFUSE: Final = 0.35
+SPECULAR: Final = 0.05
+#: Red, green and blue of the sky, and of the squares of the ground with sides of 1 m before shading, 0 to 255. The first
+#: color is that of squares whose lower corners x, y in the world have an even sum (m).
 SKY: Final = (255, 255, 255)
-GROUND: Final = (150, 150, 150)
+GROUND: Final = ((255, 255, 255), (173, 199, 239))
 
 
 def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:

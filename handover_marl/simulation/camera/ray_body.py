@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
+from handover_marl.geometry.model_files.surfaces import Surface, read_surfaces
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import BACK_FACE_OFFSET, INVISIBLE_LINKS, MAX_BACK_FACES
@@ -32,11 +33,13 @@ class RayHits:
         ray: (n,) numbers of the rays.
         depth: (n,) float32 depths of the hits along the viewing axis (m).
         face: (n,) numbers of the mesh faces.
+        weights: (n, 2) barycentric coordinates of the hits: weights of the faces' second and third vertex.
     """
 
     ray: npt.NDArray[np.int64]
     depth: Array
     face: npt.NDArray[np.int32]
+    weights: Array
 
 
 class RayMesh:
@@ -76,14 +79,14 @@ class RayMesh:
             ray, directions, far = ray[is_hit], directions[is_hit], far[is_hit]
             depth, face = begin[is_hit] + found["tfar"][is_hit], found["primID"][is_hit]
             is_back = np.einsum("ij,ij->i", self.normals[face], directions) >= 0.0
-            hits.append((ray[~is_back], depth[~is_back], face[~is_back]))
+            weights = np.stack([found["u"], found["v"]], axis=-1)[is_hit]
+            hits.append((ray[~is_back], depth[~is_back], face[~is_back], weights[~is_back]))
             if not is_back.any():
                 break
             # Back faces are invisible: the ray continues behind them.
             ray, directions, far = ray[is_back], directions[is_back], far[is_back]
             begin = depth[is_back] + np.float32(BACK_FACE_OFFSET)
-        rays, depths, faces = zip(*hits, strict=True)
-        return RayHits(np.concatenate(rays), np.concatenate(depths), np.concatenate(faces))
+        return RayHits(*(np.concatenate(parts) for parts in zip(*hits, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +117,6 @@ class RayBody:
         label: Segmentation label of the body's pixels.
         names: Names of all links in the order of link numbers.
         meshes: Meshes of the n links that have visual shapes.
-        colors: (f, 3) red, green and blue of the faces of each mesh, 0 to 1.
         lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
         highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).
 
@@ -129,7 +131,7 @@ class RayBody:
         base: npt.ArrayLike = _ORIGIN,
         without: Collection[str] = (),
     ) -> None:
-        self._tree = read_tree(urdf)
+        self._urdf, self._tree, self._without = urdf, read_tree(urdf), without
         self.label = label
         self.names = [joint.link for joint in self._tree.joints]
         pose = np.asarray(base, dtype=np.float64)
@@ -137,11 +139,15 @@ class RayBody:
         visual_meshes = read_visual_meshes(urdf, self._tree, without)
         self._links = [mesh.link for mesh in visual_meshes]
         self.meshes = [RayMesh(mesh.vertices, mesh.faces) for mesh in visual_meshes]
-        self.colors = [mesh.colors for mesh in visual_meshes]
         self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
         self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
         self._faces: dict[tuple[int, ...], npt.NDArray[np.int32]] = {}
         self._last_frames: tuple[Array, Float64Array, Float64Array] | None = None
+
+    @functools.cached_property
+    def surfaces(self) -> list[Surface]:
+        """Colours of the meshes, which are read when an image with colours is rendered first."""
+        return read_surfaces(self._urdf, self._tree, self._without)
 
     def pose_meshes(self, joints: Array) -> PosedMeshes:
         """Return the body's meshes posed at joint positions (d,) (m, rad)."""

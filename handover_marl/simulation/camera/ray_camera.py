@@ -45,7 +45,7 @@ class RayCamera:
 
         Args:
             snapshot: Joint positions of all bodies.
-            color: Whether to render the colours of the models' materials; textures are ignored.
+            color: Whether to render colours: those of the models' materials and textures, in PyBullet's light.
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
         buffer.add_ground()

@@ -120,7 +120,7 @@ class WarpCamera:
         Args:
             rows: Numbers (r,) of the worlds.
             snapshots: Joint positions and poses of their bodies.
-            color: Whether to render the colours of the models' materials; textures are ignored.
+            color: Whether to render colours: those of the models' materials and textures, in PyBullet's light.
         """
         return self._render(rows, snapshots, tuple(SegmentationLabel), color)
 
@@ -174,6 +174,8 @@ class WarpCamera:
             raise ResetNeededError("no world has a scene; call reset() first")
         arrays, xp = self._arrays, self._arrays.xp
         with self._device.use():
+            if color:
+                self._bank.read_colors()
             inputs = self._make_kernel_inputs(self._bank, rows, snapshots)
             shape = (len(rows), N_PIXELS)
             depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
@@ -209,10 +211,12 @@ class WarpCamera:
             (turns, warp.mat33),
             (places, warp.vec3),
             (xp.concat([centers, spheres[..., 3:]], axis=-1), warp.vec4),
-            (bank.first_colors.rows[meshes], warp.int64),
-            (bank.colors.rows, warp.vec3),
+            (bank.first_faces.rows[meshes], warp.int64),
+            (bank.corners.rows, warp.vec2),
+            (bank.textures.rows, warp.vec3i),
+            (bank.texels.rows, warp.vec3ub),
             (camera, warp.mat33),
-            (pinhole[:, 2], warp.float32),
+            (pinhole, warp.vec3),
         )
         return [self._convert(tensor, dtype) for tensor, dtype in inputs]
 

@@ -7,7 +7,9 @@ import warp
 
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import (
+    AMBIENT,
     BACK_FACE_OFFSET,
+    DIFFUSE,
     EMPTY_DEPTH,
     GROUND,
     HALF_SIZE_PX,
@@ -16,16 +18,16 @@ from handover_marl.simulation.camera.optics import (
     MAX_BACK_FACES,
     NEAR,
     SAMPLE_OFFSET_PX,
-    SHADE,
     SKY,
+    SPECULAR,
 )
 
 _IMAGE_SIZE, _HALF_SIZE = warp.constant(IMAGE_SIZE), warp.constant(HALF_SIZE_PX)
 _OFFSET_RIGHT, _OFFSET_DOWN = map(warp.constant, SAMPLE_OFFSET_PX)
 _NEAR, _EMPTY_DEPTH = warp.constant(NEAR), warp.constant(float(EMPTY_DEPTH))
 _BACK_FACE_OFFSET, _MAX_BACK_FACES = warp.constant(BACK_FACE_OFFSET), warp.constant(MAX_BACK_FACES)
-_LIGHT, _SHADE = warp.constant(warp.vec3(*LIGHT)), warp.constant(SHADE)
-_SKY, _GROUND = (warp.constant(warp.vec3(*map(float, color))) for color in (SKY, GROUND))
+_LIGHT, (_AMBIENT, _DIFFUSE, _SPECULAR) = warp.constant(warp.vec3(*LIGHT)), map(warp.constant, (AMBIENT, DIFFUSE, SPECULAR))
+_SKY, _EVEN, _ODD = (warp.constant(warp.vec3(*map(float, color))) for color in (SKY, *GROUND))
 _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 # Larger than every sampling key.
 _NO_KEY = warp.constant(warp.int64(2**32))
@@ -59,11 +61,13 @@ class FaceHit:
         depth: Depth of the hit (m).
         face: Number of the face; -1 without a hit.
         normal: Outward unit normal of the face in the mesh's frame.
+        weights: Barycentric coordinates of the hit: weights of the face's second and third vertex.
     """
 
     depth: float
     face: int
     normal: warp.vec3
+    weights: warp.vec2
 
 
 @warp.func
@@ -84,11 +88,38 @@ def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: wa
             hit.depth = begin + query.t
             hit.face = query.face
             hit.normal = query.normal
+            # Warp gives the weights of the first and the second vertex.
+            hit.weights = warp.vec2(query.v, 1.0 - query.u - query.v)
             left = -1
         else:
             # Back faces are invisible: the ray continues behind them.
             begin = begin + query.t + _BACK_FACE_OFFSET
     return hit
+
+
+@warp.func
+def sample_texture(
+    corners: warp.array2d[warp.vec2],
+    textures: warp.array[warp.vec3i],
+    texels: warp.array[warp.vec3ub],
+    face: int,
+    weights: warp.vec2,
+) -> warp.vec3:
+    """Return the colour of a point of a face, 0 to 255; see `Surface.sample`."""
+    origin, texture = corners[face, 0], textures[face]
+    place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
+    column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)
+    row = warp.min(int((place[1] - warp.floor(place[1])) * float(texture[2])), texture[2] - 1)
+    texel = texels[texture[0] + row * texture[1] + column]
+    return warp.vec3(float(texel[0]), float(texel[1]), float(texel[2]))
+
+
+@warp.func
+def shade(color: warp.vec3, normal: warp.vec3) -> warp.vec3:
+    """Return a colour in the light that falls on a face with a unit normal in the world."""
+    cosine = warp.dot(normal, _LIGHT)
+    height = warp.max(2.0 * cosine * normal[2] - _LIGHT[2], 0.0)
+    return (_AMBIENT + _DIFFUSE * warp.max(cosine, 0.0) + _SPECULAR * height * height) * color
 
 
 @warp.kernel(enable_backward=False)
@@ -98,10 +129,12 @@ def render_images(
     rotations: warp.array2d[warp.mat33],
     origins: warp.array2d[warp.vec3],
     spheres: warp.array2d[warp.vec4],
-    first_colors: warp.array2d[warp.int64],
-    colors: warp.array[warp.vec3],
+    first_faces: warp.array2d[warp.int64],
+    corners: warp.array2d[warp.vec2],
+    textures: warp.array[warp.vec3i],
+    texels: warp.array[warp.vec3ub],
     cameras: warp.array[warp.mat33],
-    heights: warp.array[float],
+    pinholes: warp.array[warp.vec3],
     wanted: int,
     has_ground: bool,
     depths: warp.array2d[float],
@@ -116,10 +149,12 @@ def render_images(
         rotations: Rotation matrices (w, s) of the meshes.
         origins: Origins (w, s) of the meshes.
         spheres: Centers and radii (w, s) of bounding spheres of the meshes.
-        first_colors: Indices (w, s) in `colors` of the colours of the meshes' first faces.
-        colors: Red, green and blue (c,) of the faces of all meshes, 0 to 1.
+        first_faces: Numbers (w, s) of the meshes' first faces among the f faces of all meshes.
+        corners: Texture coordinates (f, 3) of the faces' corners; not used for images without colours.
+        textures: First texel, width and height (f,) of the faces' textures; not used for images without colours.
+        texels: Red, green and blue (t,) of all textures; not used for images without colours.
         cameras: Rotation matrices (w,) of the cameras in the world.
-        heights: Heights (w,) of the pinholes above the ground.
+        pinholes: Positions (w,) of the cameras in the world.
         wanted: Bits of the labels of the wanted bodies.
         has_ground: Whether to draw the ground.
         depths: Depth (w, 50176), an output.
@@ -132,7 +167,7 @@ def render_images(
     descent = camera[2, 0] * ray[0] + camera[2, 1] * ray[1] + camera[2, 2] * ray[2]
     ground = warp.float32(_EMPTY_DEPTH)
     if descent != 0.0:
-        ground = -heights[world] / descent
+        ground = -pinholes[world][2] / descent
     is_ground = ground > _NEAR and ground < _EMPTY_DEPTH
     best, owner = warp.float32(_EMPTY_DEPTH), warp.int32(-1)
     if is_ground:
@@ -164,16 +199,20 @@ def render_images(
         segmentation[world, pixel] = warp.uint8(_BACKGROUND)
         if has_ground and is_ground:
             depths[world, pixel] = ground
-            color = warp.vec3(_GROUND)
+            place = pinholes[world] + ground * (camera * ray)
+            color = warp.vec3(_EVEN)
+            if (int(warp.floor(place[0])) + int(warp.floor(place[1]))) % 2 != 0:
+                color = warp.vec3(_ODD)
+            color = shade(color, warp.vec3(0.0, 0.0, 1.0))
         else:
             depths[world, pixel] = _EMPTY_DEPTH
     if rgb.shape[0] > 0:
         if owner >= 0:
-            cosine = warp.dot(camera * (rotations[world, owner] * first.normal), _LIGHT)
-            brightness = _SHADE + (1.0 - _SHADE) * warp.clamp(cosine, 0.0, 1.0)
-            color = 255.0 * brightness * colors[int(first_colors[world, owner]) + first.face]
+            face = int(first_faces[world, owner]) + first.face
+            color = sample_texture(corners, textures, texels, face, first.weights)
+            color = shade(color, camera * (rotations[world, owner] * first.normal))
         for channel in range(3):
-            rgb[world, pixel, channel] = warp.uint8(warp.rint(color[channel]))
+            rgb[world, pixel, channel] = warp.uint8(color[channel])
 
 
 @warp.func

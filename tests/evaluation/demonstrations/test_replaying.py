@@ -12,7 +12,7 @@ from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.loop import derive_scene_seed
+from handover_marl.episode.loop import derive_seed
 from handover_marl.episode.observations import select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
@@ -57,7 +57,7 @@ def assert_replays(
     metadata = demonstration.metadata
     episode = Episode(metadata.physics, config)
     episode.reset(open_dataset(metadata.dataset).load_scene(metadata.scene_id))
-    episode.seed_camera(derive_scene_seed(metadata.seed, metadata.scene_id, "camera"))
+    episode.seed_camera(derive_seed(metadata.seed, "camera"))
     robot = dict(zip(demonstration.steps.tolist(), demonstration.actions, strict=False))
     giver = dict(zip(demonstration.giver_steps.tolist(), demonstration.giver_actions, strict=True))
     times = sorted({*robot, *giver, metadata.steps})

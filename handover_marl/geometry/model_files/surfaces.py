@@ -1,0 +1,146 @@
+"""Colours of visual meshes, as PyBullet draws them.
+
+A shape has the colour of its URDF material, multiplied with the first texture that the materials of its OBJ file name;
+all other values of these materials are ignored. The last definition of a material's name counts in the whole model.
+"""
+
+import io
+import itertools
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from handover_marl.errors import DataFormatError
+from handover_marl.execution.reading import read_plain_file
+from handover_marl.geometry.kinematic_tree import KinematicTree
+from handover_marl.geometry.model_files.meshes import group_visual_shapes, read_shape_mesh
+from handover_marl.geometry.model_files.obj_files import MAX_MATERIAL_BYTES
+from handover_marl.geometry.model_files.urdf import UrdfShape
+
+Array = npt.NDArray[np.float32]
+Texture = npt.NDArray[np.uint8]
+
+_MAX_TEXTURE_BYTES = 100_000_000
+_WHITE = np.full((1, 1, 3), 255, dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Colours of the triangles of one `VisualMesh`, in the same order.
+
+    Attributes:
+        corners: (f, 3, 2) float32 positions of the triangles' corners in their textures, rightwards and upwards in
+            units of the texture's size; textures repeat.
+        textures: (f, 3) int32 first texel, width and height of the triangles' textures.
+        texels: (t, 3) uint8 red, green and blue of all textures, each row by row from the bottom.
+    """
+
+    corners: Array
+    textures: npt.NDArray[np.int32]
+    texels: Texture
+
+    def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
+        """Return the colours (n, 3) of points of n triangles.
+
+        Args:
+            faces: (n,) numbers of the triangles.
+            weights: (n, 2) barycentric coordinates of the points: weights of the second and the third corner.
+        """
+        first, *size = self.textures[faces].T
+        corners = self.corners[faces]
+        place = corners[:, 0] + np.einsum("nk,nkj->nj", weights, corners[:, 1:] - corners[:, :1])
+        size = np.stack(size, axis=-1)
+        column, row = np.minimum(((place - np.floor(place)) * size).astype(np.int64), size - 1).T
+        colors: Texture = self.texels[first + row * size[:, 0] + column]
+        return colors
+
+
+def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
+    """Read the colours of the meshes that `read_visual_meshes` returns for the same arguments.
+
+    Raises:
+        SimulationError: A shape cannot be read from the model.
+        DataFormatError: A mesh, material or texture cannot be read.
+    """
+    return [_read_surface(urdf, shapes) for shapes in group_visual_shapes(urdf, tree, without).values()]
+
+
+def _read_surface(urdf: Path, shapes: list[UrdfShape]) -> Surface:
+    corners, textures, texels, first = [], [], [], 0
+    for shape in shapes:
+        own, image = None, _WHITE
+        if shape.mesh is not None and shape.mesh.suffix.lower() == ".obj":
+            own, image = _read_obj_texture(shape.mesh)
+        if own is None:
+            own = np.zeros((len(read_shape_mesh(shape, urdf)[1]), 3, 2), dtype=np.float32)
+        # PyBullet cuts off decimals.
+        colored = (image[::-1] * np.clip(shape.color[:3], 0.0, 1.0)).astype(np.uint8).reshape(-1, 3)
+        corners.append(own)
+        textures.append(np.tile(np.array([first, image.shape[1], image.shape[0]], dtype=np.int32), (len(own), 1)))
+        texels.append(colored)
+        first += len(colored)
+    return Surface(np.concatenate(corners), np.concatenate(textures), np.concatenate(texels))
+
+
+def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
+    """Return the texture coordinates (f, 3, 2) of the triangles of an OBJ file, and its texture (h, w, 3).
+
+    Without a texture, the coordinates are None and the texture is a white pixel.
+    """
+    try:
+        lines = read_plain_file(path).decode(errors="replace").splitlines()
+        image = _load_first_texture(path.parent, lines)
+        if image is None:
+            return None, _WHITE
+        points: list[tuple[float, ...]] = []
+        faces: list[tuple[int, int, int]] = []
+        for words in map(str.split, lines):
+            if words[:1] == ["vt"]:
+                points.append(tuple(map(float, words[1:3])))
+            elif words[:1] == ["f"]:
+                numbers = [int((word.split("/")[1:2] or [""])[0] or 0) for word in words[1:]]
+                # Coordinates count from 1, or backwards from the last one before the face.
+                first, *others = [n - 1 if n > 0 else len(points) + n if n < 0 else -1 for n in numbers]
+                faces += [(first, *pair) for pair in itertools.pairwise(others)]
+        # PyBullet gives corners without coordinates the first of these, and all corners of a file without any the other.
+        points.append((0.0, 0.0) if points else (0.5, 0.5))
+        chosen = np.array(faces, dtype=np.int64)
+        chosen[chosen >= len(points)] = -1
+        return np.array(points, dtype=np.float32)[chosen], image
+    except (OSError, ValueError, IndexError) as error:
+        raise DataFormatError(f"{path}: cannot read its texture ({error}); check the file") from error
+
+
+def _load_first_texture(folder: Path, lines: list[str]) -> Texture | None:
+    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None."""
+    textures: dict[str, str] = {}
+    current, has_faces = "", False
+    for words in [*map(str.split, lines), ["o"]]:
+        if words[:1] == ["mtllib"] and (folder / words[1]).is_file():
+            textures |= _read_texture_names(folder / words[1])
+        elif words[:1] == ["usemtl"]:
+            current = words[1]
+        elif words[:1] == ["f"]:
+            has_faces = True
+        elif words[:1] in (["o"], ["g"]) and has_faces:
+            # The last material of an object is that of the whole object.
+            if current in textures and (folder / textures[current]).is_file():
+                image = Image.open(io.BytesIO(read_plain_file(folder / textures[current], _MAX_TEXTURE_BYTES)))
+                return np.asarray(image.convert("RGB"))
+            has_faces = False
+    return None
+
+
+def _read_texture_names(path: Path) -> dict[str, str]:
+    """Return the file names of the textures in a material file, by material."""
+    names, material = {}, ""
+    for words in map(str.split, read_plain_file(path, MAX_MATERIAL_BYTES).decode(errors="replace").splitlines()):
+        if words[:1] == ["newmtl"]:
+            material = words[1]
+        elif words[:1] == ["map_Kd"]:
+            names[material] = " ".join(words[1:])
+    return names
