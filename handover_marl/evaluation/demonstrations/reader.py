@@ -63,7 +63,8 @@ class Demonstrations:
         path = get_demonstrations_metadata_path(self.folder)
         if not path.exists():
             raise DataNotFoundError(
-                f"{path} does not exist: the folder has no demonstrations; `handover-marl demonstrate --out` records them"
+                f"{path} does not exist: the folder has no demonstrations; `handover-marl demonstrate --out` records "
+                "them"
             )
         with _report_damage(path):
             content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
@@ -162,7 +163,8 @@ def _report_damage(path: Path) -> Iterator[None]:
         yield
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(
-            f"{path} cannot be read ({shorten_text(error)}); remove it and run the same command again to record it again"
+            f"{path} cannot be read ({shorten_text(error)}); remove it and run the same command again to record its "
+            "episode again"
         ) from error
 
 

@@ -135,7 +135,7 @@ def test_flipped_bytes_are_detected(own: Path) -> None:
     first_file(own).write_bytes(data)
     demonstrations = Demonstrations(own)
     for read in (lambda: demonstrations[0], demonstrations.read_transitions):
-        with pytest.raises(DataFormatError, match=r"000\.npz cannot be read .* remove it and run the same command again"):
+        with pytest.raises(DataFormatError, match=r"000\.npz cannot be read .* remove it and run the same command"):
             read()
     assert len(demonstrations[1])
 

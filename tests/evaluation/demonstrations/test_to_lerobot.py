@@ -56,9 +56,7 @@ def test_every_observation_is_a_column(obs_mode: str) -> None:
     assert columns["giver.action"][:, 0].tolist() == [0.0, 1.0]
     n_values = sum(values[0].size for values in columns.values())
     assert n_values == sum(values[0].size for values in demonstration.observations.values()) - 1 + 9 + 8 + 3
-    np.testing.assert_array_equal(
-        columns["observation.state"], demonstration.observations["robot_joint_position"][:-1]
-    )
+    np.testing.assert_array_equal(columns["observation.state"], demonstration.observations["robot_joint_position"][:-1])
     if obs_mode.startswith("state"):
         names = describe_features(columns)["observation.environment_state"]["names"]
         first = names.index("object_poses.0")
@@ -70,6 +68,7 @@ def test_tasks() -> None:
     assert format_task("052_extra_large_clamp") == "Take the extra large clamp from the person's hand."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keep", "fps", "found"), [("all", None, "1 episodes with fps None"), ("success", 9, "0 ep")])
 def test_decisions_have_no_frame_rate(tmp_path: Path, keep: str, fps: int | None, found: str) -> None:
     record(None, tmp_path / "out", scenes=[5], keep=keep, fps=fps)
@@ -92,6 +91,7 @@ def lerobot() -> Any:
     return lerobot_dataset
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obs_mode", ["state+pointcloud", "rgbd"])
 def test_lerobot_reads_the_data_set(
     lerobot: Any, obs_mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
