@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -25,15 +25,13 @@ _UNKNOWN = -1
 _NUMBERS = ("scene_id", "release_step")  # that may be unknown
 _OBSERVATION_PREFIX, _METADATA = "observations/", "metadata"
 _MAX_BYTES = 8_000_000_000  # unpacked size of one episode
-# Rows beyond the number of decisions, shape of a row, and type of each array but observations and the giver's.
-_ARRAYS: dict[str, tuple[int, tuple[int, ...], type]] = {
-    "actions": (0, (PANDA_DOF,), np.float32),
-    "rewards": (0, (), np.float64),
-    "terminations": (0, (), np.bool_),
-    "truncations": (0, (), np.bool_),
-    "steps": (1, (), np.int64),
-}
-_GIVER_ARRAYS: dict[str, tuple[tuple[int, ...], type]] = {
+# Shape of a row and type of each array but observations.
+_LAYOUT: dict[str, tuple[tuple[int, ...], type]] = {
+    "actions": ((PANDA_DOF,), np.float32),
+    "rewards": ((), np.float64),
+    "terminations": ((), np.bool_),
+    "truncations": ((), np.bool_),
+    "steps": ((), np.int64),
     "giver_steps": ((), np.int64),
     "giver_actions": ((GIVER_ACTION_SIZE,), np.float32),
 }
@@ -161,7 +159,7 @@ def encode_demonstration(demonstration: Demonstration) -> bytes:
     stream = io.BytesIO()
     observations = sorted(demonstration.observations.items())
     arrays: dict[str, Any] = {_OBSERVATION_PREFIX + name: array for name, array in observations}
-    arrays |= {name: getattr(demonstration, name) for name in (*_ARRAYS, *_GIVER_ARRAYS)}
+    arrays |= {name: getattr(demonstration, name) for name in _LAYOUT}
     arrays[_METADATA] = np.array(json.dumps(asdict(demonstration.metadata)))
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
@@ -190,9 +188,8 @@ def read_transitions(
         Exception: The file is damaged; NumPy and zipfile raise exceptions of many types.
     """
     arrays = read_arrays(path, ("actions", *(_OBSERVATION_PREFIX + name for name in names)), _MAX_BYTES)
-    rows = len(arrays["actions"])
-    _check_array("actions", arrays["actions"], rows, *_ARRAYS["actions"][1:])
-    return _select_observations(arrays, names, space, rows + 1), arrays["actions"]
+    _check_arrays(arrays, space)
+    return {name: arrays[_OBSERVATION_PREFIX + name] for name in names}, arrays["actions"]
 
 
 def read_demonstration(path: Path, space: spaces.Dict) -> Demonstration:
@@ -206,16 +203,10 @@ def read_demonstration(path: Path, space: spaces.Dict) -> Demonstration:
         Exception: The file is damaged; NumPy and zipfile raise exceptions of many types.
     """
     arrays = read_arrays(path, largest=_MAX_BYTES)
-    rows, giver_rows = len(arrays["actions"]), len(arrays["giver_steps"])
-    for name, (more, shape, dtype) in _ARRAYS.items():
-        _check_array(name, arrays[name], rows + more, shape, dtype)
-    for name, (shape, dtype) in _GIVER_ARRAYS.items():
-        _check_array(name, arrays[name], giver_rows, shape, dtype)
-    return Demonstration(
-        observations=_select_observations(arrays, space.spaces, space, rows + 1),
-        **{name: arrays[name] for name in (*_ARRAYS, *_GIVER_ARRAYS)},
-        metadata=_decode_metadata(arrays[_METADATA]),
-    )
+    metadata = _decode_metadata(arrays.pop(_METADATA))
+    _check_arrays(arrays, space)
+    observations = {name: arrays[_OBSERVATION_PREFIX + name] for name in space}
+    return Demonstration(observations, **{name: arrays[name] for name in _LAYOUT}, metadata=metadata)
 
 
 def _decode_metadata(array: npt.NDArray[Any]) -> EpisodeMetadata:
@@ -224,17 +215,19 @@ def _decode_metadata(array: npt.NDArray[Any]) -> EpisodeMetadata:
     return EpisodeMetadata(**{name: check_scalar(name, values[name], kind) for name, kind in types.items()})
 
 
-def _select_observations(
-    arrays: dict[str, npt.NDArray[Any]], names: Iterable[str], space: spaces.Dict, rows: int
-) -> Observation:
-    observations = {name: arrays[_OBSERVATION_PREFIX + name] for name in names}
-    for name, array in observations.items():
-        _check_array(name, array, rows, space[name].shape or (), space[name].dtype)
-    return observations
+def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], space: spaces.Dict) -> None:
+    """Check lengths, shapes and types of an episode's arrays, and that actions and rewards are finite.
 
-
-def _check_array(name: str, array: npt.NDArray[Any], rows: int, shape: tuple[int, ...], dtype: Any) -> None:
-    if array.shape != (rows, *shape) or array.dtype != np.dtype(dtype):
-        raise ValueError(f"{name} must be {np.dtype(dtype)} {(rows, *shape)}, got {array.dtype} {array.shape}")
-    if name.endswith(("actions", "rewards")) and not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite")
+    Raises:
+        ValueError: An array has another form.
+        KeyError: An array is not one of an episode.
+    """
+    for name, array in arrays.items():
+        key = name.removeprefix(_OBSERVATION_PREFIX)
+        shape, dtype = _LAYOUT[name] if key == name else (space[key].shape or (), space[key].dtype)
+        rows = len(arrays["giver_steps" if name.startswith("giver") else "actions"])
+        rows += name == "steps" or key != name
+        if array.shape != (rows, *shape) or array.dtype != np.dtype(dtype):
+            raise ValueError(f"{name} must be {np.dtype(dtype)} {(rows, *shape)}, got {array.dtype} {array.shape}")
+        if name.endswith(("actions", "rewards")) and not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite")
