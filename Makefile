@@ -5,7 +5,7 @@
 # make check       lint and types
 # make slow-tests  measures which tests are slow and writes tests/slow.txt
 # make loops       a venv with other RL libraries, then the tests of their training loops
-# make lerobot     a venv with LeRobot, then its reader on data sets in its format
+# make lerobot     a venv with LeRobot, then the conversion of demonstrations to its format
 # make newer       a venv with everything, then the tests without PyBullet: for Python 3.14, which it has no wheels for
 # make docs        the site in build/site, with the notebook executed; a warning is an error
 # make smoke       wheel and sdist in clean environments, one episode with each
@@ -17,7 +17,7 @@ PYTHON ?= python3
 VENV ?= .venv
 LOOPS ?= .venv-loops
 LEROBOT ?= .venv-lerobot
-EXTRAS ?= assets,demonstrations,dev,docs,import,lerobot,onnx,planning,plot,ray,render,replay,torchrl,train,vision,warp
+EXTRAS ?= assets,dev,docs,import,minari,onnx,planning,plot,ray,render,replay,torchrl,train,vision,warp
 SETUP ?= s3
 DATA ?= $(HANDOVER_MARL_DATA)
 DATASET := $(if $(DATA),dexycb,synthetic)
@@ -81,16 +81,16 @@ $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
 
-# LeRobot's reader of data sets. torchcodec needs FFmpeg's libraries, which are in PyAV's package under other names.
+# LeRobot writes and reads data sets. torchcodec needs FFmpeg's libraries, which are in PyAV's package under other names.
 lerobot: $(LEROBOT)/.installed
 	LD_LIBRARY_PATH="$(abspath $(LEROBOT))/ffmpeg" HF_HUB_OFFLINE=1 HF_HOME="$(abspath $(LEROBOT))/cache" \
-		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/lerobot/test_reading_with_lerobot.py
+		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/test_to_lerobot.py
 
 # LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps.
 $(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
 	$(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python $(INSTALL) -c constraints-lerobot.txt \
-		-e ".[lerobot,vision]" accelerate av datasets h5py torch torchcodec torchvision hypothesis pytest pytest-timeout
+		-e ".[vision]" accelerate av datasets torch torchcodec torchvision hypothesis pytest pytest-timeout
 	$(LEROBOT)/bin/python $(INSTALL) --no-deps -c constraints-lerobot.txt lerobot
 	mkdir -p $(LEROBOT)/ffmpeg
 	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \

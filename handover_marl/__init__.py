@@ -11,7 +11,7 @@ env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium envir
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
 report = handover_marl.benchmark(setup="s3")                     official protocol of HandoverSim
 table = handover_marl.strangers("yang2021", setup="s0")          partners that it has not met
-data = handover_marl.demonstrate(setup="s0", out="data/s0")      data set of recorded episodes
+data = handover_marl.demonstrate(setup="s0", out="data/s0")      recorded episodes
 
 Public names are the names in `__all__`, here and in `handover_marl.givers`, `handover_marl.receivers`
 and `handover_marl.testing`, the errors, the configurations, and all names on the pages of the

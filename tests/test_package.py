@@ -47,7 +47,7 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         (handover_marl.benchmark, {"execution"}, {"giver", "world_config"}),
         (handover_marl.evaluate_pair, {"execution"}, set()),
         (handover_marl.compare_physics, {"execution", "against"}, set()),
-        (handover_marl.demonstrate, {"execution", "obs_mode", "keep", "format", "fps"}, set()),
+        (handover_marl.demonstrate, {"execution", "obs_mode", "keep", "fps"}, set()),
         (handover_marl.crossplay, {"execution", "givers", "receivers"}, {"giver", "receiver"}),
         (
             handover_marl.render_scene,

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import h5py
 import numpy as np
 import tyro
 
@@ -45,7 +44,7 @@ OBS_MODES = {
     "state+rgbd": ("--sight images", "--obs-mode state+rgbd"),
 }
 #: Arrays of result files that differ between versions or runs: wall-clock times and what was run.
-IGNORED = ("elapsed_time", "fingerprint", "machine")
+IGNORED = ("elapsed_time", "fingerprint", "machine", "metadata")
 #: New names of arrays that had other names in 0.7.0.
 RENAMED = {"fluency_peak_force": "fluency_max_robot_object_force"}
 
@@ -141,7 +140,7 @@ def compare(args: Compare) -> int:
             n_different += 1
             continue
         n_files, lines = 0, []
-        for path in (*sorted(old.rglob("*.npz")), *sorted(old.rglob("*.hdf5"))):
+        for path in sorted(old.rglob("*.npz")):
             lines += _find_differences(path, new / path.relative_to(old))
             n_files += 1
         print(f"{old.name}: {'equal' if not lines else f'{len(lines)} differences'} ({n_files} files)")
@@ -160,15 +159,8 @@ def _find_differences(old: Path, new: Path) -> list[str]:
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Return the arrays of a result file or a demonstration file that are compared, by name."""
-    if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as file:
-            return {RENAMED.get(key, key): file[key] for key in file.files if key not in IGNORED}
-    arrays = {}
-    with h5py.File(path) as file:
-        file.visititems(
-            lambda name, item: arrays.update({name: np.asarray(item[()])}) if isinstance(item, h5py.Dataset) else None
-        )
-    return arrays
+    with np.load(path, allow_pickle=False) as file:
+        return {RENAMED.get(key, key): file[key] for key in file.files if key not in IGNORED}
 
 
 def _equal(before: np.ndarray, after: np.ndarray) -> bool:

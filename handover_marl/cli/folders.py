@@ -1,7 +1,7 @@
 """Commands that read result folders."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -136,6 +136,27 @@ def run_merge(
         print_tables(result, table_format, note)
     else:
         print_result(f"{result}\n\n{note}")
+
+
+def run_convert(
+    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    /,
+    to: Literal["minari", "lerobot"],
+    name: Annotated[str, tyro.conf.arg(metavar="NAME")],
+) -> None:
+    """Convert demonstrations to a data set of another library, in the folder of that library.
+
+    Args:
+        folder: Output folder of `demonstrate`; for LeRobot one with a frame rate (--fps).
+        to: Library that writes the data set, Minari or LeRobot.
+        name: Name of the new data set, such as handover/reactive-v0.
+    """
+    if to == "minari":
+        from handover_marl.evaluation.demonstrations.to_minari import convert_to_minari as convert
+    else:
+        from handover_marl.evaluation.demonstrations.to_lerobot import convert_to_lerobot as convert
+
+    print_result(f"Data set: {convert(folder, name)}")
 
 
 def run_strangers_table(

@@ -8,6 +8,7 @@ from handover_marl.cli import scenes
 from handover_marl.cli.data_folders import run_doctor, run_import
 from handover_marl.cli.folders import (
     run_compare,
+    run_convert,
     run_evaluate,
     run_merge,
     run_strangers_references,
@@ -35,6 +36,7 @@ _COMMANDS: dict[str, Callable[..., int | None]] = {
     "strangers-table": run_strangers_table,
     "strangers-references": run_strangers_references,
     "demonstrate": run_demonstrate,
+    "convert": run_convert,
     "render": run_render,
     "evaluate": run_evaluate,
     "verify": run_verify,

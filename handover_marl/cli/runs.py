@@ -146,24 +146,22 @@ def run_demonstrate(
         "scene_pointcloud",
     ] = "state",
     keep: Literal["all", "success"] = "all",
-    format: Literal["minari", "lerobot"] = "minari",  # noqa: A002 - the name of the option
     fps: int | None = None,
     evaluation: EvaluationConfig = EvaluationConfig(split="train", receiver="reactive"),
     execution: ExecutionConfig = ExecutionConfig(),
 ) -> None:
-    """Record episodes of a train split as a data set (--out DIR).
+    """Record episodes of a train split for imitation learning (--out DIR).
 
     Args:
-        obs_mode: Observation mode of the data set, independent of the receiver's.
+        obs_mode: Observation mode of the recording, independent of the receiver's.
         keep: Episodes to store: all, with their outcomes, or success.
-        format: minari (HDF5; every decision, for exact replay) or lerobot (Parquet and video; constant frame rate).
-        fps: Frames per second of the format lerobot, 1 to 1000; default: 20.
+        fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
         evaluation: Scenes, policies and simulation.
         execution: Workers and output; the data do not depend on them.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    result = demonstrate(evaluation, obs_mode=obs_mode, keep=keep, format=format, fps=fps, execution=execution)
+    result = demonstrate(evaluation, obs_mode=obs_mode, keep=keep, fps=fps, execution=execution)
     print_result(f"{result}\n\n{_describe_path(execution, 'report.html')}")
 
 

@@ -9,9 +9,6 @@ from pathlib import Path
 from handover_marl.errors import HandoverError, OptionError, ResultsError
 from handover_marl.evaluation.agreement import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder, read_crossplay_pairs
-from handover_marl.evaluation.demonstrations.files import EpisodeLocation
-from handover_marl.evaluation.demonstrations.join import join_data_sets, locate_episodes
-from handover_marl.evaluation.demonstrations.minari_layout import DATA_FOLDER
 from handover_marl.evaluation.demonstrations.reader import Demonstrations
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate, write_report
@@ -23,8 +20,8 @@ from handover_marl.evaluation.results.metadata import (
     read_result_metadata,
 )
 from handover_marl.evaluation.results.result_folder import (
-    find_replays,
-    get_replay_path,
+    find_recordings,
+    get_demonstrations_metadata_path,
     get_result_path,
     prepare_result_folder,
     read_results,
@@ -57,7 +54,7 @@ def merge(
         ResultsError: The folders are not all shards of one evaluation, one cannot be read, or `out`
             holds another evaluation or cannot be written.
         OptionError: `folders` is not a list of paths, or `out` is not a path.
-        DataNotFoundError, DataFormatError: Demonstrations are unfinished or damaged.
+        DataFormatError: The description of demonstrations is damaged.
     """
     if isinstance(folders, (str, bytes)) or not isinstance(folders, Sequence):
         raise OptionError(f"folders must be a list of paths, got {folders!r}")
@@ -104,8 +101,8 @@ class ShardFolder:
             part = Shard.parse(metadata.shard, with_scenes=True)
         except OptionError as error:
             raise ResultsError(f"{path}: {error}") from error
-        for replay in find_replays(path).values():
-            _check_replay(path, replay)
+        for recording in find_recordings(path):
+            _check_recording(path, recording)
         return cls(path, metadata, part, tuple(read_results(path, allow_empty=True)))
 
     @property
@@ -165,7 +162,7 @@ def _read_shards(paths: Sequence[Path]) -> list[ShardFolder]:
 
 
 def _write_merged(folders: Sequence[ShardFolder], out: Path) -> Report:
-    """Write results, replays and report of the whole evaluation.
+    """Write results, replays, demonstrations and report of the whole evaluation.
 
     Raises:
         ResultsError: `out` holds another evaluation or cannot be written.
@@ -176,10 +173,10 @@ def _write_merged(folders: Sequence[ShardFolder], out: Path) -> Report:
         for result in folder.results:
             content = _read_file(get_result_path(folder.path, result.index))
             write_atomically(get_result_path(out, result.index), content)
-        for scene, replay in find_replays(folder.path).items():
-            copy = get_replay_path(out, scene)
+        for recording in find_recordings(folder.path):
+            copy = out / recording.relative_to(folder.path)
             copy.parent.mkdir(exist_ok=True)
-            write_atomically(copy, _read_file(replay))
+            write_atomically(copy, _read_file(recording))
     report = evaluate(out)
     write_report(out, report)
     return report
@@ -200,14 +197,16 @@ def _merge(paths: list[Path], target: Path) -> Report | CrossPlay | Agreement | 
     )
 
 
-def _check_replay(folder: Path, replay: Path) -> None:
+def _check_recording(folder: Path, recording: Path) -> None:
     try:
-        check_plain_file(replay)
+        check_plain_file(recording)
         # A link could name any file of this machine.
-        if not replay.resolve().is_relative_to(folder.resolve()):
+        if not recording.resolve().is_relative_to(folder.resolve()):
             raise ValueError("it is a link out of the result folder")
     except (OSError, ValueError) as error:
-        raise ResultsError(f"{replay}: not a replay page ({shorten_text(error)}); remove it") from error
+        raise ResultsError(
+            f"{recording}: not a replay page or demonstration ({shorten_text(error)}); remove it"
+        ) from error
 
 
 def _read_file(path: Path) -> bytes:
@@ -235,17 +234,8 @@ def _merge_subfolders(paths: list[Path], target: Path, names: Sequence[str]) -> 
 
 
 def _merge_results(paths: list[Path], target: Path) -> Report | Demonstrations:
-    shards = _read_shards(paths)
-    if not any((path / DATA_FOLDER).is_dir() for path in paths):
-        return _write_merged(shards, target)
-    # All data sets are checked before anything is written.
-    parts = [Demonstrations(shard.path) for shard in shards]
-    locations: dict[int, EpisodeLocation] = {}
-    for shard, part in zip(shards, parts, strict=True):
-        locations |= locate_episodes(part, shard.results)
-    _write_merged(shards, target)
-    join_data_sets(parts[0], locations, target)
-    return Demonstrations(target)
+    report = _write_merged(_read_shards(paths), target)
+    return Demonstrations(target) if get_demonstrations_metadata_path(target).exists() else report
 
 
 def _merge_crossplay(paths: list[Path], target: Path) -> CrossPlay:

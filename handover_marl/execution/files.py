@@ -7,7 +7,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,19 +23,6 @@ def write_atomically(path: Path, content: bytes | str) -> None:
             stays as it was.
     """
     _write(path, content, Path.replace)
-
-
-@contextlib.contextmanager
-def replace_atomically(path: Path) -> Iterator[Path]:
-    """Yield the path of a temporary file, which is renamed to `path` if the block succeeds.
-
-    Use this for files that do not fit into memory.
-
-    Raises:
-        ResultsError: The file cannot be written. An existing file stays as it was.
-    """
-    with _open_temporary(path, Path.replace) as (_, temporary):
-        yield temporary
 
 
 def create_exclusively(path: Path, content: bytes | str) -> None:
@@ -155,17 +142,10 @@ def _link(temporary: Path, path: Path) -> None:
 
 def _write(path: Path, content: bytes | str, put: Callable[[Path, Path], object]) -> None:
     data = content.encode() if isinstance(content, str) else content
-    with _open_temporary(path, put) as (stream, _):
-        stream.write(data)
-
-
-@contextlib.contextmanager
-def _open_temporary(path: Path, put: Callable[[Path, Path], object]) -> Iterator[tuple[BinaryIO, Path]]:
-    """Yield stream and path of a temporary file; move it to `path` with `put` afterwards."""
     try:
         handle, temporary = _create_locked_temporary(path)
         with os.fdopen(handle, "wb") as stream, _delete_on_failure(temporary):
-            yield stream, temporary
+            stream.write(data)
             stream.flush()
             os.fsync(stream.fileno())
             temporary.chmod(0o644)

@@ -32,6 +32,8 @@ TARGETS = (
     "handover_marl.assets.building.custom_scenes.CustomSceneFolder",
     "handover_marl.datasets.dexycb.importer.import_dexycb",
     "handover_marl.evaluation.demonstrations.record.demonstrate",
+    "handover_marl.evaluation.demonstrations.to_lerobot.convert_to_lerobot",
+    "handover_marl.evaluation.demonstrations.to_minari.convert_to_minari",
     "handover_marl.datasets.folder_check.examine_data_folder",
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.plan.render_plan",

@@ -29,7 +29,7 @@ SHELL = [
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "own_object"]
 #: Additional modules that the programs of a page need, by page.
 NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
-    "docs/how_to/demonstrations.md": ("h5py", "minari", "embreex"),
+    "docs/how_to/demonstrations.md": ("embreex",),
     "docs/how_to/many_machines.md": ("ray",),
     "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
     "docs/how_to/vector_environments.md": ("mujoco", "stable_baselines3", "torchrl"),

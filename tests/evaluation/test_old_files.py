@@ -11,8 +11,6 @@ import pytest
 import handover_marl
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.crossplay import read_crossplay_pairs
-from handover_marl.evaluation.demonstrations.reader import Demonstrations
-from handover_marl.evaluation.merge import merge
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
 from handover_marl.evaluation.verification.folder_checks import check_reports
@@ -99,36 +97,6 @@ def test_pairs_of_a_cross_play() -> None:
         ("cooperative", "hold"),
         ("cooperative", "yang2021"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("folder", "scenes", "keys"),
-    [
-        ("demonstrations_state", [5, 6], {"object_poses", "hand_keypoints"}),
-        ("demonstrations_points", [5], {"wrist_object_points", "wrist_point_counts"}),
-        ("demonstrations_merged", [5, 6], {"object_poses"}),
-    ],
-)
-def test_demonstrations_are_read(folder: str, scenes: list[int], keys: set[str]) -> None:
-    pytest.importorskip("h5py")
-    demonstrations = Demonstrations(OLD / folder)
-    assert [metadata.scene_id for metadata in demonstrations.read_metadata()] == scenes
-    assert demonstrations.evaluation.receiver_hash == "93ba94f9"
-    assert keys <= set(demonstrations.observation_space.spaces)
-    for demonstration in demonstrations:
-        assert set(demonstration.observations) == set(demonstrations.observation_space.spaces)
-        assert demonstration.actions.shape == (len(demonstration), 9)
-    observations, actions = demonstrations.read_transitions()
-    assert all(len(values) == len(actions) for values in observations.values())
-
-
-def test_shards_are_merged(tmp_path: Path) -> None:
-    pytest.importorskip("h5py")
-    merged = merge([OLD / "shards" / "1", OLD / "shards" / "2"], tmp_path)
-    assert isinstance(merged, Demonstrations)
-    assert [metadata.scene_id for metadata in merged.read_metadata()] == [5, 6]
-    old = (OLD / "demonstrations_merged" / "data" / "main_data.hdf5").read_bytes()
-    assert (tmp_path / "data" / "main_data.hdf5").read_bytes() == old
 
 
 @pytest.mark.parametrize("agent", ["giver", "receiver"])

@@ -14,7 +14,6 @@ from handover_marl.errors import ResultsError
 from handover_marl.execution.files import (
     create_exclusively,
     remove_stale_temporaries,
-    replace_atomically,
     wait_for_lock,
     write_atomically,
 )
@@ -154,31 +153,6 @@ def test_temporary_files_in_use_are_kept(tmp_path: Path, monkeypatch: pytest.Mon
     write(tmp_path / "a.txt", "text")
     assert len(seen) == 1
     assert [path.read_text() for path in tmp_path.iterdir()] == ["text"]
-
-
-def _fill_half(path: Path, error: BaseException) -> None:
-    with replace_atomically(path) as temporary:
-        temporary.write_text("half")
-        assert path.read_text() == "before"
-        remove_stale_temporaries(path.parent)
-        assert temporary.exists()
-        raise error
-
-
-def test_replace_atomically(tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    for error in (KeyboardInterrupt(), ValueError("no"), OSError("disk full")):
-        path.write_text("before")
-        with pytest.raises((type(error), ResultsError)):
-            _fill_half(path, error)
-        assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
-        assert path.read_text() == "before"
-    with replace_atomically(path) as temporary:
-        temporary.write_text("after")
-    assert path.read_text() == "after"
-    assert path.stat().st_mode & 0o777 == 0o644
-    with pytest.raises(ResultsError, match="cannot write"), replace_atomically(tmp_path / "nowhere" / "file"):
-        pass
 
 
 def test_temporary_file_removed_before_it_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

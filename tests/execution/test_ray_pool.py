@@ -225,7 +225,6 @@ def test_errors_of_policies_are_raised_here(cluster: Any, nodes: list[Any]) -> N
 
 
 def test_demonstrations_are_the_same(cluster: Any, nodes: list[Any], tmp_path: Path) -> None:
-    pytest.importorskip("h5py")
     from tests.evaluation.demonstrations.recording import contents, record
 
     record(None, tmp_path / "local", giver="noisy")

@@ -17,7 +17,6 @@ def write_results(folder: Path, action: float, machine: str = "a") -> Path:
 
 
 def test_equal_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("h5py")
     module = script("compare_versions", monkeypatch)
     old, new = write_results(tmp_path / "old", 0.5), write_results(tmp_path / "new", 0.5, machine="b")
     assert module.compare(module.Compare(old, new)) == 0
@@ -26,7 +25,6 @@ def test_equal_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_changed_action_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("h5py")
     module = script("compare_versions", monkeypatch)
     old = write_results(tmp_path / "old", 0.5)
     new = write_results(tmp_path / "new", float(np.nextafter(np.float32(0.5), np.float32(1))))

@@ -1,85 +1,84 @@
-"""Reader of the data sets that `demonstrate` records."""
+"""Reader of the episodes that `demonstrate` records."""
 
+import contextlib
+import json
 import operator
 import os
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.episode.observations import Observation
-from handover_marl.errors import DataFormatError, check_name
-from handover_marl.evaluation.demonstrations.data_card import describe_recording
-from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
-from handover_marl.evaluation.demonstrations.episode_groups import (
-    read_actions,
-    read_episode,
+from handover_marl.episode.observations import Observation, receiver_observation_space
+from handover_marl.episode.spaces import check_obs_mode, receiver_action_space
+from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
+from handover_marl.evaluation.demonstrations.demonstration import (
+    Demonstration,
+    EpisodeMetadata,
+    read_demonstration,
     read_episode_metadata,
-    read_observations,
+    read_transitions,
 )
-from handover_marl.evaluation.demonstrations.files import get_episode_group, open_hdf5, require_h5py
-from handover_marl.evaluation.demonstrations.minari_layout import (
-    DATA_FOLDER,
-    MAIN_FILE,
-    METADATA_FILE,
-    format_group_name,
-    read_metadata,
+from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
+from handover_marl.evaluation.results.result_folder import (
+    check_scalar,
+    find_demonstrations,
+    get_demonstrations_metadata_path,
+    read_results,
 )
-from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
+from handover_marl.execution.reading import read_plain_file
 
-_Value = TypeVar("_Value")
-_RECORD_AGAIN = "remove the file and run the same command again to record its episodes again"
+_MAX_METADATA_BYTES = 10_000
 
 
 class Demonstrations:
     """Sequence of the episodes that `demonstrate` recorded, as NumPy arrays: `demonstrations[0].actions`.
 
-    No file stays open, so that the object can be pickled. `minari.MinariDataset(folder / "data")`
-    reads the same data.
+    Episodes are in the order of the split. No file stays open, so that the object can be pickled.
 
     Args:
+        folder: Output folder of `demonstrate`, also of one that is not finished.
+
+    Attributes:
         folder: Output folder of `demonstrate`.
+        fps: Frames per second; None if the rows are the receiver's decisions.
+        observation_space: Space of the recorded receiver's observations, a `gymnasium.spaces.Dict`.
+        action_space: Space of the recorded receiver's actions, target positions of its 9 joints (rad, m).
+        evaluation: Identity of the evaluation that was recorded.
 
     Raises:
-        DataNotFoundError: The folder has no data set.
-        DataFormatError: The data set is damaged.
-        OptionError: h5py is not installed.
+        DataNotFoundError: The folder has no demonstrations.
+        DataFormatError: The description of the demonstrations is damaged.
+        ResultsError: The folder is no result folder.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        require_h5py()
         self.folder = check_path("folder", folder)
-        self._metadata = read_metadata(self.folder / DATA_FOLDER)
-        self._file = self.folder / DATA_FOLDER / MAIN_FILE
-        found = self._open(len)
-        if found != len(self):
-            raise DataFormatError(
-                f"{self._file} has {found} episodes, but {METADATA_FILE} states {len(self)}; run the same command "
-                "again to write it again"
+        path = get_demonstrations_metadata_path(self.folder)
+        if not path.exists():
+            raise DataNotFoundError(
+                f"{path} does not exist: the folder has no demonstrations; `handover-marl demonstrate --out` records "
+                "them"
             )
-
-    @property
-    def observation_space(self) -> spaces.Dict:
-        """Space of the recorded receiver's observations, a `gymnasium.spaces.Dict`."""
-        return self._metadata.observation_space
-
-    @property
-    def action_space(self) -> spaces.Box:
-        """Space of the recorded receiver's actions, target positions of its 9 joints (rad, m)."""
-        return self._metadata.action_space
-
-    @property
-    def evaluation(self) -> ResultMetadata:
-        """Identity of the evaluation that was recorded."""
-        return self._metadata.evaluation
+        with _report_damage(path):
+            content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
+            check_obs_mode(content["obs_mode"])
+            largest_class = check_scalar("largest_class", content["largest_class"], int)
+            self.observation_space = receiver_observation_space(content["obs_mode"], largest_class)
+            self.fps = content["fps"] and check_scalar("fps", content["fps"], int)
+        self.action_space: spaces.Box = receiver_action_space()
+        self.evaluation: ResultMetadata = read_result_metadata(self.folder)
+        self._paths = find_demonstrations(self.folder)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
-        return self._metadata.n_episodes
+        return len(self._paths)
 
     def __getitem__(self, number: int) -> Demonstration:
         """Read the episode of a given number, with all its arrays.
@@ -87,11 +86,11 @@ class Demonstrations:
         Raises:
             TypeError: The number is not an integer; slices are not supported.
             IndexError: The number is out of range.
-            DataFormatError: The data set is damaged.
+            DataFormatError: The file of the episode is damaged.
         """
-        return self._read(
-            range(len(self))[operator.index(number)], lambda group: read_episode(group, self.observation_space)
-        )
+        path = self._paths[operator.index(number)]
+        with _report_damage(path):
+            return read_demonstration(path, self.observation_space)
 
     def __iter__(self) -> Iterator[Demonstration]:
         return map(self.__getitem__, range(len(self)))
@@ -100,9 +99,9 @@ class Demonstrations:
         """Read the metadata of every episode.
 
         Raises:
-            DataFormatError: The data set is damaged.
+            DataFormatError: The file of an episode is damaged.
         """
-        return [self._read(number, read_episode_metadata) for number in range(len(self))]
+        return [self._read_metadata(path) for path in self._paths]
 
     def read_transitions(
         self, names: Iterable[str] | None = None, episodes: Iterable[int] | None = None
@@ -114,18 +113,21 @@ class Demonstrations:
             episodes: Episodes to read, by number; default: all.
 
         Returns:
-            Observations (N, ...) by key and actions (N, 9) of N decisions.
+            Observations (N, ...) by key and actions (N, 9) of N rows.
 
         Raises:
             UnknownNameError: Unknown observation.
             IndexError: The number of an episode is out of range.
-            DataFormatError: The data set is damaged.
+            DataFormatError: The file of an episode is damaged.
         """
         names = list(self.observation_space.spaces if names is None else names)
         for name in names:
             check_name("observation", name, self.observation_space.spaces)
-        numbers = [range(len(self))[number] for number in (range(len(self)) if episodes is None else episodes)]
-        parts = [self._read(number, lambda group: self._read_arrays(group, names)) for number in numbers]
+        paths = self._paths if episodes is None else [self._paths[number] for number in episodes]
+        parts = []
+        for path in paths:
+            with _report_damage(path):
+                parts.append(read_transitions(path, names, self.observation_space))
         observations = {
             name: np.concatenate(
                 [_create_empty_rows(self.observation_space[name]), *(arrays[name][:-1] for arrays, _ in parts)]
@@ -135,29 +137,35 @@ class Demonstrations:
         return observations, np.concatenate([_create_empty_rows(self.action_space), *(actions for _, actions in parts)])
 
     def __str__(self) -> str:
-        metadata = self._metadata
-        recording = describe_recording(metadata.evaluation, metadata.simulated)
+        source = self.evaluation
+        outcomes = Counter(result.status.label for result in read_results(self.folder, allow_empty=True))
+        counts = ", ".join(f"{name} {number}" for name, number in sorted(outcomes.items()))
         return (
-            f"{len(self)} episodes with {metadata.decisions} decisions of {recording} {metadata.megabytes} MB in "
-            f"{self._file}"
+            f"{len(self)} episodes of {source.receiver}, giver {source.giver}, {source.dataset}, {source.setup} "
+            f"{source.split}, {source.physics} physics; {source.recorded}.\nSimulated: {outcomes.total()} ({counts}). "
+            f"Files: {get_demonstrations_metadata_path(self.folder).parent}"
         )
 
-    def _read_arrays(self, group: Any, names: list[str]) -> tuple[Observation, npt.NDArray[np.float32]]:
-        return read_observations(group, names, self.observation_space), read_actions(group)
+    @staticmethod
+    def _read_metadata(path: Path) -> EpisodeMetadata:
+        with _report_damage(path):
+            return read_episode_metadata(path)
 
-    def _read(self, number: int, read: Callable[[Any], _Value]) -> _Value:
-        return self._open(lambda file: read(get_episode_group(file, format_group_name(number))), f": episode {number}")
 
-    def _open(self, read: Callable[[Any], _Value], part: str = "") -> _Value:
-        try:
-            with open_hdf5(self._file, "r") as file:
-                return read(file)
-        except (PermissionError, MemoryError) as error:  # the file itself may be whole
-            raise DataFormatError(f"{self._file}{part} cannot be read ({shorten_text(error)})") from error
-        except Exception as error:  # h5py raises exceptions of many types on damaged files
-            raise DataFormatError(
-                f"{self._file}{part} cannot be read ({shorten_text(error)}); {_RECORD_AGAIN}"
-            ) from error
+@contextlib.contextmanager
+def _report_damage(path: Path) -> Iterator[None]:
+    """Report every exception of reading a file as damage.
+
+    Raises:
+        DataFormatError: The file cannot be read.
+    """
+    try:
+        yield
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise DataFormatError(
+            f"{path} cannot be read ({shorten_text(error)}); remove it and run the same command again to record its "
+            "episode again"
+        ) from error
 
 
 def _create_empty_rows(space: spaces.Space[Any]) -> npt.NDArray[Any]:

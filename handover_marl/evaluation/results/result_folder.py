@@ -38,7 +38,7 @@ from handover_marl.policies.policy import Policy
 #: Report files beside the results of the scenes.
 REPORT_JSON = "report.json"
 REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
-_REPLAYS = "episodes"
+_REPLAYS, _DEMONSTRATIONS = "episodes", "demonstrations"
 _RESULT_FILE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.npz")
 _REPLAY_PAGE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.html")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result
@@ -76,6 +76,28 @@ def find_replays(folder: Path) -> dict[int, Path]:
     """Return the paths of the replay pages in a result folder, by scene number."""
     paths = [path for path in (folder / _REPLAYS).glob("[0-9]*.html") if _REPLAY_PAGE.fullmatch(path.name)]
     return {int(path.stem): path for path in sorted(paths, key=_get_number)}
+
+
+def get_demonstration_path(folder: Path, index: int) -> Path:
+    """Return the path of a scene's demonstration, given the scene's index in the split."""
+    return folder / _DEMONSTRATIONS / f"{index:03d}.npz"
+
+
+def get_demonstrations_metadata_path(folder: Path) -> Path:
+    """Return the path of the file that describes all demonstrations of a result folder."""
+    return folder / _DEMONSTRATIONS / "metadata.json"
+
+
+def find_demonstrations(folder: Path) -> list[Path]:
+    """Return the paths of the demonstrations in a result folder, in the order of the split."""
+    paths = (folder / _DEMONSTRATIONS).glob("[0-9]*.npz")
+    return sorted((path for path in paths if _RESULT_FILE.fullmatch(path.name)), key=_get_number)
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """Return the paths of all files that are kept beside the results: replay pages and demonstrations."""
+    metadata = get_demonstrations_metadata_path(folder)
+    return [*find_replays(folder).values(), *find_demonstrations(folder), *([metadata] if metadata.exists() else [])]
 
 
 class ResultFolder(EpisodeWriter):
@@ -252,8 +274,8 @@ def _clear(path: Path, entries: list[str]) -> None:
     for name in entries:
         if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
             (path / name).unlink()
-    for replay in find_replays(path).values():
-        replay.unlink()
+    for recording in find_recordings(path):
+        recording.unlink()
 
 
 def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""Fixtures for the tests of recordings in both formats."""
+"""Fixtures for the tests of recordings."""
 
 from typing import Any
 

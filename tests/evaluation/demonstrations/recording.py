@@ -40,13 +40,9 @@ def record(data: Path | None, out: Path | None, **options: Any) -> Demonstration
     return handover_marl.demonstrate("s0", out=out, **{**named, **options})
 
 
-def main_file(out: Path) -> Path:
-    return out / "data" / "main_data.hdf5"
-
-
 def contents(out: Path) -> dict[str, bytes]:
-    """Return the content of every file of a data set, by its name."""
-    return {path.name: path.read_bytes() for path in sorted((out / "data").iterdir())}
+    """Return the content of every file of the demonstrations, by its name."""
+    return {path.name: path.read_bytes() for path in sorted((out / "demonstrations").iterdir())}
 
 
 def assert_same(one: Demonstration, other: Demonstration) -> None:

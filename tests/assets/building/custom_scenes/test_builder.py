@@ -156,9 +156,8 @@ def test_demonstrations_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Pa
         receiver="hold", dataset=scenes.dataset, scenes=[2], physics="fast", workers=1, out=tmp_path, progress=False
     )
     assert data.observation_space["object_classes"].high[0] == 22
-    card = (tmp_path / "data" / "README.md").read_text()
-    assert "license: other" in card
-    assert "own:boxes all train" in card
+    assert "own:boxes, all train" in str(data)
+    assert data[0].observations["object_classes"].max() == 22
 
 
 def test_names_of_own_data_sets(scenes: CustomSceneFolder, tmp_path: Path) -> None:
