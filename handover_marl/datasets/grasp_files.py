@@ -16,30 +16,27 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.restricted_pickle import (
-    AllowedFunction,
     AllowedNames,
-    PickledObject,
     decode_name,
     load_restricted,
     reject,
     sanitize_text,
 )
 from handover_marl.errors import DataFormatError, UnsafeFileError
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
 
 _DTYPE_NAME = re.compile(r"[biuf][0-9]{1,2}|[SU][0-9]{1,6}|O[48]?")
 _MAX_ABS_VALUE = 100.0  # m
-_MAX_BYTES = 100_000_000  # official files have less than 1 MB
+_MAX_BYTES = 20_000_000  # official files have less than 1 MB
 
 
-class PickledDtype(PickledObject):
+class PickledDtype:
     """Array type in a pickle: booleans, numbers, text or objects, without fields or sub-arrays.
 
     Attributes:
         value: NumPy's array type.
     """
-
-    __slots__ = ("value",)
 
     def __init__(self, name: object, *_: object) -> None:
         text = decode_name(name)
@@ -47,7 +44,7 @@ class PickledDtype(PickledObject):
             reject(f"arrays of type '{sanitize_text(text)}' are not admitted")
         self.value: np.dtype[Any] = np.dtype(object if text.startswith("O") else text)
 
-    def set_state(self, state: object) -> None:
+    def __setstate__(self, state: object) -> None:
         """Set the byte order of the array type; reject any other state."""
         if not isinstance(state, tuple) or len(state) < 6:
             reject("the type of an array lacks its state")
@@ -59,19 +56,20 @@ class PickledDtype(PickledObject):
         self.value = self.value.newbyteorder(decode_name(order))  # type: ignore[arg-type]
 
 
-class PickledArray(PickledObject):
+class PickledArray:
     """Array in a pickle.
 
     Attributes:
         value: NumPy array, or None before its state is set.
     """
 
-    __slots__ = ("value",)
+    value: npt.NDArray[Any] | None = None
 
-    def __init__(self) -> None:
-        self.value: npt.NDArray[Any] | None = None
+    def __init__(self, *_: object) -> None:
+        # The arguments describe an empty array; the state sets everything.
+        pass
 
-    def set_state(self, state: object) -> None:
+    def __setstate__(self, state: object) -> None:
         """Set shape, element type and content of the array as given by the pickle."""
         if not isinstance(state, tuple) or len(state) != 5:
             reject("an array lacks its state")
@@ -83,7 +81,7 @@ def _make_array(data: object, dtype: object, shape: object, order: str) -> npt.N
     if not isinstance(dtype, PickledDtype) or not isinstance(shape, tuple):
         reject("an array lacks its type or shape")
     for length in shape:
-        if type(length) is not int or length < 0:
+        if type(length) is not int or not 0 <= length <= _MAX_BYTES:
             reject("an array has an impossible shape")
     size = math.prod(shape)
     if dtype.value.hasobject:
@@ -128,21 +126,16 @@ def _encode_latin1(text: object, encoding: object) -> bytes:
 
 #: Names in pickles of arrays, and of dicts of arrays, by all versions of NumPy.
 ARRAY_NAMES: AllowedNames = {
-    ("numpy", "ndarray"): AllowedFunction(_reject_call),
-    ("numpy", "dtype"): AllowedFunction(PickledDtype),
-    # The arguments of `_reconstruct` make an empty array; the state sets everything.
-    **dict.fromkeys(
-        [("numpy.core.multiarray", "_reconstruct"), ("numpy._core.multiarray", "_reconstruct")],
-        AllowedFunction(lambda *_: PickledArray()),
-    ),
-    **dict.fromkeys(
-        [("numpy.core.numeric", "_frombuffer"), ("numpy._core.numeric", "_frombuffer")],
-        AllowedFunction(_make_from_buffer),
-    ),
-    ("_codecs", "encode"): AllowedFunction(_encode_latin1),
+    ("numpy", "ndarray"): _reject_call,
+    ("numpy", "dtype"): PickledDtype,
+    ("numpy.core.multiarray", "_reconstruct"): PickledArray,
+    ("numpy._core.multiarray", "_reconstruct"): PickledArray,
+    ("numpy.core.numeric", "_frombuffer"): _make_from_buffer,
+    ("numpy._core.numeric", "_frombuffer"): _make_from_buffer,
+    ("_codecs", "encode"): _encode_latin1,
     # Content of an empty array in protocol 2.
-    ("__builtin__", "bytes"): AllowedFunction(lambda: b""),
-    ("collections", "OrderedDict"): AllowedFunction(lambda: {}),
+    ("__builtin__", "bytes"): lambda: b"",
+    ("collections", "OrderedDict"): lambda: {},
 }
 
 
@@ -171,8 +164,7 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
         ) from None
     except Exception as error:
         raise DataFormatError(
-            f"{path}: not a readable grasp file ({str(error) or type(error).__name__}). "
-            "Copy it again from the HandoverSim data."
+            f"{path}: not a readable grasp file ({shorten_text(error)}). Copy it again from the HandoverSim data."
         ) from error
 
 
@@ -204,7 +196,7 @@ def unpickle_arrays(data: bytes) -> dict[str, npt.NDArray[Any]] | npt.NDArray[An
             reject(f"expected a dict, found {type(content).__name__}")
         return {decode_name(key): value.value for key, value in content.items() if value.value is not None}
     except Exception as error:  # Damaged pickles raise exceptions of many types.
-        raise DataFormatError(f"no pickled dict of arrays ({str(error) or type(error).__name__})") from error
+        raise DataFormatError(f"no pickled dict of arrays ({shorten_text(error)})") from error
 
 
 def load_grasps(path: Path) -> npt.NDArray[np.float64]:

@@ -29,9 +29,6 @@ _PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco")
 _OPTIONAL, _MISSING = ("mujoco",), "none"
 _RETRIES = 1
 _CONNECTION_TIMEOUT_S = 20.0
-# First bytes of every connection to a gRPC server, as which Ray listens: HTTP/2 with empty settings (RFC 9113, 3.4).
-_HTTP2_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
-_HTTP2_SETTINGS = 4  # type of the frame with which a server begins
 _POLL_S = 1.0
 
 
@@ -193,21 +190,17 @@ def _get(reference: Any, description: str) -> bytes:
 
 
 def _check_server(address: str) -> None:
-    """Check that a server that may be Ray's answers at an address; Ray itself would try for a quarter of an hour.
+    """Check that something listens at an address; Ray itself would try for a quarter of an hour.
 
     Args:
         address: "host:port" or "ray://host:port"; other addresses such as "auto" are left to Ray.
 
     Raises:
-        OSError: Nothing answers, or something else than Ray.
+        OSError: Nothing listens.
     """
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not port.isdecimal() or os.environ.get("RAY_USE_TLS", "0").lower() in ("1", "true"):
-        return
-    with socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S) as connection:
-        connection.sendall(_HTTP2_PREFACE)
-        if connection.recv(4)[3:] != bytes([_HTTP2_SETTINGS]):
-            raise ConnectionError("another program than Ray answers")
+    if port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S).close()
 
 
 def _count_cores() -> int:

@@ -1,6 +1,5 @@
 """Tests of the rules on arrays, which give the same states as the referee step by step."""
 
-import dataclasses
 import importlib.util
 
 import numpy as np
@@ -13,7 +12,6 @@ from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
-from tests.learning.training.scripts import script
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
@@ -121,23 +119,3 @@ def test_whole_episodes_end(status: EpisodeStatus) -> None:
         # The step of the release counts for the goal as well.
         assert states.steps[0] == 4 + RULES.success_steps - 1
     assert EpisodeStatus(int(states.status[0])) == status
-
-
-def test_the_script_compares_whole_episodes(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    check = script("check_array_rules", monkeypatch)
-    args = check.Args(dataset="synthetic", episodes=2, together=2, receiver="yang2021", workers=1)
-    check.main(args)
-    output = capsys.readouterr().out
-    assert "synthetic, s0 train, 2 episodes (2 replay)" in output
-    assert " times, 0 differences" in output
-
-    def late(before: RefereeStateBatch, seen: ContactBatch, rules: ProtocolConfig) -> object:
-        """Judge the steps by rules that release the object one step too late."""
-        return judge_steps(before, seen, dataclasses.replace(rules, release_steps=rules.release_steps + 1))
-
-    monkeypatch.setattr(check, "judge_steps", late)
-    with pytest.raises(SystemExit):
-        check.main(dataclasses.replace(args, episodes=1, segments=(50,)))
-    assert "not RefereeState(" in capsys.readouterr().out

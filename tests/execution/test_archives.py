@@ -1,10 +1,8 @@
 """Tests of reading archives from untrusted sources: links, paths outside and oversized files are never read."""
 
 import contextlib
-import gzip
 import io
 import os
-import stat
 import tarfile
 import zipfile
 from collections.abc import Callable
@@ -16,7 +14,7 @@ from hypothesis import strategies as st
 
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
 from handover_marl.execution import archives
-from handover_marl.execution.archives import read_members
+from handover_marl.execution.archives import find_plain_files, open_folder
 
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}
 
@@ -47,7 +45,8 @@ def folder(path: Path) -> Path:
 
 
 def contents(source: Path) -> dict[str, bytes]:
-    return {str(member.path): member.read() for member in read_members(source)}
+    with open_folder(source) as found:
+        return {str(path.relative_to(found)): path.read_bytes() for path in find_plain_files(found)}
 
 
 @pytest.mark.parametrize(
@@ -73,37 +72,32 @@ def link(name: str, kind: bytes, target: str) -> tarfile.TarInfo:
 
 
 @pytest.mark.parametrize(
-    ("entry", "why"),
+    "entry",
     [
-        (link("assets/x", tarfile.SYMTYPE, "/etc/passwd"), "a link"),
-        (link("assets/x", tarfile.SYMTYPE, "a.obj"), "a link"),
-        (link("assets/x", tarfile.LNKTYPE, "assets/a.obj"), "a link"),
-        (link("assets/x", tarfile.CHRTYPE, ""), "a device"),
-        (link("assets/x", tarfile.FIFOTYPE, ""), "a device"),
-        (tarfile.TarInfo("/etc/x"), "outside the archive"),
-        (tarfile.TarInfo("assets/../../x"), "outside the archive"),
-        (tarfile.TarInfo("assets\\..\\x"), "outside the archive"),
+        link("assets/x", tarfile.SYMTYPE, "/etc/passwd"),
+        link("assets/x", tarfile.SYMTYPE, "../../x"),
+        link("assets/x", tarfile.LNKTYPE, "/etc/passwd"),
+        link("assets/x", tarfile.CHRTYPE, ""),
+        link("assets/x", tarfile.FIFOTYPE, ""),
+        tarfile.TarInfo("assets/../../x"),
     ],
 )
-def test_paths_outside_of_an_archive_are_refused(entry: tarfile.TarInfo, why: str, tmp_path: Path) -> None:
+def test_unsafe_entries_are_refused(entry: tarfile.TarInfo, tmp_path: Path) -> None:
     source = tar(tmp_path / "a.tar.gz", "w:gz", None, entry)
-    with pytest.raises(UnsafeFileError, match=why):
+    with pytest.raises(UnsafeFileError, match="refused to unpack"):
         contents(source)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.tar.gz"]
 
 
 @pytest.mark.parametrize("name", ["../x", "/x", "a/../../x"])
-def test_paths_outside_of_a_zip_archive_are_refused(name: str, tmp_path: Path) -> None:
-    with pytest.raises(UnsafeFileError, match="outside the archive"):
-        contents(zipped(tmp_path / "a.zip", {name: b""}))
-
-
-def test_links_in_a_zip_archive_are_refused(tmp_path: Path) -> None:
-    entry = zipfile.ZipInfo("assets/x")
-    entry.external_attr = (stat.S_IFLNK | 0o777) << 16
-    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
-        archive.writestr(entry, "/etc/passwd")
-    with pytest.raises(UnsafeFileError, match="a link"):
-        contents(tmp_path / "a.zip")
+@pytest.mark.parametrize("is_zip", [True, False])
+def test_nothing_is_written_outside(name: str, is_zip: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    source = zipped(tmp_path / "a", {name: b"x"}) if is_zip else tar(tmp_path / "a", "w", {name: b"x"})
+    with contextlib.suppress(UnsafeFileError):
+        assert set(contents(source)) <= {"x", "a/x"}
+    assert not Path("/x").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_links_in_a_folder_are_ignored(tmp_path: Path) -> None:
@@ -114,66 +108,16 @@ def test_links_in_a_folder_are_ignored(tmp_path: Path) -> None:
     assert contents(source) == CONTENT
 
 
-class Zeros(io.RawIOBase):
-    def __init__(self, size: int) -> None:
-        self.left = size
-
-    def read(self, size: int = -1, /) -> bytes:
-        size = min(size, self.left)
-        self.left -= size
-        return bytes(size)
-
-
-def bomb(path: Path, sizes: list[int]) -> Path:
-    """Write a gzip archive of files of zeros, which is much smaller than its content."""
-    with gzip.open(path, "wb", 1) as packed, tarfile.open(fileobj=packed, mode="w") as archive:  # type: ignore[arg-type]
-        for number, size in enumerate(sizes):
-            entry = tarfile.TarInfo(f"assets/{number}.obj")
-            entry.size = size
-            archive.addfile(entry, Zeros(size))  # type: ignore[arg-type]
-    return path
-
-
 def test_decompression_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archives, "MAX_FILE_BYTES", 1_000_000)
     monkeypatch.setattr(archives, "MAX_ARCHIVE_BYTES", 3_000_000)
-    with pytest.raises(UnsafeFileError, match=r"has 2 MB"):
-        contents(bomb(tmp_path / "one.tar.gz", [2_000_000]))
-    with pytest.raises(UnsafeFileError, match="more than 3 MB"):
-        contents(bomb(tmp_path / "many.tar.gz", [900_000] * 4))
-    assert len(contents(bomb(tmp_path / "fits.tar.gz", [900_000] * 3))) == 3
-    with pytest.raises(UnsafeFileError, match=r"has 2 MB"):
-        contents(zipped(tmp_path / "one.zip", {"assets/a.obj": bytes(2_000_000)}))
-    with pytest.raises(UnsafeFileError, match="more than 3 MB"):
-        contents(zipped(tmp_path / "many.zip", {f"{n}": bytes(900_000) for n in range(4)}))
-
-
-def test_large_headers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An archive with a large PAX header is refused, because readers load a header into memory as a whole."""
-    monkeypatch.setattr(archives, "MAX_FILE_BYTES", 100_000)
-    entry = tarfile.TarInfo("assets/a.obj")
-    entry.pax_headers = {"comment": "x" * 200_000}
-    with tarfile.open(tmp_path / "a.tar", "w", format=tarfile.PAX_FORMAT) as archive:
-        archive.addfile(entry)
-    with pytest.raises(UnsafeFileError, match="unpacks to more"):
-        contents(tmp_path / "a.tar")
-
-
-def test_too_many_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archives, "MAX_FILES", 2)
-    for source in (tar(tmp_path / "a.tar", "w"), zipped(tmp_path / "a.zip"), folder(tmp_path / "unpacked")):
-        with pytest.raises(UnsafeFileError, match="more than 2 files"):
-            contents(source)
-
-
-def test_wrong_sizes_in_a_zip_archive(tmp_path: Path) -> None:
-    source = zipped(tmp_path / "a.zip", {"assets/a.obj": bytes(5000)})
-    data = source.read_bytes()
-    # The header of the entry and the central directory both contain the size 5,000.
-    assert data.count((5000).to_bytes(4, "little")) == 2
-    source.write_bytes(data.replace((5000).to_bytes(4, "little"), (10).to_bytes(4, "little")))
-    with pytest.raises(DataFormatError):
-        contents(source)
+    for size, fits in ((900_000, True), (1_100_000, False)):
+        entries = {f"assets/{number}.obj": bytes(size) for number in range(3)}
+        for source in (tar(tmp_path / "a.tar.gz", "w:gz", entries), zipped(tmp_path / "a.zip", entries)):
+            if fits:
+                assert contents(source) == entries
+                continue
+            with pytest.raises(UnsafeFileError, match="more than 3 MB"):
+                contents(source)
 
 
 def test_other_files_as_archives(tmp_path: Path) -> None:

@@ -15,8 +15,6 @@ from scipy.sparse import csc_matrix
 
 from handover_marl.datasets.grasp_files import ARRAY_NAMES, PickledArray
 from handover_marl.datasets.restricted_pickle import (
-    AllowedClass,
-    AllowedFunction,
     AllowedNames,
     PickledRecord,
     decode_name,
@@ -24,27 +22,39 @@ from handover_marl.datasets.restricted_pickle import (
     reject,
 )
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
 
 Array = npt.NDArray[Any]
 
-_MAX_BYTES = 50_000_000  # official files have 3.8 MB
+_MAX_BYTES = 20_000_000  # official files have 3.8 MB
 _MAX_MATRIX_SIZE = 10_000  # rows or columns
 _MAX_DIMENSIONS = 8
-_VARIABLE, _SELECTION, _MATRIX = "chumpy's Ch", "chumpy's Select", "scipy's csc_matrix"
-# Sets hold bookkeeping of chumpy that is not needed.
-_EMPTY_SET = AllowedFunction(lambda *_: [])
+
+
+class _Variable(PickledRecord):
+    """Array of chumpy, `Ch`."""
+
+
+class _Selection(PickledRecord):
+    """Elements of an array of chumpy, `Select`."""
+
+
+class _Matrix(PickledRecord):
+    """Sparse matrix of SciPy."""
+
+
 _ALLOWED: AllowedNames = {
     **ARRAY_NAMES,
-    ("__builtin__", "set"): _EMPTY_SET,
-    ("builtins", "set"): _EMPTY_SET,
-    ("chumpy.ch", "Ch"): AllowedClass(_VARIABLE),
-    ("chumpy.reordering", "Select"): AllowedClass(_SELECTION),
-    **{
-        (module, name): AllowedClass(_MATRIX)
-        for module in ("scipy.sparse.csc", "scipy.sparse._csc")
-        for name in ("csc_matrix", "csc_array")
-    },
+    # Sets hold bookkeeping of chumpy that is not needed.
+    ("__builtin__", "set"): lambda *_: [],
+    ("builtins", "set"): lambda *_: [],
+    ("chumpy.ch", "Ch"): _Variable,
+    ("chumpy.reordering", "Select"): _Selection,
+    ("scipy.sparse.csc", "csc_matrix"): _Matrix,
+    ("scipy.sparse.csc", "csc_array"): _Matrix,
+    ("scipy.sparse._csc", "csc_matrix"): _Matrix,
+    ("scipy.sparse._csc", "csc_array"): _Matrix,
 }
 
 
@@ -80,8 +90,7 @@ def read_mano_pickle(path: Path, keys: tuple[str, ...]) -> dict[str, Array | csc
         ) from None
     except Exception as error:  # Damaged pickles raise exceptions of many types.
         raise DataFormatError(
-            f"{path}: not a readable MANO model ({str(error)[:200] or type(error).__name__}). Copy it again from "
-            "mano_v1_2.zip."
+            f"{path}: not a readable MANO model ({shorten_text(error)}). Copy it again from mano_v1_2.zip."
         ) from error
 
 
@@ -101,18 +110,15 @@ def _read(path: Path) -> bytes:
 
 def _extract_value(key: str, value: object) -> Array | csc_matrix:
     """Return the array or sparse matrix of a key, from any of the accepted classes."""
-    if isinstance(value, PickledRecord):
+    if isinstance(value, _Matrix | _Selection):
         parts = {decode_name(name): part for name, part in value.state.items()}
-        if value.kind == _MATRIX:
-            return _make_sparse_matrix(key, parts)
-        if value.kind == _SELECTION:
-            return _select_elements(key, parts)
+        return _make_sparse_matrix(key, parts) if isinstance(value, _Matrix) else _select_elements(key, parts)
     return _extract_array(key, value)
 
 
 def _extract_array(key: str, value: object) -> Array:
     """Return an array that may be the value of a chumpy variable."""
-    if isinstance(value, PickledRecord) and value.kind == _VARIABLE:
+    if isinstance(value, _Variable):
         value = next((part for name, part in value.state.items() if decode_name(name) == "x"), None)
     if not isinstance(value, PickledArray) or value.value is None:
         reject(f"{key} is no array")

@@ -11,7 +11,7 @@ import io
 from collections import defaultdict
 from collections.abc import Iterable
 from importlib.util import find_spec
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -28,8 +28,8 @@ from handover_marl.datasets.official_files import (
     classify_file_origin,
     read_third_party_checksums,
 )
-from handover_marl.errors import DataFormatError
-from handover_marl.execution.archives import read_members
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.execution.archives import find_plain_files, open_folder
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
@@ -54,7 +54,7 @@ _PANDA_MESH_FOLDER = "stand_in"
 
 
 def install_third_party(source: Path, assets: Path) -> list[str]:
-    """Install third-party files; the whole source is checked before a file is written.
+    """Install third-party files; an archive is unpacked and checked before a file is written.
 
     Args:
         source: HandoverSim's archive, or the folder that it was unpacked into. The files may be at
@@ -66,20 +66,23 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
-        UnsafeFileError: The archive has links, devices, unsafe paths or too much data.
-        DataFormatError: The source is damaged, has none of the files, or has a file twice.
+        UnsafeFileError: The archive has devices, links or paths to places outside itself, or too much data.
+        DataFormatError: The source is damaged, or has none of the files.
         ResultsError: A file exists with other content, or cannot be written.
     """
-    targets = _match_paths(source, (member.path for member in read_members(source)))
     unknown = []
-    for member in read_members(source):
-        target = targets.get(member.path)
-        if target is None:
-            continue
-        content = member.read()
-        write_missing_files(assets, {target: content}, replace_stand_ins=True)
-        if read_third_party_checksums()[target] and classify_file_origin(target, content) is not FileOrigin.ORIGINAL:
-            unknown.append(target)
+    with open_folder(source) as folder:
+        targets = _match_paths(source, [path.relative_to(folder) for path in find_plain_files(folder)])
+        for path, target in targets.items():
+            try:
+                content = (folder / path).read_bytes()
+            except OSError as error:
+                message = f"cannot read {path} in {source} ({error.strerror or error}); check its permissions"
+                raise DataNotFoundError(message) from error
+            write_missing_files(assets, {target: content}, replace_stand_ins=True)
+            is_known = classify_file_origin(target, content) is FileOrigin.ORIGINAL
+            if read_third_party_checksums()[target] and not is_known:
+                unknown.append(target)
     if not unknown:
         return []
     return [
@@ -88,17 +91,15 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
     ]
 
 
-def _match_paths(source: Path, paths: Iterable[PurePosixPath]) -> dict[PurePosixPath, str]:
+def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
     """Return the path in `assets/` of every third-party file by its path in the source."""
     wanted = read_third_party_checksums()
-    roots: defaultdict[PurePosixPath, dict[PurePosixPath, str]] = defaultdict(dict)
+    roots: defaultdict[Path, dict[Path, str]] = defaultdict(dict)
     for path in paths:
         for depth in range(len(path.parts)):
             place = "/".join(path.parts[depth:])
             if place in wanted:
-                if path in roots[PurePosixPath(*path.parts[:depth])]:
-                    raise DataFormatError(f"{source} holds '{path}' twice; download it again")
-                roots[PurePosixPath(*path.parts[:depth])][path] = place
+                roots[Path(*path.parts[:depth])][path] = place
     if not roots:
         raise DataFormatError(
             f"{source} holds none of the files that are wanted, such as {next(iter(wanted))}; give {ARCHIVE_NAME} of "

@@ -16,13 +16,12 @@ from handover_marl.evaluation.config import (
 )
 from handover_marl.evaluation.rendering.player import ScenePlayer
 from handover_marl.execution.files import write_atomically
-from handover_marl.execution.options import forward_signature
+from handover_marl.execution.options import forward_signature, require_modules
 from handover_marl.planning.planner import Plan
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.visualization.plan_figure import draw_plan_figure
 from handover_marl.visualization.video import check_output_path
-from handover_marl.visualization.wrist_figure import require_matplotlib
 
 #: Camera whose width and height give the default size of the image.
 PLAN_CAMERA = CameraConfig(width=1200, height=600)
@@ -62,7 +61,7 @@ def render_plan(
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
     """
     path = check_output_path(out, (".png",))
-    require_matplotlib("a plan")
+    require_modules("a plan", "plot", "matplotlib")
     check_config("camera", camera, CameraConfig)
     player = ScenePlayer(scene_id, receiver, giver, options)
     policy, dataset = player.receiver, player.dataset

@@ -34,12 +34,12 @@ from handover_marl.visualization.video import (
     encode_video,
     format_caption,
 )
-from handover_marl.visualization.wrist_figure import WristCameraFigure
+from handover_marl.visualization.wrist_view import draw_wrist_view
 
 #: Names of the views.
 VIEWS = ("outside", "wrist")
 
-_GRID_COLUMNS = {"outside": 3, "wrist": 1}
+_GRID_COLUMNS = 3
 # Duration for which a scene without a receiver is shown after the recorded motion.
 _STILL_SCENE_DURATION_MS = 500
 
@@ -69,8 +69,8 @@ def render_scene(
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
         camera: Pose and image size of the outside camera.
-        view: "outside", or "wrist" for the outside image beside depth, segmentation and point cloud
-            of the wrist camera.
+        view: "outside", or "wrist" for the outside image above colours, depth and segmentation of
+            the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
         options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
@@ -113,7 +113,7 @@ def render_scene(
         # Simulated twice: the steps of the key frames are known only after the episode's end.
         end = player.play(None, []) if until is None else until
         steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
-        content = encode_grid(record_frames(steps, False), _GRID_COLUMNS[view])
+        content = encode_grid(record_frames(steps, False), _GRID_COLUMNS)
     else:
         horizon = until or player.config.world_config.protocol.horizon_steps
         content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
@@ -133,8 +133,8 @@ def _check_view(view: str, path: Path) -> None:
 
 
 def _make_draw_function(view: str, camera: CameraConfig, caption: bool) -> Callable[[Episode], Picture]:
-    if view == "wrist":
-        return WristCameraFigure(camera).draw
-    if not caption:
-        return lambda episode: episode.render(camera)
-    return lambda episode: draw_caption(episode.render(camera), format_caption(episode))
+    def draw(episode: Episode) -> Picture:
+        picture = draw_wrist_view(episode, camera) if view == "wrist" else episode.render(camera)
+        return draw_caption(picture, format_caption(episode)) if caption else picture
+
+    return draw

@@ -6,7 +6,6 @@ The module needs the extras `train` and `plot`.
 import csv
 import io
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -26,32 +25,6 @@ _MAX_CHECKPOINT_BYTES = 20_000_000_000
 _HELD_OUT = 10
 # Arguments that the description of a policy's training omits: paths, and those without effect.
 _UNRECORDED_ARGUMENTS = ("out", "data_dir", "shared_views", "resume", "workers")
-# Present names of arguments that earlier versions recorded under other names.
-_RENAMED_ARGUMENTS = {
-    "observe": "features",
-    "giver_observe": "giver_features",
-    "receiver_observe": "receiver_features",
-    "spread": "initial_std",
-    "gripper_spread": "gripper_initial_std",
-    "trace": "gae_lambda",
-    "envs": "num_envs",
-    "hand": "use_hand_points",
-    "groups": "use_groups",
-    "every": "eval_interval",
-    "batch": "batch_size",
-    "minibatch": "minibatch_size",
-    "clip": "clip_range",
-    "smoke": "smoke_test",
-    "passes": "imitation_epochs",
-    "situations": "scenarios",
-    "share": "repeated_share",
-    "where": "scenario",
-    "prices": "costs",
-    "play": "rollout",
-    "vary": "augment",
-    "learn": "learner",
-    "acts": "approach",
-}
 
 
 def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
@@ -152,11 +125,7 @@ class RunFolder:
             raise ResultsError(f"{self.path} holds a run, which cannot be resumed; choose another --out")
         if not resume:
             raise ResultsError(f"{self.path} holds a run; pass --resume to continue it, or another --out")
-        different = [
-            key
-            for key in found.keys() | expected.keys()
-            if _strip_names(found.get(key)) != _strip_names(expected.get(key))
-        ]
+        different = [key for key in found.keys() | expected.keys() if found.get(key) != expected.get(key)]
         if different:
             raise ResultsError(
                 f"{self.path} holds a run with other arguments ({', '.join(sorted(different))}); use them again "
@@ -215,12 +184,7 @@ def _read_arguments(path: Path) -> dict[str, Any]:
             raise TypeError("not a dict")
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise ResultsError(f"{path}: not the arguments of a run ({error}); choose another --out") from error
-    return {_RENAMED_ARGUMENTS.get(str(key), str(key)): value for key, value in found.items()}
-
-
-def _strip_names(value: object) -> object:
-    """Remove class and field names from a printed dataclass; version 0.7 had other names."""
-    return re.sub(r"\w+([=(])", r"\1", value) if isinstance(value, str) and "(" in value else value
+    return found
 
 
 def _parse_point(row: dict[str, str]) -> CurvePoint:

@@ -33,7 +33,7 @@ def stack_global(module: str, attribute: str) -> bytes:
     return unicode(module) + unicode(attribute) + b"\x93"
 
 
-#: Operations that request names or use operations that no model contains; they are refused as unsafe.
+#: Operations that request names that no model contains; they are refused as unsafe.
 UNSAFE = {
     "os.system": called("os", "system", TOUCH),
     "posix.system": called("posix", "system", TOUCH),
@@ -49,9 +49,14 @@ UNSAFE = {
     "scipy's own matrix": called("scipy.sparse", "csc_matrix", sequence(integer(16), integer(778))),
     "another class": name("io", "BytesIO") + b")\x81",
     "another class by its name on the stack": stack_global("subprocess", "Popen") + sequence(TOUCH) + b"\x81",
-    "another class with keywords": name("chumpy.ch", "Ch") + b")}\x92",
     "a chain of reductions": called("copyreg", "_reconstructor", name("chumpy.ch", "Ch"), name("builtins", "object")),
     "an instance of Python 2": b"(" + TOUCH + b"ios\nsystem\n",
+}
+
+DICT_OF_TRICKS = mapping(__class__=name("chumpy.ch", "Ch"), __dict__=b"}", __setstate__=integer(1), state=b"}")
+#: Operations with names of models, in combinations that no model has.
+DAMAGED = {
+    "another class with keywords": name("chumpy.ch", "Ch") + b")}\x92",
     "an instance from the stack": b"(" + name("chumpy.ch", "Ch") + TOUCH + b"o",
     "extension 1": b"\x82\x01",
     "extension 2": b"\x83\x01\x00",
@@ -61,13 +66,6 @@ UNSAFE = {
     "a buffer of its own": b"\x97",
     "a read-only buffer": b"\x96" + (8).to_bytes(8, "little") + bytes(8) + b"\x98",
     "duplicates": b")0N2",
-}
-
-DICT_OF_TRICKS = mapping(
-    __class__=name("chumpy.ch", "Ch"), __dict__=b"}", set_state=integer(1), kind=text("scipy's csc_matrix"), state=b"}"
-)
-#: Operations with names and operations of models, in combinations that no model has.
-DAMAGED = {
     "a record with tricks": name("chumpy.ch", "Ch") + b")\x81" + DICT_OF_TRICKS + b"b",
     "a record with slots": name("chumpy.ch", "Ch") + b")\x81N" + DICT_OF_TRICKS + b"\x86b",
     "a record of no state": name("chumpy.ch", "Ch") + b")\x81",
@@ -98,8 +96,7 @@ _DOUBLED_LISTS = b"(" * 99 + b"]q\x00" + b"".join(bytes([ord("h"), k, ord("l"), 
 _LONG_NUMBER = b"\x8b" + (1_000_000).to_bytes(4, "little") + b"\x7f" * 1_000_000
 _F8 = called("numpy", "dtype", text("f8"))
 _SIZE = sequence(integer(2**30), integer(2**30), integer(2**30))
-_MEGABYTE = b"X" + (1_000_000).to_bytes(4, "little") + b"a" * 1_000_000 + b"q\x00"
-#: Operations that would fill the memory, never end or overflow the stack if they were not limited.
+#: Operations that would fill the memory or overflow the stack if they were not limited.
 EXHAUSTING = {
     "lists in lists": b"]" * 9_000 + b"a" * 8_999,
     "tuples in tuples": b")" + b"\x85" * 9_000,
@@ -107,12 +104,9 @@ EXHAUSTING = {
     "dicts in dicts": (b"}" + text("x")) * 4_000 + b"N" + b"s" * 4_000,
     "records in records": (name("chumpy.ch", "Ch") + b")\x81}" + text("x")) * 1_500 + b"N" + b"sb" * 1_500,
     "tuples that double": _DOUBLED_TUPLES,
-    "a key of tuples that double": b"}" + _DOUBLED_TUPLES + b"Ns",
     "a shape of tuples that double": called("numpy.core.multiarray", "_reconstruct")
     + sequence(integer(1), _DOUBLED_TUPLES, _F8, b"\x89", text(b""))
     + b"b",
-    "a set of tuples that double": b"\x8f(" + _DOUBLED_TUPLES + b"\x90",
-    "a frozen set of tuples that double": b"(" + _DOUBLED_TUPLES + b"\x91",
     "a type of tuples that double": name("numpy", "dtype") + sequence(_DOUBLED_TUPLES) + b"R",
     "a codec of tuples that double": name("_codecs", "encode") + sequence(b"\x8c\x01a", _DOUBLED_TUPLES) + b"R",
     "lists that double": _DOUBLED_LISTS,
@@ -137,9 +131,6 @@ EXHAUSTING = {
     "elements of no size": called("numpy.core.multiarray", "_reconstruct")
     + sequence(integer(1), _SIZE, called("numpy", "dtype", text("S0")), b"\x89", text(b""))
     + b"b",
-    "a megabyte encoded a thousand times": _MEGABYTE
-    + (name("_codecs", "encode") + sequence(b"h\x00", b"\x8c\x06latin1") + b"R") * 1_000
-    + b"\x85" * 1_000,
     "many operations": b"N" * 1_000_000,
 }
 

@@ -60,7 +60,7 @@ def test_hostile_files_import_run_and_open_nothing(tmp_path: Path) -> None:
 def test_registered_extensions_are_refused(tmp_path: Path) -> None:
     copyreg.add_extension("os", "getcwd", 1)
     try:
-        with pytest.raises(UnsafeFileError, match="EXT1"):
+        with pytest.raises(UnsafeFileError, match=r"asks for os\.getcwd"):
             read(tmp_path, HOSTILE["extension 1"])
     finally:
         copyreg.remove_extension("os", "getcwd", 1)
@@ -89,7 +89,7 @@ def test_huge_files_are_not_read(tmp_path: Path) -> None:
     path = write(tmp_path / "MANO_RIGHT.pkl", b"\x80\x02")
     with path.open("r+b") as stream:
         stream.truncate(1 << 40)
-    with ends_within(5), pytest.raises(DataFormatError, match="larger than 50 MB"):
+    with ends_within(5), pytest.raises(DataFormatError, match="larger than 20 MB"):
         read_mano_model(path, "right")
 
 
@@ -110,7 +110,9 @@ def test_random_bytes(tmp_path: Path, data: bytes) -> None:
 
 
 OPERATIONS = [operation.code.encode("latin1") for operation in pickletools.opcodes]
-ENTRIES = [*UNSAFE.values(), *DAMAGED.values(), *(entry for entry in EXHAUSTING.values() if len(entry) < 1_000)]
+# The keys of a dict may not be tuples that double: hashing them takes longer than the age of the universe.
+SHORT = (entry for what, entry in EXHAUSTING.items() if len(entry) < 1_000 and "double" not in what)
+ENTRIES = [*UNSAFE.values(), *DAMAGED.values(), *SHORT]
 PIECES = st.one_of(st.sampled_from(OPERATIONS), st.sampled_from(ENTRIES), st.binary(max_size=6))
 
 

@@ -84,7 +84,7 @@ def test_ambiguous_archives_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataFormatError, match="none of the files"):
         install_third_party(tar(tmp_path / "a.tar", "w", {"README": b""}), tmp_path / "assets")
     both = {f"old/{path}": b"old" for path in FILES} | {f"new/{path}": b"new" for path in FILES}
-    with pytest.raises(DataFormatError, match="'old' and in 'new'"):
+    with pytest.raises(DataFormatError, match="'new' and in 'old'"):
         install_third_party(tar(tmp_path / "a.tar", "w", both), tmp_path / "assets")
     assert not (tmp_path / "assets").exists()
 

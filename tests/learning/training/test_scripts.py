@@ -13,10 +13,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
-from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
-from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.run_folder import RunFolder, select_held_out_scenes
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig
+from handover_marl.learning.training.run_folder import RunFolder
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
@@ -231,40 +229,3 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         train.main(train.Args(out=str(out), val_scenes=1, **few))
     train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
     assert steps_of(out) == ["steps", "2", "4"]
-
-
-def test_vision_ablations(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("embreex")
-    ablate = script("vision_ablations", monkeypatch)
-    names = (ablate.FULL, "hand points removed", "112 x 112 pixels instead of 224 x 224")
-    monkeypatch.setattr(ablate, "VARIANTS", {name: ablate.VARIANTS[name] for name in names})
-    trained, cameras = [], []
-
-    def train(args: Any) -> Path:
-        trained.append(args)
-        source = ViewDatasetConfig(args.dataset, args.data_dir, args.robot, args.views, args.seed)
-        held_out = select_held_out_scenes(SyntheticDataset().list_scenes(args.setup, "train")[:: args.stride])
-        generate_views(source, held_out, Path(args.shared_views), workers=1, progress=False)
-        weights = Path(args.out) / "vision.npz"
-        weights.parent.mkdir(parents=True, exist_ok=True)
-        write_network_weights(weights, GraspNetwork(GraspNetworkConfig(uses_hand_points=args.use_hand_points)), {})
-        return weights
-
-    def hold(setup: str, split: str, receiver: str, camera_noise: Any, **how: Any) -> Any:
-        cameras.append(camera_noise)
-        return benchmark(setup, split, "hold", **how)
-
-    monkeypatch.setattr(ablate.train_vision, "main", train)
-    monkeypatch.setattr(ablate, "benchmark", hold)
-    few = {"views": 4, "stride": 400, "val_scenes": 1, "unseen_scenes": 1, "workers": 1}
-    page = ablate.main(ablate.Args(out=tmp_path, dataset="synthetic", **few)).read_text()
-    assert "1 scenes of val and 1 of train that no network was trained on (unseen)" in page
-    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
-    assert [row[0] for row in rows[1:]] == list(names)
-    assert rows[3][3:] == ["+0.0 (-49.0 to +49.0)", "-"], "no receiver succeeds, and a camera changes no network"
-    assert [(args.use_hand_points, Path(args.out).parent.name) for args in trained] == [
-        (True, "complete_network"),
-        (False, "no_hand_points"),
-        (True, "complete_network"),
-    ]
-    assert [camera and camera.pixel_stride for camera in cameras] == [None] * 4 + [2] * 2

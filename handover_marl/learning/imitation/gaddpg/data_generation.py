@@ -28,7 +28,6 @@ from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import open_pool
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
-from handover_marl.learning.imitation.config_values import list_values
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
 from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
@@ -206,9 +205,9 @@ def collect_states(
 
 
 def _compute_key(config: DataGeneratorConfig) -> str:
-    """Return the hash of the settings that plans depend on, without the names of classes and fields."""
+    """Return the hash of the settings that plans depend on."""
     parts = [asdict(part) for part in (config.scenarios, config.costs, config.expert)]
-    values = [config.scenes, config.seed, *(list_values(part) for part in parts)]
+    values = [config.scenes, config.seed, *parts]
     return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
 
 

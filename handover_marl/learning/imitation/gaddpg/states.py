@@ -54,19 +54,6 @@ class ImitationStates:
 
 
 _NAMES = tuple(part.name for part in fields(ImitationStates))
-# Names of the arrays in files of version 0.7, in the order of the fields.
-_OLD_NAMES = (
-    "points",
-    "n_points",
-    "centers",
-    "n_centers",
-    "near",
-    "n_near",
-    "beside",
-    "n_beside",
-    "goals",
-    "remaining",
-)
 
 
 def make_state(points: npt.NDArray[np.floating], goal: npt.NDArray[np.floating], remaining: int) -> ImitationStates:
@@ -122,7 +109,7 @@ def read_states(path: Path) -> ImitationStates:
     """
     try:
         arrays = read_arrays(path, largest=MAX_STATES_BYTES)
-        states = ImitationStates(*(arrays[name] for name in (_NAMES if _NAMES[4] in arrays else _OLD_NAMES)))
+        states = ImitationStates(*(arrays[name] for name in _NAMES))
         if int(states.n_points.sum()) != len(states.points) or len(states.goals) != len(states):
             raise ValueError("arrays of different lengths")
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files

@@ -14,7 +14,6 @@ from handover_marl.execution.files import shorten_text, write_arrays, write_atom
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.execution.tasks import map_with_progress
-from handover_marl.learning.imitation.config_values import list_values
 from handover_marl.learning.imitation.vision.dagger import DaggerCollector
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, ViewRenderer
@@ -23,8 +22,6 @@ from handover_marl.policies.policy import make_policy_context
 
 _MAX_BYTES = 1_000_000_000
 _SOURCE = "source.json"
-# Names of the arrays in files of version 0.7, in the order of the fields of `GraspViews`.
-_OLD_NAMES = ("objects", "hands", "n_hands", "grasps", "quality", "middle", "velocity", "motion")
 
 
 @dataclass(frozen=True)
@@ -126,10 +123,7 @@ def _read_scene(path: Path) -> GraspViews:
     if not path.exists():
         raise DataNotFoundError(f"{path}: no views of this scene; generate them first")
     try:
-        try:
-            arrays = read_arrays(path, GraspViews._fields, _MAX_BYTES)
-        except KeyError:
-            arrays = read_arrays(path, _OLD_NAMES, _MAX_BYTES)
+        arrays = read_arrays(path, GraspViews._fields, _MAX_BYTES)
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(f"{path}: not a file of views ({shorten_text(error)}); remove it") from error
     return GraspViews(*arrays.values())
@@ -141,8 +135,7 @@ def _check_config(config: ViewDatasetConfig, folder: Path) -> None:
     file = folder / _SOURCE
     if not file.exists():
         write_atomically(file, json.dumps(expected, indent=2))
-    # Version 0.7 had other names for the same settings in the same order.
-    elif list_values(_read_config(file)) != list_values(expected):
+    elif _read_config(file) != expected:
         raise ResultsError(f"{folder} has views of another configuration ({_SOURCE}); choose another folder")
 
 

@@ -78,18 +78,6 @@ def test_states_are_written_and_read(tmp_path) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(states, name))
 
 
-def test_states_of_version_0_7_are_read(tmp_path) -> None:
-    states, _ = some_states()
-    arrays = dict(vars(states))
-    for old, new in (("near", "neighbors"), ("n_near", "n_neighbors")):
-        arrays[old] = arrays.pop(new)
-    arrays["beside"], arrays["n_beside"] = arrays.pop("center_neighbors"), arrays.pop("n_center_neighbors")
-    np.savez(tmp_path / "states.npz", **arrays)
-    found = read_states(tmp_path / "states.npz")
-    for name in vars(states):
-        np.testing.assert_array_equal(getattr(found, name), getattr(states, name))
-
-
 def test_goals_are_equal_up_to_a_rotation_by_pi() -> None:
     rng = np.random.default_rng(0)
     turn = Rotation.random(random_state=0)

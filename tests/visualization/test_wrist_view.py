@@ -13,9 +13,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.evaluation.rendering.scene import render_scene
-from handover_marl.visualization.wrist_figure import WristCameraFigure
+from handover_marl.visualization.wrist_view import draw_wrist_view
 
-pytest.importorskip("matplotlib", reason="needs the extra `plot`")
 CAMERA = CameraConfig(width=320, height=240)
 COMMAND = [
     "render",
@@ -35,21 +34,19 @@ def near(pixels: np.ndarray, color: tuple[int, int, int]) -> int:
     return int((np.abs(pixels.astype(int) - color).max(axis=2) < 12).sum())
 
 
-def test_wrist_figure() -> None:
+def test_wrist_view() -> None:
     episode = Episode("fast")
     episode.reset(SyntheticDataset().load_scene(209))
-    draw = WristCameraFigure(CAMERA).draw
     start = np.array(episode.config.physics.panda.start_joints, dtype=np.float32)
-    before = draw(episode)
+    before = draw_wrist_view(episode, CAMERA)
     episode.advance(start, 2500)
-    picture = draw(episode)
-    assert picture.shape == before.shape
-    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
-    right = picture[:, picture.shape[1] // 2 :]
-    assert near(right, (228, 87, 46)) > 100, "the object"
-    assert near(right, (46, 134, 171)) > 20, "the hand"
-    assert near(before[:, picture.shape[1] // 2 :], (46, 134, 171)) < near(right, (46, 134, 171))
-    np.testing.assert_array_equal(draw(episode), picture)
+    picture = draw_wrist_view(episode, CAMERA)
+    assert picture.shape == before.shape == (CAMERA.height + CAMERA.width // 3, CAMERA.width, 3)
+    strip = picture[CAMERA.height :]
+    assert near(strip, (228, 87, 46)) > 100, "the object"
+    assert near(strip, (46, 134, 171)) > 20, "the hand"
+    assert near(before[CAMERA.height :], (46, 134, 171)) < near(strip, (46, 134, 171))
+    np.testing.assert_array_equal(draw_wrist_view(episode, CAMERA), picture)
     episode.close()
 
 
@@ -59,19 +56,13 @@ def test_render_command_wrist_view(tmp_path: Path, capsys: pytest.CaptureFixture
     assert main([*COMMAND, "--out", str(out), "--key-frames", "2", *size]) == 0
     assert str(out) in capsys.readouterr().out
     with Image.open(out) as image:
-        assert image.size[0] == 320
-        assert image.size[1] > 2 * 120
+        assert image.size == (2 * 160, 120 + 160 // 3 - 1)
 
 
 def test_views_that_cannot_be_rendered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UnknownNameError, match="unknown view 'inside'; valid: outside, wrist"):
         render_scene(209, tmp_path / "a.png", dataset="synthetic", view="inside")
     real = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "matplotlib" else real(name, *rest)
-    )
-    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[plot\]'"):
-        render_scene(209, tmp_path / "a.png", dataset="synthetic", view="wrist")
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else real(name, *rest)
     )
