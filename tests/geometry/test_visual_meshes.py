@@ -15,6 +15,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
+from handover_marl.geometry.model_files.surfaces import read_surfaces
 from handover_marl.geometry.panda import CAMERA_LINK
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from tests.assets.ycb_bounds import YCB_BOUNDS
@@ -46,18 +47,24 @@ def box(x: float = 1.0, y: float = 1.0, z: float = 1.0) -> str:
     return f'<box size="{x} {y} {z}"/>'
 
 
+def read_colors(urdf: Path) -> npt.NDArray[np.uint8]:
+    """Return the colours of the centres of all triangles of a model with one visible link."""
+    ((surface,), (mesh,)) = read_surfaces(urdf, read_tree(urdf)), read(urdf)
+    assert (surface.corners.dtype, surface.textures.dtype, surface.texels.dtype) == (np.float32, np.int32, np.uint8)
+    assert surface.corners.shape == (len(mesh.faces), 3, 2)
+    return surface.sample(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 2), 1 / 3, dtype=np.float32))
+
+
 def volume(mesh: VisualMesh) -> float:
     """Return the volume (m^3), which is positive if faces are counterclockwise as seen from outside."""
     return float(np.linalg.det(mesh.vertices[mesh.faces].astype(np.float64)).sum() / 6.0)
 
 
 def check_form(mesh: VisualMesh) -> None:
-    assert (mesh.vertices.dtype, mesh.faces.dtype, mesh.colors.dtype) == (np.float32, np.int32, np.float32)
-    assert mesh.vertices.shape[1:] == mesh.faces.shape[1:] == mesh.colors.shape[1:] == (3,)
-    assert len(mesh.faces) == len(mesh.colors) > 0
+    assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float32, np.int32)
+    assert mesh.vertices.shape[1:] == mesh.faces.shape[1:] == (3,)
+    assert len(mesh.faces) > 0
     assert 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices)
-    assert (mesh.colors >= 0.0).all()
-    assert (mesh.colors <= 1.0).all()
 
 
 @pytest.mark.parametrize("urdf", [ASSETS.table, ASSETS.panda, ASSETS.hand, *ASSETS.objects], ids=lambda path: path.stem)
@@ -99,13 +106,15 @@ def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
         visual(box(0.5), "-3 0 0", color="0 0.5 1"),
         visual(box(), "0 9 0"),
     ]
-    (mesh,) = read(write(tmp_path, "".join(shapes)))
+    urdf = write(tmp_path, "".join(shapes))
+    (mesh,) = read(urdf)
     check_form(mesh)
     assert mesh.link == -1
     assert (len(mesh.vertices), len(mesh.faces)) == (24, 36)
     middles = np.rint(mesh.vertices[mesh.faces].mean(axis=1) / 3.0).astype(int)
     np.testing.assert_array_equal(middles[:, :2], np.repeat([[1, 0], [-1, 0], [0, 3]], 12, axis=0))
-    np.testing.assert_array_equal(mesh.colors, np.repeat([[1, 0, 0], [0, 0.5, 1], [1, 1, 1]], 12, axis=0))
+    expected = np.repeat([[255, 0, 0], [0, 127, 255], [255, 255, 255]], 12, axis=0)
+    np.testing.assert_array_equal(read_colors(urdf), expected)
     assert volume(mesh) == pytest.approx(2.5, rel=1e-6)
 
 
@@ -149,11 +158,28 @@ def test_spheres_and_boxes_have_their_size(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(brick.vertices, axis=0), [0.2, 0.4, 0.6], rtol=1e-6)
 
 
-def test_materials_may_be_named(tmp_path: Path) -> None:
-    named = '<material name="blue"><color rgba="0 0 1 1"/></material>'
-    urdf = write(tmp_path, visual(box()).replace("</visual>", '<material name="blue"/></visual>'))
-    urdf.write_text(urdf.read_text().replace('<robot name="r">', f'<robot name="r">{named}'))
-    np.testing.assert_array_equal(read(urdf)[0].colors, [[0.0, 0.0, 1.0]] * 12)
+def test_last_definition_of_a_material_counts(tmp_path: Path) -> None:
+    """Colours of materials are those that Bullet reads: by name, from anywhere in the model."""
+    red, blue = (f'<material name="m"><color rgba="{color} 1"/></material>' for color in ("1 0 0", "0 0 1"))
+    shapes = [visual(box()).replace("</visual>", f"{material}</visual>") for material in ('<material name="m"/>', red)]
+    urdf = write(tmp_path, "".join(shapes) + visual(box()))
+    urdf.write_text(urdf.read_text().replace('<robot name="r">', f'<robot name="r">{blue}'))
+    np.testing.assert_array_equal(read_colors(urdf), np.repeat([[255, 0, 0]] * 2 + [[255] * 3], 12, axis=0))
+    client = connect()
+    shown = [shape[7] for shape in client.getVisualShapeData(load_urdf(client, urdf))]
+    assert shown == [(1.0, 0.0, 0.0, 1.0)] * 2 + [(1.0, 1.0, 1.0, 1.0)]
+
+
+def test_damaged_textures_are_reported(tmp_path: Path) -> None:
+    """A missing texture is white, as in Bullet; one that cannot be read is an error."""
+    (tmp_path / "mesh.obj").write_text(f"mtllib mesh.mtl\nusemtl m\n{TETRAHEDRON}")
+    urdf = write(tmp_path, visual('<mesh filename="mesh.obj"/>'))
+    assert (read_colors(urdf) == 255).all()
+    (tmp_path / "mesh.mtl").write_text("newmtl m\nKd 0.1 0.2 0.3\nmap_Kd image.png\n")
+    assert (read_colors(urdf) == 255).all()
+    (tmp_path / "image.png").write_bytes(b"nothing")
+    with pytest.raises(DataFormatError, match=r"mesh\.obj: cannot read its texture"):
+        read_surfaces(urdf, read_tree(urdf))
 
 
 def test_missing_meshes_are_reported(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
                 # Coordinates count from 1, or backwards from the last one before the face.
                 first, *others = [n - 1 if n > 0 else len(points) + n if n < 0 else -1 for n in numbers]
                 faces += [(first, *pair) for pair in itertools.pairwise(others)]
-        # PyBullet gives corners without coordinates the first of these, and all corners of a file without any the other.
+        # Coordinates of corners without any, as in PyBullet: in files with coordinates, and in files without.
         points.append((0.0, 0.0) if points else (0.5, 0.5))
         chosen = np.array(faces, dtype=np.int64)
         chosen[chosen >= len(points)] = -1

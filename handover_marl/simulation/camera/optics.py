@@ -53,14 +53,14 @@ BACK_FACE_OFFSET: Final = 1e-5
 #: A ray that meets more back faces than this is dropped.
 MAX_BACK_FACES: Final = 32
 #: Brightness of a face with unit normal n in the world, as in PyBullet's renderer without shadows:
-#: ambient + diffuse * max(0, n . l) + specular * max(0, z)^2, where l is the direction towards the light and z the height
-#: of the reflected light 2 (n . l) n - l.
+#: ambient + diffuse * max(0, n . l) + specular * max(0, z)^2, where l is the direction towards the light, and z the
+#: height of the reflected light 2 (n . l) n - l.
 LIGHT: Final = (-0.43193421, 0.25916052, 0.86386843)
 AMBIENT: Final = 0.6
 DIFFUSE: Final = 0.35
 SPECULAR: Final = 0.05
-#: Red, green and blue of the sky, and of the squares of the ground with sides of 1 m before shading, 0 to 255. The first
-#: color is that of squares whose lower corners x, y in the world have an even sum (m).
+#: Red, green and blue, 0 to 255, of the sky, and of the ground's squares before shading. Squares have sides of 1 m; the
+#: first color is that of squares whose lower corners x, y in the world have an even sum (m).
 SKY: Final = (255, 255, 255)
 GROUND: Final = ((255, 255, 255), (173, 199, 239))
 

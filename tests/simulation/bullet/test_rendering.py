@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from handover_marl.config import OFFICIAL_CONFIG, PandaConfig
+from handover_marl.config import OFFICIAL_CONFIG, CameraConfig, PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.geometry.poses import transform_points
@@ -68,6 +68,13 @@ def test_all_labels_occur(played: FinishedEpisode) -> None:
     assert not before.compute_mask(SegmentationLabel.HAND).any()
     for seen in SegmentationLabel:
         assert after.compute_mask(seen).sum() > 50, seen.name
+
+
+def test_overview_images_do_not_change_colours(played: FinishedEpisode) -> None:
+    """PyBullet keeps light and shadows of an image for the next one, unless that has its own."""
+    episode, _, photos = played
+    episode.render(CameraConfig())
+    np.testing.assert_array_equal(episode.world.render_wrist_camera(None, color=True).rgb, photos[-1].rgb)
 
 
 def test_colours_are_rendered_on_request(played: FinishedEpisode) -> None:
