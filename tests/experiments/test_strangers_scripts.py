@@ -16,9 +16,14 @@ from experiments.strangers.measure_recording_spread import (
     measure_spread,
 )
 from experiments.strangers.search_best_responses import SEARCH_SPACE, BestResponse, draw_policy, format_results
-from experiments.strangers.select_population import CANDIDATES, copy_policy_files, format_features, select_by_family
+from experiments.strangers.select_population import (
+    CANDIDATES,
+    EVENTS,
+    copy_policy_files,
+    format_features,
+    select_by_family,
+)
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.evaluation.strangers.selection import EVENTS
 from handover_marl.policies.populations import Partner, load_population
 from handover_marl.policies.reference import parse_policy
 from tests.learning.training.scripts import script

@@ -245,6 +245,6 @@ class StrangersReport(TabularResult):
         return ReportTable([*header, *titles, N_EPISODES.title], rows, n_keys=2)
 
 
-def format_estimate(found: Estimate, scale: float = 100.0, spec: str = ".1f") -> str:
-    """Format an estimate with its interval, by default in percent."""
-    return append_interval(f"{scale * found.value:{spec}}", found.interval_95, spec, scale)
+def format_estimate(found: Estimate, spec: str = ".1f") -> str:
+    """Format an estimate of a share with its interval in percent."""
+    return append_interval(f"{100.0 * found.value:{spec}}", found.interval_95, spec)

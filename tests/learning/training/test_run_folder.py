@@ -159,7 +159,7 @@ def test_every_tenth_scene_is_held_out() -> None:
     assert not set(select_training_scenes(scenes)) & set(select_held_out_scenes(scenes))
     assert select_scenes_evenly(scenes, 3) in ((100, 150, 199), (100, 149, 199), (100, 150, 199))
     assert select_scenes_evenly(scenes, 1000) == scenes
-    with pytest.raises(OptionError, match="must be at least 1, got 0"):
+    with pytest.raises(OptionError, match="of at least 1, got 0"):
         select_scenes_evenly(scenes, 0)
 
 

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.episode.metrics.fluency import FluencyMetrics
-from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.strangers.selection import (
+from experiments.strangers.select_population import (
     EVENTS,
     compute_diversity,
     count_events,
     normalize_features,
     select_diverse,
 )
+from handover_marl.episode.metrics.fluency import FluencyMetrics
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.results.episode_result import EpisodeResult
 
 
 @st.composite
