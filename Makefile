@@ -132,14 +132,14 @@ lowest: $(VENV)/.tested-with
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics mujoco
 
-# pip resolves for the Python that it runs in; uv resolves for any.
+# pip resolves for the Python that it runs in; uv resolves for any, here for patch 9, since packages leave out early ones.
 resolve:
 	$(PYTHON) -m venv --clear build/resolve
 	build/resolve/bin/python $(INSTALL) --quiet uv
 	build/resolve/bin/python -m pip wheel --quiet --no-deps --wheel-dir build/resolve .
 	for version in $$(sed -n 's/.*Python :: \(3\.[0-9]*\)$$/\1/p' setup.cfg); do \
 		echo "handover-marl[$(EXTRAS)] @ file://$$(echo $(CURDIR)/build/resolve/*.whl)" | build/resolve/bin/uv pip compile \
-			--quiet --no-header --no-annotate --python-version $$version --only-binary :all: -c constraints.txt \
+			--quiet --no-header --no-annotate --python-version $$version.9 --only-binary :all: -c constraints.txt \
 			-o build/resolve/$$version.txt - && echo "Python $$version: build/resolve/$$version.txt" || exit 1; \
 	done
 

@@ -19,10 +19,9 @@ _LISTED_PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco", "p
 
 def examine_installation() -> tuple[Finding, ...]:
     """Check the library, its required packages, the physics engines and the optional extras."""
-    python = (
-        f"handover_marl {handover_marl.__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
-    )
-    findings = [_check_folder(python, Path(handover_marl.__file__).parents[1])]
+    machine = f"{platform.system()} {platform.machine()}"
+    library = f"handover_marl {handover_marl.__version__}, Python {platform.python_version()}, {machine}"
+    findings = [_check_folder(library, Path(handover_marl.__file__).parents[1])]
     try:
         needed = _list_requirements()
     except PackageNotFoundError:
