@@ -201,7 +201,7 @@ class PolicyReference:
         if self.pickled:
             return pickle.loads(self.pickled)
         if ":" in self.name:
-            return import_reference(self.agent, self.name, list_available(self.agent))
+            return import_reference(self.agent, self.name)
         return load_registered(self.agent, self.name)
 
 
