@@ -12,13 +12,14 @@ import locale
 import os
 import random
 import sys
-import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
+
+from tests.comma_locale import COMMA
 
 FOLDER = Path(__file__).parent
 LEARNED = FOLDER.parent / "data" / "v0_7_0" / "policies" / "receiver.npz"
@@ -64,7 +65,7 @@ def set_decimal() -> None:
 #: Settings by name: what the program that calls the library may do before.
 SETTINGS: dict[str, Callable[[], object]] = {
     "none": lambda: None,
-    "locale": lambda: locale.setlocale(locale.LC_ALL, "fr_FR.UTF-8"),
+    "locale": lambda: locale.setlocale(locale.LC_NUMERIC, COMMA),
     "bfloat16": lambda: torch.set_default_dtype(torch.bfloat16),
     "float64": lambda: torch.set_default_dtype(torch.float64),
     "autocast": lambda: torch.autocast("cpu", dtype=torch.bfloat16).__enter__(),
@@ -126,11 +127,4 @@ def main(settings: str, engines: str, steps: str, *chosen: str) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "thread":
-        failures: list[object] = []
-        threading.excepthook = lambda arguments: failures.append(arguments)
-        thread = threading.Thread(target=main, args=("none", *sys.argv[2:]))
-        thread.start()
-        thread.join()
-    else:
-        main(*sys.argv[1:])
+    main(*sys.argv[1:])
