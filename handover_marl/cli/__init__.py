@@ -1,5 +1,7 @@
 """Command-line program `handover-marl`."""
 
+import os
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +10,9 @@ from handover_marl import __version__
 from handover_marl.cli.streams import OutputError, discard_output, prepare_streams, print_message, print_result
 from handover_marl.errors import HandoverError
 from handover_marl.execution.options import open_missing_descriptors
+
+# Help texts in much fewer columns take minutes, or never end.
+_MIN_COLUMNS = 40
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if list(arguments) == ["--version"]:
             print_result(f"handover-marl {__version__}")
             return 0
+        if shutil.get_terminal_size().columns < _MIN_COLUMNS:
+            os.environ["COLUMNS"] = str(_MIN_COLUMNS)
         # The user's policies are imported from the working directory, as with `python -m`; it is
         # searched last, so that its modules do not hide installed ones.
         sys.path.append(str(Path.cwd()))

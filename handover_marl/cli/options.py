@@ -130,7 +130,7 @@ def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | No
 def _make_noise_options() -> tuple[StructFieldSpec, ...]:
     """Return the option of the noise of the robot's initial joint positions."""
     descriptions = {part.arg_name: part.description for part in parse(WorldConfig.__doc__ or "").params}
-    return (StructFieldSpec(_NOISE, _OPTION_TYPES[_NOISE], 0.0, descriptions[_NOISE]),)
+    return (StructFieldSpec(_NOISE, _OPTION_TYPES[_NOISE], 0.0, descriptions.get(_NOISE)),)
 
 
 class ArgumentError(HandoverError):

@@ -133,8 +133,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         flat: Any = spaces.flatten_space(state_space(self._largest_class))
         self.state_space: spaces.Box = flat
         modes = [mode for mode in RENDER_MODES if mode != "human" or mode == config.render_mode or has_display()]
-        fps = max(1, round(1.0 / config.control_period))
-        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": fps}
+        fps = 1.0 / TIME_STEP / config.control_steps
+        # Some libraries accept whole numbers only.
+        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": int(fps) if fps.is_integer() else fps}
 
     @property
     def object_names(self) -> tuple[str, ...]:

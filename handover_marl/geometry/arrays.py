@@ -101,11 +101,50 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
 
 
 @contextlib.contextmanager
-def disable_gradients() -> Iterator[None]:
-    """Compute without gradients; tensors can be changed later, also if the caller is in PyTorch's inference mode."""
+def use_default_torch_settings() -> Iterator[None]:
+    """Compute with PyTorch's initial settings in a `with` block: float32 in full precision, on the CPU, no autocast.
+
+    Results then do not depend on what the program has set. The settings belong to the process, so that other threads
+    of the program see them meanwhile.
+    """
     import torch
 
-    with torch.inference_mode(False), torch.no_grad():
+    backends: Any = torch.backends
+    # PyTorch before 2.9 has one precision for all devices.
+    parts = [backends.mkldnn.matmul, backends.mkldnn.conv] if hasattr(backends.mkldnn, "matmul") else []
+    parts += [backends.cuda.matmul] if parts else []
+    dtype, precisions = torch.get_default_dtype(), [part.fp32_precision for part in parts]
+    precision = None if parts else torch.get_float32_matmul_precision()
+    is_on_cpu = torch.get_default_device().type == "cpu"
+    try:
+        torch.set_default_dtype(torch.float32)
+        for part in parts:
+            part.fp32_precision = "ieee"
+        if precision is not None:
+            torch.set_float32_matmul_precision("highest")
+        with (
+            contextlib.nullcontext() if is_on_cpu else torch.device("cpu"),
+            torch.autocast("cpu", enabled=False),
+            torch.autocast("cuda", enabled=False),
+        ):
+            yield
+    finally:
+        torch.set_default_dtype(dtype)
+        for part, before in zip(parts, precisions, strict=True):
+            part.fp32_precision = before
+        if precision is not None:
+            torch.set_float32_matmul_precision(precision)
+
+
+@contextlib.contextmanager
+def disable_gradients() -> Iterator[None]:
+    """Compute without gradients and with PyTorch's initial settings.
+
+    Tensors can be changed later, also if the caller is in PyTorch's inference mode.
+    """
+    import torch
+
+    with use_default_torch_settings(), torch.inference_mode(False), torch.no_grad():
         yield
 
 

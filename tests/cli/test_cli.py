@@ -160,6 +160,13 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("handover-marl ")
 
 
+def test_help_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("COLUMNS", "1")
+    with pytest.raises(SystemExit):
+        main(["pair", "--help"])
+    assert "--receiver" in capsys.readouterr().out
+
+
 def test_parse_scenes() -> None:
     assert parse_scenes(("209,", "214")) == parse_scenes(("209,214",)) == parse_scenes(("209", "214")) == (209, 214)
     for text in ("", "1,", "a", "1.5"):

@@ -1,5 +1,7 @@
 """Tests of environments in several processes, as training libraries run them."""
 
+import copy
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +11,7 @@ import pytest
 
 import handover_marl
 from handover_marl.config import CameraConfig
+from handover_marl.errors import OptionError
 
 # The name includes the module, so that worker processes import it, whatever their start method.
 NAME = "handover_marl:HandoverMARL/Receiver-v0"
@@ -84,3 +87,11 @@ def test_images_are_rendered_only_in_the_mode_for_images() -> None:
     envs.close()
     assert images is not None
     assert [image.shape for image in images] == [(48, 64, 3)] * 2
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
+def test_vector_environments_cannot_be_copied(copied: Callable[[object], object]) -> None:
+    envs = handover_marl.vector_env(2, **OPTIONS)
+    with pytest.raises(OptionError, match="make another one"):
+        copied(envs)
+    envs.close()

@@ -5,7 +5,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -133,6 +133,9 @@ class EnvBatch:
         self.arrays = self._thread_envs[0].envs.arrays
         self._pool = ThreadPoolExecutor(len(rows_by_thread)) if len(rows_by_thread) > 1 else None
         self._latest: EnvResult | None = None
+
+    def __reduce__(self) -> NoReturn:
+        raise OptionError("a vector environment cannot be copied or pickled; make another one, in its process")
 
     def reset(
         self,

@@ -1,6 +1,7 @@
 """Reader of TorchScript files, which are code."""
 
 import io
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -33,7 +34,7 @@ class TorchScriptFunction:
     def __call__(self, inputs: Array) -> Array:
         """Return the outputs (n_outputs,) for inputs (n_inputs,)."""
         torch = import_torch()
-        with torch.no_grad():
+        with _single_threaded_inference():
             return np.asarray(self._module(torch.from_numpy(inputs)[None])[0].numpy(), dtype=np.float32)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -42,7 +43,7 @@ class TorchScriptFunction:
     def compute_output_shape(self) -> tuple[int, ...]:
         """Return the shape of the module's outputs for zeros (1, n_inputs)."""
         torch = import_torch()
-        with torch.no_grad():
+        with _single_threaded_inference():
             return tuple(self._module(torch.zeros(1, self.n_inputs)).shape)
 
 
@@ -82,6 +83,13 @@ def read_torch_script(
     if shape != (1, n_outputs):
         raise DataFormatError(f"{path}: a {agent}'s action must have shape (1, {n_outputs}), got {shape}")
     return function
+
+
+def _single_threaded_inference() -> AbstractContextManager[None]:
+    # Imports PyTorch.
+    from handover_marl.learning.networks.weights import single_threaded_inference
+
+    return single_threaded_inference()
 
 
 def import_torch() -> ModuleType:

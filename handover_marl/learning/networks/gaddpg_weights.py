@@ -17,7 +17,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileE
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
-from handover_marl.learning.networks.weights import check_finite_weights, load_tensors
+from handover_marl.learning.networks.weights import check_finite_weights, load_tensors, untrained_networks
 
 _ACTOR, _FEATURES = "_actor_", "_state_feat_"
 # Names of the encoder's parts in the original code, which wraps its encoders for several GPUs.
@@ -40,10 +40,11 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
     """
     actor, features = _find_files(Path(path).expanduser())
     contents = [_read_bytes(file) for file in (actor, features)]
-    network = GaddpgNetwork()
+    with untrained_networks():
+        network = GaddpgNetwork()
     _load_weights(actor, network.policy, _parse_weights(actor, contents[0]))
     _load_weights(features, network.features, _rename_encoder(_parse_weights(features, contents[1])))
-    return network.float().eval(), hashlib.sha256(b"".join(contents)).hexdigest()[:8]
+    return network.eval(), hashlib.sha256(b"".join(contents)).hexdigest()[:8]
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:

@@ -21,6 +21,7 @@ from torch import nn
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.reading import MAX_FILE_BYTES, check_archive, read_arrays, read_plain_file
+from handover_marl.geometry.arrays import use_default_torch_settings
 
 _FORMAT, _ABOUT = "handover_marl weights 1", "about"
 _MAX_BYTES = 100_000_000
@@ -34,17 +35,24 @@ _Network = TypeVar("_Network", bound="SavedNetwork")
 
 @contextlib.contextmanager
 def single_threaded_inference() -> Iterator[None]:
-    """Disable PyTorch's gradients and use one thread of it in a `with` block.
+    """Disable PyTorch's gradients, and use its initial settings and one thread of it in a `with` block.
 
-    Results then do not depend on the number of cores, not even by rounding.
+    Results then do not depend on the number of cores, not even by rounding, nor on what the program has set.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        with torch.inference_mode():
+        with use_default_torch_settings(), torch.inference_mode():
             yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextlib.contextmanager
+def untrained_networks() -> Iterator[None]:
+    """Create networks with PyTorch's initial settings in a `with` block, and keep its random generator unchanged."""
+    with use_default_torch_settings(), torch.random.fork_rng(devices=[]):
+        yield
 
 
 class SavedNetwork(nn.Module):
@@ -107,7 +115,8 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
         about, arrays = _decode_archive(content)
         if (about["format"], about["kind"]) != (_FORMAT, network_class.kind):
             raise ValueError(f"format {about['format']!r} for {about['kind']!r}, expected {_FORMAT!r}")
-        network = network_class.from_settings(about["settings"])
+        with untrained_networks():
+            network = network_class.from_settings(about["settings"])
         counters = {name: value for name, value in network.state_dict().items() if name.endswith(_COUNTERS)}
         network.load_state_dict({name: torch.from_numpy(value) for name, value in arrays.items()} | counters)
     except OSError as error:
@@ -118,7 +127,7 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
     except Exception as error:  # NumPy, zipfile and PyTorch raise exceptions of many types on damaged files
         raise DataFormatError(f"{file}: not weights of {network_class.kind} ({shorten_text(error)})") from error
     check_finite_weights(file, network)
-    return network.float().eval(), hashlib.sha256(content).hexdigest()[:8]
+    return network.eval(), hashlib.sha256(content).hexdigest()[:8]
 
 
 def load_tensors(content: bytes) -> Any:

@@ -4,9 +4,11 @@ import contextlib
 import ctypes
 import functools
 import inspect
+import locale
 import math
 import os
 import sys
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -50,11 +52,31 @@ with _silence_stderr():
 #: Fields of a PyBullet contact point or closest point.
 CONTACT_BODY_B, CONTACT_LINK_A, CONTACT_POSITION_ON_A, CONTACT_DISTANCE, CONTACT_NORMAL_FORCE = 2, 3, 5, 8, 9
 
+# Functions of PyBullet that read model files.
+_FILE_READERS = ("createCollisionShape", "createVisualShape", "loadURDF")
+_locale_lock = threading.Lock()
+
 # Straight up or down PyBullet's window has no upward direction and stays empty (degrees).
 _MAX_PITCH = 89.9
 
 #: Class of all errors that PyBullet raises.
 pybullet_error: type[Exception] = pybullet.error
+
+
+@contextlib.contextmanager
+def _use_decimal_point() -> Iterator[None]:
+    """Use the decimal point of the locale "C" while this context is active.
+
+    PyBullet reads the numbers in model files by the program's locale: with a decimal comma, 0.5 would be 0. A locale
+    belongs to the whole process, hence the lock; other threads of the program see the locale "C" meanwhile.
+    """
+    with _locale_lock:
+        before = locale.setlocale(locale.LC_NUMERIC)
+        locale.setlocale(locale.LC_NUMERIC, "C")
+        try:
+            yield
+        finally:
+            locale.setlocale(locale.LC_NUMERIC, before)
 
 
 class BulletClient:
@@ -81,6 +103,8 @@ class BulletClient:
         attribute = getattr(pybullet, name)
         if inspect.isbuiltin(attribute):
             attribute = functools.partial(attribute, physicsClientId=self._server)
+        if name in _FILE_READERS:
+            attribute = _use_decimal_point()(attribute)
         # Stored on the instance: each name is looked up once.
         setattr(self, name, attribute)
         return attribute

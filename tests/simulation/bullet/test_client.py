@@ -17,6 +17,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.simulation.bullet import client as client_module
 from handover_marl.simulation.bullet.client import BulletClient, aim_window, connect, load_urdf, pause_window_rendering
+from tests.comma_locale import COMMA, install_comma_locale
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
@@ -160,3 +161,37 @@ def test_unreadable_files_of_a_model(file: str, kind: str, tmp_path: Path) -> No
     with refuses_within(5.0, SimulationError, kind):
         load_urdf(client, urdf)
     client.close()
+
+
+_READ_MODELS = """
+import locale, sys
+from pathlib import Path
+from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.urdf import read_urdf_shapes
+from handover_marl.simulation.bullet.client import connect, load_urdf
+from handover_marl.simulation.bullet.shapes import create_collision_shape, create_visual_shape
+
+locale.setlocale(locale.LC_NUMERIC, sys.argv[1])
+client = connect()
+panda = load_urdf(client, PANDA_URDF)
+shapes = read_urdf_shapes(PANDA_URDF, read_tree(PANDA_URDF), "collision")
+for make in (create_collision_shape, create_visual_shape):
+    number = make(client, shapes[0])
+    kind = "baseCollisionShapeIndex" if make is create_collision_shape else "baseVisualShapeIndex"
+    print(client.getAABB(client.createMultiBody(baseMass=1.0, **{kind: number})))
+for link in range(client.getNumJoints(panda)):
+    print(client.getDynamicsInfo(panda, link), client.getJointInfo(panda, link), client.getAABB(panda, link))
+assert locale.setlocale(locale.LC_NUMERIC) == sys.argv[1]
+"""
+
+
+def test_numbers_of_models_do_not_depend_on_the_locale(tmp_path: Path) -> None:
+    env = install_comma_locale(tmp_path)
+    with_point, with_comma = (
+        subprocess.run(
+            [sys.executable, "-c", _READ_MODELS, name], env=env, stdout=subprocess.PIPE, text=True, check=True
+        ).stdout
+        for name in ("C", COMMA)
+    )
+    assert with_point == with_comma
