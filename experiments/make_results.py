@@ -62,7 +62,11 @@ INPUTS = {
     "gaddpg": ("points of the object", "^"),
     "vision": ("points of objects and hand", "^"),
 }
-MARKERS = {"o": "true poses of objects", "s": "true poses of objects and hand", "^": "point clouds"}
+MARKERS = {
+    "o": "true poses of objects",
+    "s": "true poses of objects and hand\n(reactive: also the release)",
+    "^": "point clouds",
+}
 #: Published methods that are compared with each receiver.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
 NOT_STORED = "not stored"
