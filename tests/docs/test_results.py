@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from experiments import make_results
-from tests.docs.pages import REPOSITORY, blocks, name
+from tests.docs.pages import REPOSITORY, blocks, checked_table, name
 
 RESULTS = REPOSITORY / "docs" / "results"
 #: Pages whose rates have Wilson intervals; the intervals on the other pages are bootstrap intervals.
@@ -144,3 +144,24 @@ def test_differences_are_printed_with_their_command() -> None:
         commands = [block.text for block in blocks(page, "bash") if "handover-marl compare docs" in block.text]
         for path in re.findall(r"docs/results/data/\S+", " ".join(commands)):
             assert (REPOSITORY / path).exists(), path
+
+
+def test_readme_states_the_rate_of_the_figure_and_the_input() -> None:
+    text = " ".join((REPOSITORY / "README.md").read_text().split())
+    chosen = make_results.select_evaluations(make_results.read_evaluations(), ("reactive",))
+    (shown,) = [one for one in chosen if (one.setup, one.wait_s) == ("s0", 0.0)]
+    assert f"`reactive` ({100 * shown.success / shown.episodes:.1f} %) reads true poses of objects and hand" in text
+
+
+def test_inputs_are_those_of_the_table_of_policies() -> None:
+    """The kinds of input in the tables and the figure follow from the tested table of the page policies."""
+    page = REPOSITORY / "docs" / "reference" / "policies.md"
+    rows = {row[0]: row[1:] for row in checked_table(page, "receiver inputs")}
+    for number, receiver in enumerate(("yang2021", "omg", "omg_hand_aware", "reactive", "gaddpg", "vision")):
+        used = {name for name, row in rows.items() if row[number] == "yes"}
+        words, marker = make_results.INPUTS[receiver]
+        has_hand = "true pose and joints of the hand" in used
+        assert marker == ("^" if "true pose of that object" not in used else "s" if has_hand else "o")
+        assert ("all objects" in words) == ("true poses of the other objects" in used)
+        assert ("release" in words) == ("the simulator's `released` flag" in used)
+        assert ("hand" in words) == (has_hand or "point cloud of the hand, perfect segmentation" in used)

@@ -53,6 +53,7 @@ CHECKED = {
         for name in named
     },
     "docs/reference/generated_scenes.md": {"generated scenes"},
+    "docs/reference/policies.md": {"receiver inputs"},
     "docs/reference/rewards.md": {"reward terms"},
     "docs/reference/rules_and_metrics.md": {
         "rules",
