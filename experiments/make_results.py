@@ -1,18 +1,21 @@
-"""Make the results page and its figure from stored evaluations.
+"""Make the results pages and their figure from stored outcomes.
 
-    python experiments/make_results.py                              # page and figure
+    python experiments/make_results.py                              # pages and figure
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
 
-`docs/results/data/evaluations.json` has one entry for each evaluation of a test split: receiver,
-data set, setup, version of the library, and counts of outcomes. `--add` replaces the entry of an
-evaluation by the content of a result folder. The other tables of the page are read from CSV files
-in the same folder, written by the scripts that the page names.
+`docs/results/data/episodes/` has one file for each evaluation, with the outcome of every scene;
+`--add` writes these files, and appends uses of test splits to `test_use.csv`. Rows of evaluations whose
+outcomes were not stored are computed from the counts in `evaluations.json`. Each template
+`docs/results/data/NAME.md.jinja` becomes the page `docs/results/NAME.md`. Differences are computed by
+`handover-marl compare`, only between evaluations with stored outcomes.
 """
 
 import csv
 import json
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import tyro
@@ -21,13 +24,18 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 import handover_marl
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
+from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.evaluation.reports.tables import append_interval, format_csv, format_percent_rate
+from handover_marl.evaluation.results.episode_file import format_episode_file
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
+EPISODES, COUNTS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
 HEADER = (
     "receiver",
+    "input",
     "setup",
     "wait s",
     "n episodes",
@@ -40,65 +48,114 @@ HEADER = (
     "timeout %",
     "AS %",
     "version",
+    "outcomes",
 )
+OUTCOMES = ("success", "contact", "drop", "timeout")
+POSE, POSES, POSES_AND_HAND = "true pose of the object", "true poses of all objects", "true poses of all objects, hand"
+#: Input of each receiver, and the marker of this kind of input in the figure.
+INPUTS = {
+    "yang2021": (POSE, "o"),
+    "omg": (POSES, "o"),
+    "omg_unchecked_last": (POSES, "o"),
+    "omg_hand_aware": (POSES_AND_HAND, "s"),
+    "reactive": (f"{POSES_AND_HAND}, release; validated grasps", "s"),
+    "gaddpg": ("points of the object", "^"),
+    "vision": ("points of objects and hand", "^"),
+}
+MARKERS = {
+    "o": "true poses of objects",
+    "s": "true poses of objects and hand\n(reactive: also the release)",
+    "^": "point clouds",
+}
 #: Published methods that are compared with each receiver.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
+NOT_STORED = "not stored"
+NO_DIFFERENCES = (
+    "Paired differences are not shown: the outcomes of single scenes were not stored for at least one of the receivers."
+)
 
 
 @dataclass(frozen=True)
 class Args:
-    """Options of the generator of the results page.
+    """Options of the generator of the results pages.
 
     Attributes:
-        add: Result folders of complete test splits to store first.
-        out: Folder for the page and the figure.
+        add: Result folders of complete evaluations to store first.
+        purpose: Reason for the use of a test split, in its log.
+        out: Folder for the pages and the figure.
     """
 
     add: tuple[Path, ...] = ()
+    purpose: str = "table of results"
     out: Path = FOLDER
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluation of a receiver on a test split with the giver `replay` in exact physics.
+    """Evaluation of a receiver on a whole split with the official rules.
 
     Attributes:
-        receiver: Name of the receiver.
-        dataset: "dexycb" (grasped object only, stand-in hand) or "synthetic".
+        receiver: Label of the receiver, without the waiting time and the hash of its own weights.
+        dataset: "dexycb" or "synthetic".
+        data: Description of the data: data set, objects in a scene, and substituted models.
         setup: Official setup.
         split: Split of the setup.
+        giver: Label of the giver.
+        physics: Kind of physics.
         wait_s: Time that the receiver waits at the start (s).
         episodes: Number of episodes.
         success: Number of successes.
         contact: Number of episodes with a contact of robot and hand.
         drop: Number of drops.
         timeout: Number of timeouts.
-        exec_s: Mean execution time of the successes (s).
+        exec_s: Mean execution time of the successes (s), or None without successes.
         as_percent: Average success (AS): mean over all episodes of 1 - t / 13 s for a success at
             time t and 0 for a failure, in percent.
         version: Version of the library.
         plan_s: Mean wall-clock time of the policy in successes (s), or None if it was not stored.
+        path: File with the outcome of every scene, or None if it was not stored.
     """
 
     receiver: str
     dataset: str
+    data: str
     setup: str
     split: str
+    giver: str
+    physics: str
     wait_s: float
     episodes: int
     success: int
     contact: int
     drop: int
     timeout: int
-    exec_s: float
+    exec_s: float | None
     as_percent: float
     version: str
     plan_s: float | None = None
+    path: Path | None = None
 
     @property
-    def key(self) -> tuple[str, str, str, str, float]:
-        """Receiver, dataset, setup, split and waiting time, which identify an evaluation."""
-        return self.receiver, self.dataset, self.setup, self.split, self.wait_s
+    def key(self) -> tuple[object, ...]:
+        """Values that identify an evaluation; one with the same key replaces it."""
+        return self.receiver, self.giver, self.dataset, self.setup, self.split, self.physics, self.wait_s
+
+    @property
+    def name(self) -> str:
+        """Name of the receiver, without options."""
+        return self.receiver.partition(":")[0]
+
+    @cached_property
+    def report(self) -> Report:
+        """Report of the stored outcomes."""
+        if self.path is None:
+            raise SystemExit(f"the outcomes of {self.key} are not stored")
+        return handover_marl.evaluate(self.path)
+
+    @property
+    def conditions(self) -> str:
+        """Physics, giver and data."""
+        return f"{self.physics} physics, giver `{self.giver}`, {self.data}"
 
     def format_rate(self, name: str) -> str:
         """Return the rate of an outcome with its 95 % Wilson interval (%), as text.
@@ -106,96 +163,213 @@ class Evaluation:
         Args:
             name: Field with the number of episodes: success, contact, drop or timeout.
         """
-        count = getattr(self, name)
-        low, high = compute_wilson_interval(count, self.episodes)
-        return f"{100 * count / self.episodes:.2f} ({100 * low:.1f} to {100 * high:.1f})"
+        return format_percent_rate(getattr(self, name), self.episodes, digits=2)
 
 
 def read_evaluations() -> list[Evaluation]:
-    """Return the evaluations stored in `evaluations.json`."""
-    return [Evaluation(**entry) for entry in json.loads((DATA / "evaluations.json").read_text())]
+    """Return all evaluations: those with stored outcomes, and the others in `evaluations.json`."""
+    counts = [Evaluation(**entry) for entry in json.loads(COUNTS.read_text())]
+    stored = [make_evaluation(handover_marl.evaluate(path), path) for path in sorted(EPISODES.glob("*.json"))]
+    # A stored evaluation takes the place of the counts in the order of the rows.
+    return list(({one.key: one for one in counts} | {one.key: one for one in stored}).values())
 
 
-def read_evaluation(folder: Path) -> Evaluation:
-    """Return the evaluation whose results are stored in a result folder.
+def make_evaluation(report: Report, path: Path | None = None) -> Evaluation:
+    """Return the evaluation that a report describes.
+
+    Args:
+        report: Report of a whole split.
+        path: File with the stored outcomes.
 
     Raises:
-        SystemExit: The folder is not a complete, official evaluation of a test split.
+        SystemExit: The report is partial, or has other rules than the official ones.
     """
-    report = handover_marl.evaluate(folder)
     metadata = report.metadata
-    conditions = (metadata.split, metadata.giver, metadata.physics, metadata.world)
-    if conditions != ("test", "replay", "exact", OFFICIAL_WORLD) or report.is_partial:
-        raise SystemExit(f"{folder} must be an official evaluation of a whole test split")
-    n = {status: report.count(status) for status in EpisodeStatus}
+    if metadata.world != OFFICIAL_WORLD or report.is_partial:
+        raise SystemExit(f"{metadata.receiver} must be evaluated with the official rules on a whole split")
+    name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
+    others = ",".join(option for option in options.split(",") if not option.startswith("wait="))
+    counts = [report.count(status) for status in EpisodeStatus if status]
     return Evaluation(
-        receiver=metadata.receiver.partition(":")[0],
-        dataset=metadata.dataset,
-        setup=metadata.setup,
-        split=metadata.split,
-        wait_s=float(metadata.wait_s or 0.0),
-        episodes=len(report.episodes),
-        success=n[EpisodeStatus.SUCCESS],
-        contact=n[EpisodeStatus.HUMAN_CONTACT],
-        drop=n[EpisodeStatus.OBJECT_DROP],
-        timeout=n[EpisodeStatus.TIMEOUT],
-        exec_s=round(float(report.time_exec or 0.0), 3),
-        as_percent=round(100 * report.average_success, 1),
-        version=metadata.version,
-        plan_s=round(float(report.time_plan or 0.0), 3),
+        f"{name}:{others}" if others else name,
+        metadata.dataset,
+        report.data_label,
+        metadata.setup,
+        metadata.split,
+        metadata.giver,
+        metadata.physics,
+        float(metadata.wait_s or 0.0),
+        len(report.episodes),
+        *counts,
+        report.time_exec,
+        100.0 * report.average_success,
+        metadata.version,
+        report.time_plan,
+        path,
     )
 
 
-def write_evaluations(evaluations: Iterable[Evaluation]) -> None:
-    """Write evaluations to `evaluations.json`, in place of its present content."""
-    text = json.dumps([asdict(evaluation) for evaluation in evaluations], indent=1)
-    (DATA / "evaluations.json").write_text(f"{text}\n")
+def add_evaluation(folder: Path, purpose: str) -> None:
+    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of a test split."""
+    report = handover_marl.evaluate(folder)
+    added, metadata = make_evaluation(report), report.metadata
+    EPISODES.mkdir(exist_ok=True)
+    path = EPISODES / f"{re.sub(r'[^a-z0-9.]+', '-', '-'.join(map(str, added.key)))}.json"
+    path.write_text(format_episode_file(metadata, report.episodes))
+    counts = [entry for entry in json.loads(COUNTS.read_text()) if Evaluation(**entry).key != added.key]
+    COUNTS.write_text(f"{json.dumps(counts, indent=1)}\n")
+    if added.split == "test":
+        split = f"{added.dataset} {added.setup}"
+        cells = [split, added.version, metadata.receiver, f"{added.giver}, {added.physics}", added.episodes, purpose]
+        line, log = format_csv([cells]), TEST_USE.read_text()
+        TEST_USE.write_text(log if line in log else log + line)
 
 
-def format_row(evaluation: Evaluation) -> list[str]:
+def format_row(one: Evaluation) -> list[str]:
     """Return the cells of the table row of an evaluation that was made with this library."""
-    rates = [evaluation.format_rate(name) for name in ("success", "contact", "drop", "timeout")]
-    start = [f"`{evaluation.receiver}`", evaluation.setup, f"{evaluation.wait_s:g}", str(evaluation.episodes)]
-    end = [f"{evaluation.as_percent:.1f}", evaluation.version]
-    plan_s = evaluation.plan_s
-    planning = ["", ""] if plan_s is None else [f"{plan_s:.3f}", f"{evaluation.exec_s + plan_s:.3f}"]
-    return [*start, rates[0], f"{evaluation.exec_s:.3f}", *planning, *rates[1:], *end]
+    rates = [one.format_rate(name) for name in OUTCOMES]
+    start = [f"`{one.receiver}`", INPUTS[one.name][0], one.setup, f"{one.wait_s:g}", str(one.episodes)]
+    total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
+    times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
+    score, version, outcomes = f"{one.as_percent:.1f}", one.version, NOT_STORED
+    if one.path is not None:
+        score = append_interval(score, one.report.official_means["AS"].interval_95)
+        version = f"{version} ({one.report.metadata.receiver_hash})"
+        outcomes = f"[scenes]({one.path.relative_to(FOLDER).as_posix()})"
+    return [*start, rates[0], *times, *rates[1:], score, version, outcomes]
 
 
-def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
+def format_published_row(row: PublishedResult, receiver: str, setup: str, episodes: int) -> list[str]:
     """Return the cells of the table row of a published result.
 
     Args:
         row: Published result.
+        receiver: Receiver of this library with the same method.
         setup: Official setup of the result.
         episodes: Number of episodes of the test split.
     """
     cells = [f"{value:.2f}" for value in (row.contact, row.drop, row.timeout)]
-    start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes), f"{row.success:.2f}"]
+    start = [f"published: {row.method}", INPUTS[receiver][0], setup, f"{row.wait_s:g}", str(episodes)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
-    return [*start, *times, *cells, f"{row.average_success:.1f}", ""]
+    return [*start, f"{row.success:.2f}", *times, *cells, f"{row.average_success:.1f} (derived)", "", ""]
 
 
-def make_setup_table(evaluations: list[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
-    """Return a Markdown table of the results of some receivers, with the published results.
+def select_evaluations(
+    evaluations: Iterable[Evaluation],
+    receivers: tuple[str, ...],
+    dataset: str = "dexycb",
+    split: str = "test",
+    giver: str = "replay",
+    physics: str = "exact",
+) -> list[Evaluation]:
+    """Return the evaluations of some receivers under the same conditions.
+
+    Raises:
+        SystemExit: The data of the evaluations differ.
+    """
+    conditions = (dataset, split, giver, physics)
+    chosen = [
+        one
+        for one in evaluations
+        if one.name in receivers and (one.dataset, one.split, one.giver, one.physics) == conditions
+    ]
+    if len({one.data for one in chosen}) > 1:
+        raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
+    return chosen
+
+
+def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
+    """Return a Markdown table of the test results of some receivers, with the published results.
 
     Args:
-        evaluations: All stored evaluations.
+        evaluations: All evaluations.
         receivers: Names of the receivers in the table.
         dataset: Dataset of the evaluations in the table.
     """
-    chosen = [one for one in evaluations if one.receiver in receivers and one.dataset == dataset]
+    chosen = select_evaluations(evaluations, receivers, dataset)
+    methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
     rows = []
     for setup, wait in sorted({(one.setup, one.wait_s) for one in chosen}, key=lambda key: (-key[1], key[0])):
         group = [one for one in chosen if (one.setup, one.wait_s) == (setup, wait)]
         rows += [format_row(one) for one in group]
-        methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
         rows += [
-            format_published_row(row, setup, group[0].episodes)
+            format_published_row(row, receivers[0], setup, group[0].episodes)
             for row in PUBLISHED[setup]
             if row.wait_s == wait and row.source == "HandoverSim" and any(method in row.method for method in methods)
         ]
-    return format_table(HEADER, rows)
+    note = " Published rows: all objects, MANO hands." if methods else ""
+    return f"{format_table(HEADER, rows)}\n\nTest splits, {chosen[0].conditions}.{note}"
+
+
+def make_difference_table(
+    evaluations: Iterable[Evaluation], pairs: Sequence[tuple[str, float, str, float]], setups: tuple[str, ...] = ("s0",)
+) -> str:
+    """Return a Markdown table of differences of test results on DexYCB, paired by scene, and its commands.
+
+    Pairs of which an evaluation has no stored outcomes are left out.
+
+    Args:
+        evaluations: All evaluations.
+        pairs: Receivers and their waiting times (s): minuend and subtrahend.
+        setups: Setups in the table.
+    """
+    names = tuple(name for pair in pairs for name in pair[::2])
+    chosen = select_evaluations(evaluations, names)
+    stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen if one.path is not None}
+    rows, commands = [], []
+    for setup in setups:
+        for first, first_wait, second, second_wait in pairs:
+            sides = stored.get((setup, first, first_wait)), stored.get((setup, second, second_wait))
+            if sides[0] is None or sides[1] is None or sides[0].path is None or sides[1].path is None:
+                continue
+            compared = handover_marl.compare(sides[0].path, sides[1].path)
+            labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in sides if one is not None]
+            gains = [str(row[3]) for row in compared.build_tables()[0].rows]
+            rows.append([*labels, setup, str(len(compared.pairs)), *gains])
+            paths = (one.path.relative_to(FOLDER.parents[1]) for one in sides if one is not None and one.path)
+            commands.append(f"handover-marl compare {' '.join(map(str, paths))}")
+    if not rows:
+        return NO_DIFFERENCES
+    header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
+    text = f"Differences A minus B, paired by scene, with 95 % intervals: test splits, {chosen[0].conditions}."
+    return "\n".join([format_table(header, rows), "", text, "", "```bash", *commands, "```"])
+
+
+def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str, wait_s: float) -> str:
+    """Return the success rate of a receiver on a test split of DexYCB, with interval, episodes and version."""
+    chosen = select_evaluations(evaluations, (receiver,))
+    (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
+    low, high = compute_wilson_interval(one.success, one.episodes)
+    rate = f"{100 * one.success / one.episodes:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    return f"{rate} of {one.episodes} episodes (version {one.version})"
+
+
+def make_published_table(evaluations: Iterable[Evaluation], receiver: str) -> str:
+    """Return a Markdown table of a receiver's success rates on DexYCB beside the published ones.
+
+    The authors published no intervals; those of their rates are computed from the number of scenes.
+    """
+    header = ("setup", "wait s", "n episodes", "published success %", "success % here", "version", "here")
+    rows = []
+    for one in sorted(select_evaluations(evaluations, (receiver,)), key=lambda one: (-one.wait_s, one.setup)):
+        for row in PUBLISHED[one.setup]:
+            if METHODS[receiver][0] in row.method and row.wait_s == one.wait_s:
+                count = round(row.success * one.episodes / 100)
+                (low, high), rate = compute_wilson_interval(count, one.episodes), one.success / one.episodes
+                place = f"{'below' if rate < low else 'above' if rate > high else 'within'} the interval"
+                texts = format_percent_rate(count, one.episodes, 2), one.format_rate("success")
+                rows.append([one.setup, f"{one.wait_s:g}", str(one.episodes), *texts, one.version, place])
+    return format_table(header, rows)
+
+
+def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
+    """Return Markdown items with the scenes in which a receiver failed on test splits of DexYCB, where stored."""
+    lines = []
+    for one in select_evaluations(evaluations, (receiver,)):
+        if one.path is not None:
+            failed = [f"{each.scene_id} ({each.status.label})" for each in one.report.episodes if not each.success]
+            lines.append(f"- {one.setup}, wait {one.wait_s:g} s, version {one.version}: {', '.join(failed) or 'none'}")
+    return "\n".join(lines) or "The outcomes of single scenes were not stored."
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -210,15 +384,19 @@ def make_csv_table(name: str) -> str:
     return format_table(header, rows)
 
 
-def render_page(evaluations: list[Evaluation]) -> str:
-    """Return the Markdown text of the results page."""
+def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
+    """Return the Markdown text of each results page with a template, by file name."""
     environment = Environment(loader=FileSystemLoader(DATA), undefined=StrictUndefined, keep_trailing_newline=True)
-    template = environment.get_template("index.md.jinja")
-    return template.render(
-        evaluations=evaluations,
-        table=lambda *args, **kw: make_setup_table(evaluations, *args, **kw),
-        csv_table=make_csv_table,
-    )
+    values = {
+        "table": lambda *args, **options: make_table(evaluations, *args, **options),
+        "differences": lambda *args, **options: make_difference_table(evaluations, *args, **options),
+        "success": lambda *args: format_success(evaluations, *args),
+        "published": lambda *args: make_published_table(evaluations, *args),
+        "failures": lambda *args: make_failure_list(evaluations, *args),
+        "csv_table": make_csv_table,
+    }
+    names = sorted(path.name for path in DATA.glob("*.md.jinja"))
+    return {name.removesuffix(".jinja"): environment.get_template(name).render(values) for name in names}
 
 
 def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
@@ -226,30 +404,30 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
     import matplotlib as mpl
     from matplotlib import pyplot as plt
 
-    own = [one for one in evaluations if (one.dataset, one.setup, one.split) == ("dexycb", "s0", "test")]
-    receivers = list(dict.fromkeys(one.receiver for one in own))
+    own = [one for one in select_evaluations(evaluations, tuple(INPUTS)) if one.setup == "s0"]
+    receivers = list(dict.fromkeys(one.name for one in own))
     colors = {receiver: f"C{number}" for number, receiver in enumerate(receivers)}
     with mpl.rc_context({"svg.hashsalt": "results", "svg.fonttype": "none", "font.size": 9}):
         figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
         for one in own:
             low, high = compute_wilson_interval(one.success, one.episodes)
-            rate, color = 100 * one.success / one.episodes, colors[one.receiver]
-            fill = color if one.wait_s else "white"
-            errors = [[rate - 100 * low], [100 * high - rate]]
-            axes.errorbar(
-                one.as_percent, rate, errors, marker="o", color=color, markerfacecolor=fill, capsize=2, linewidth=1
-            )
+            rate, color = 100 * one.success / one.episodes, colors[one.name]
+            fill, errors = color if one.wait_s else "white", [[rate - 100 * low], [100 * high - rate]]
+            style = {"marker": INPUTS[one.name][1], "color": color, "markerfacecolor": fill}
+            axes.errorbar(one.as_percent, rate, errors, capsize=2, linewidth=1, **style)
         for row in PUBLISHED["s0"]:
             for receiver, methods in METHODS.items():
                 if row.source == "HandoverSim" and any(method in row.method for method in methods):
-                    marker = "X" if row.wait_s else "x"
-                    axes.plot(row.average_success, row.success, marker, color=colors[receiver])
+                    fill = colors[receiver] if row.wait_s else "white"
+                    style = {"marker": INPUTS[receiver][1], "color": fill, "markeredgecolor": "black"}
+                    axes.plot(row.average_success, row.success, linestyle="", **style)
         for receiver in receivers:
-            axes.plot([], [], "o", color=colors[receiver], label=receiver)
-        axes.plot([], [], "o", color="0.3", label="waits 3 s at the start")
-        axes.plot([], [], "o", color="0.3", markerfacecolor="white", label="does not wait")
-        axes.plot([], [], "X", color="0.3", label="published (wait 3 s)")
-        axes.plot([], [], "x", color="0.3", label="published (no wait)")
+            axes.plot([], [], INPUTS[receiver][1], color=colors[receiver], label=receiver)
+        for marker, label in MARKERS.items():
+            axes.plot([], [], marker, color="0.7", label=f"input: {label}")
+        axes.plot([], [], "o", color="0.3", label="filled: waits 3 s at the start")
+        axes.plot([], [], "o", color="0.3", markerfacecolor="white", label="white: does not wait")
+        axes.plot([], [], "o", color="0.7", markeredgecolor="black", label="black edge: published, AS derived")
         axes.set_xlabel("AS (%): success rate and time in one number")
         axes.set_ylabel("success rate (%)")
         axes.set_xlim(10, 80)
@@ -261,16 +439,15 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
 
 
 def main(args: Args) -> None:
-    """Store new evaluations, then write the results page and its figure."""
-    stored = {one.key: one for one in read_evaluations()}
-    if args.add:
-        stored |= {one.key: one for one in map(read_evaluation, args.add)}
-        write_evaluations(stored.values())
-    evaluations = list(stored.values())
+    """Store new evaluations, then write the results pages and their figure."""
+    for folder in args.add:
+        add_evaluation(folder, args.purpose)
+    evaluations = read_evaluations()
     args.out.mkdir(parents=True, exist_ok=True)
-    (args.out / "index.md").write_text(render_page(evaluations))
+    for name, text in render_pages(evaluations).items():
+        (args.out / name).write_text(text)
     draw_figure(evaluations, args.out / "s0_test.svg")
-    print(f"The results page is {args.out / 'index.md'}")
+    print(f"The results pages are in {args.out}")
 
 
 if __name__ == "__main__":

@@ -89,17 +89,17 @@ def run_verify(
 
 
 def run_compare(
-    first: Annotated[str, tyro.conf.arg(metavar="DIR")],
-    second: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    first: Annotated[str, tyro.conf.arg(metavar="PATH")],
+    second: Annotated[str, tyro.conf.arg(metavar="PATH")],
     /,
     out: _PagePath = None,
     table_format: TableFormat = "markdown",
 ) -> None:
-    """Compare two result folders scene by scene.
+    """Compare two evaluations scene by scene.
 
     Args:
-        first: Result folder.
-        second: Result folder of the same setup, split and data.
+        first: Result folder, or a file of docs/results/data/episodes.
+        second: Result folder or file of the same setup, split and data.
         out: Output file (.html) for the comparison as a web page; default: none.
         table_format: Format of the printed tables.
     """

@@ -1,4 +1,4 @@
-"""Comparison of two result folders, paired by scene."""
+"""Comparison of two evaluations, paired by scene."""
 
 import os
 from collections.abc import Mapping
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from handover_marl import __version__
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
+from handover_marl.evaluation.reports.fluency_tables import build_fluency_difference_table
 from handover_marl.evaluation.reports.pair_tables import (
     build_difference_table,
     build_rate_table,
@@ -18,7 +19,10 @@ from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.visualization.web_page import render_page
 
-_NOTE = "{n} scenes that both folders have, paired. 95 % intervals: Wilson; differences Agresti and Min; AS bootstrap."
+_NOTE = (
+    "{n} scenes that both folders have, paired. 95 % intervals: Wilson; differences of rates Agresti and Min; AS and "
+    "fluency metrics bootstrap."
+)
 
 
 @dataclass(frozen=True)
@@ -55,26 +59,28 @@ class Comparison(TabularResult):
         return compute_rate_difference(first, second, flag)
 
     def build_tables(self) -> list[ReportTable]:
-        """Build the tables of rates in A and B, and of scenes with different outcomes."""
+        """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""
         names = ("A", "B")
-        return [build_rate_table(self.pairs, names), build_difference_table(self.pairs, names)]
+        builders = (build_rate_table, build_difference_table, build_fluency_difference_table)
+        return [build(self.pairs, names) for build in builders]
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build headings, note and tables."""
         headings = f"A: {self.first.heading}\nB: {self.second.heading}"
-        rates, differences = self.build_tables()
-        return [headings, self.note, rates, differences if differences.rows else "Every scene has the same outcome."]
+        rates, differences, fluency = self.build_tables()
+        changes = differences if differences.rows else "Every scene has the same outcome."
+        return [headings, self.note, rates, changes, fluency]
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
-    """Compare two official result folders, of this library or of HandoverSim, scene by scene.
+    """Compare two official result folders, of this library or of HandoverSim, or episode files, scene by scene.
 
     Args:
-        first: Result folder A.
-        second: Result folder B, of the same setup, split and dataset.
+        first: Result folder or episode file A.
+        second: Result folder or episode file B, of the same setup, split and dataset.
 
     Raises:
-        ResultsError: A folder is not readable, or the folders cannot be compared: other splits or
+        ResultsError: A folder or file is not readable, or the folders cannot be compared: other splits or
             datasets, no common scene, or different data (checked within one version).
     """
     report, other = evaluate(first), evaluate(second)

@@ -108,4 +108,4 @@ def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     sections = found.build_sections()
     assert sections[0] == f"A: {found.first.heading}\nB: {found.second.heading}"
     assert "Receiver mine" in found.first.heading
-    assert handover_marl.compare(one, one).build_sections()[-1] == "Every scene has the same outcome."
+    assert handover_marl.compare(one, one).build_sections()[-2] == "Every scene has the same outcome."

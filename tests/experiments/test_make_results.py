@@ -1,29 +1,112 @@
-"""experiments/make_results.py stores result folders and refuses those that are not official."""
+"""experiments/make_results.py stores outcomes, computes the pages from them, and refuses partial evaluations."""
 
-from dataclasses import replace
+import itertools
+import re
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import handover_marl
 from experiments import make_results
+from handover_marl.datasets.splits import list_split_scenes
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
+from tests.docs.test_results import check_outcome_row, list_outcome_rows
 
 FOLDER = Path(__file__).parents[1] / "data" / "v0_7_0" / "benchmark"
 
 
-def test_a_partial_folder_is_refused() -> None:
-    with pytest.raises(SystemExit, match="whole test split"):
-        make_results.read_evaluation(FOLDER)
+def make_folder(path: Path, receiver: str, outcomes: Iterator[int], wait: str = "3") -> Path:
+    """Write a result folder of the whole s0 test split with some outcomes."""
+    settings = ResultMetadata("s0", "test", receiver, "replay", "exact", "dexycb", "9.9.9", "abc.1", wait_s=wait)
+    folder, scenes = ResultFolder(path, settings), list_split_scenes("s0", "test", lambda scene: "")
+    for index, (scene, status) in enumerate(zip(scenes, outcomes, strict=False)):
+        steps = 5000 + 7 * index
+        result = EpisodeResult(
+            index, EpisodeStatus(status), steps, 0.0, scene, None, n_objects=1, models="stand-in hand", machine="m"
+        )
+        folder.write(result, encode_result(result, np.zeros((1, 9), np.float32), np.array([0.05 + 0.01 * index])))
+    return path
 
 
-def test_a_whole_folder_becomes_an_entry(monkeypatch: pytest.MonkeyPatch) -> None:
-    report = handover_marl.evaluate(FOLDER)
-    assert not isinstance(report, tuple)
-    official = replace(report.metadata, physics="exact", split="test")
-    whole = replace(report, metadata=official, n_split_scenes=len(report.episodes))
-    monkeypatch.setattr(handover_marl, "evaluate", lambda folder: whole)
-    entry = make_results.read_evaluation(FOLDER)
-    assert entry.episodes == len(report.episodes) == entry.success + entry.contact + entry.drop + entry.timeout
-    assert (entry.receiver, entry.version, entry.wait_s) == (report.metadata.receiver, "0.7.0", 3.0)
-    assert entry.as_percent == pytest.approx(100 * report.average_success, abs=0.05)
-    assert make_results.format_row(entry)[0] == f"`{report.metadata.receiver}`"
+@pytest.fixture
+def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a copy of the templates and counts, which the script uses in this test."""
+    folder = tmp_path / "docs" / "results"
+    shutil.copytree(make_results.DATA, folder / "data", ignore=shutil.ignore_patterns("episodes"))
+    real = make_results.FOLDER
+    for constant in ("FOLDER", "DATA", "EPISODES", "COUNTS", "TEST_USE"):
+        monkeypatch.setattr(make_results, constant, folder / getattr(make_results, constant).relative_to(real))
+    return folder
+
+
+def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
+    """Rates, times and AS of two stored evaluations are those of their files, and so is their paired difference."""
+    reactive, yang = itertools.cycle([1, 1, 1, 1, 1, 6, 8]), itertools.cycle([1, 1, 2, 4, 1])
+    added = (
+        make_folder(tmp_path / "a", "reactive", reactive, "0"),
+        make_folder(tmp_path / "b", "yang2021", yang),
+        make_folder(tmp_path / "c", "gaddpg@own weights a888ea47:wait=0.0", itertools.cycle([1, 4]), "0"),
+    )
+    before = {evaluation.key for evaluation in make_results.read_evaluations()}
+    make_results.main(make_results.Args(added, "a test", pages))
+    assert {evaluation.key for evaluation in make_results.read_evaluations()} == before, "each one took a place"
+    rows = list_outcome_rows(pages)
+    assert len(rows) == 4, "reactive is on two pages"
+    for row, path in rows:
+        check_outcome_row(row, path)
+    inputs = {make_results.INPUTS[name][0] for name in ("reactive", "yang2021", "gaddpg")}
+    assert {row["input"] for row, _ in rows} == inputs
+    text = (pages / "reactive.md").read_text()
+    (difference,) = [line for line in text.splitlines() if line.startswith("| `reactive` (0 s, version 9.9.9)")]
+    pairs = list(zip([1, 1, 1, 1, 1, 6, 8] * 30, [1, 1, 2, 4, 1] * 30, strict=False))[:144]
+    for column, flag in enumerate((1, 2, 4, 8), start=4):
+        gained = sum(bool(one & flag) and not other & flag for one, other in pairs)
+        lost = sum(bool(other & flag) and not one & flag for one, other in pairs)
+        middle, n = (gained - lost) / 146, 146
+        half = 1.959963984540054 * np.sqrt(((gained + lost + 1) / n - middle**2) / n)
+        expected = [100 * (gained - lost) / 144, 100 * (middle - half), 100 * (middle + half)]
+        found = [float(number) for number in re.findall(r"[+-][\d.]+", difference.split("|")[column + 1])]
+        assert found == pytest.approx(expected, abs=0.051)
+    (command,) = re.findall("handover-marl compare .*", text)
+    files = [tmp_path / path for path in command.split()[2:]]
+    assert handover_marl.compare(*files).build_tables()[0].rows[0][3] in difference
+    assert "- s0, wait 0 s, version 9.9.9: " in text
+    log = (pages / "test_use.md").read_text()
+    assert "dexycb s0 | 9.9.9 | yang2021 | replay, exact | 144 | a test |" in log
+    assert log.count("| a test |") == 3
+
+
+def test_nothing_is_compared_without_stored_outcomes(pages: Path) -> None:
+    make_results.main(make_results.Args(out=pages))
+    for name in ("index.md", "reactive.md"):
+        assert make_results.NO_DIFFERENCES in (pages / name).read_text()
+    assert list_outcome_rows(pages) == []
+
+
+def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "a", "omg:wait=1.5", itertools.cycle([1, 2]), "1.5")
+    texts = []
+    for _ in range(2):
+        make_results.main(make_results.Args((folder,), out=pages))
+        texts.append({path.name: path.read_bytes() for path in pages.rglob("*.*") if path.is_file()})
+    assert texts[0] == texts[1]
+
+
+def test_other_data_are_not_in_one_table(pages: Path, tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "a", "omg", itertools.cycle([1]))
+    result = EpisodeResult(0, EpisodeStatus.SUCCESS, 50, 0.0, 209, n_objects=4)
+    (folder / "000.npz").write_bytes(encode_result(result, np.zeros((50, 9), np.float32), np.zeros(50)))
+    with pytest.raises(SystemExit, match="different data"):
+        make_results.main(make_results.Args((folder,), out=pages))
+
+
+def test_a_partial_folder_is_refused(pages: Path) -> None:
+    with pytest.raises(SystemExit, match="whole split"):
+        make_results.add_evaluation(FOLDER, "a test")
+    assert not make_results.EPISODES.exists()

@@ -137,7 +137,7 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
         gripper_jerk=compute_rms_jerk(trace.gripper, trace.period),
         gripper_path=gripper_path,
         gripper_max_speed=float(gripper_speeds.max()),
-        gripper_mean_speed=gripper_path / max((len(trace.gripper) - 1) * trace.period, trace.period),
+        gripper_mean_speed=gripper_path / trace.duration,
         exchange_time=_compute_exchange_time(trace),
         gripper_contact_speed=_find_contact_speed(trace, gripper_speeds),
         robot_object_impulse=trace.object_impulse if _is_touched_until(trace, end) else None,

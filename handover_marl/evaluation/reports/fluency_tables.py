@@ -1,12 +1,13 @@
 """Means and table cells of the fluency metrics (`FluencyMetrics`), which are not official."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from handover_marl.evaluation.reports.columns import FLUENCY
 from handover_marl.evaluation.reports.statistics import MeanEstimate, estimate_mean
 from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, format_interval
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 
+_KEYS = tuple(column.key for column in FLUENCY)
 FLUENCY_NOTE = (
     "Means over the n episodes that have a value. Human idle, robot idle, concurrent activity and functional delay are "
     "shares of the episode (Hoffman 2019); forces are sums of normal forces in one step of 1 ms; SPARC is spectral arc "
@@ -25,18 +26,42 @@ def estimate_fluency(episodes: Sequence[EpisodeResult]) -> dict[str, MeanEstimat
 
 def build_fluency_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     """Build the table of fluency metrics; without rows if no episode has fluency metrics."""
-    means = estimate_fluency(episodes)
-    rows = []
+    return ReportTable(["metric", "mean", "95 % interval", "n"], _format_rows(estimate_fluency(episodes)))
+
+
+def build_fluency_difference_table(
+    pairs: Iterable[tuple[EpisodeResult, EpisodeResult]], names: tuple[str, str]
+) -> ReportTable:
+    """Build the table of mean differences of fluency metrics; without rows if no pair has fluency metrics.
+
+    Args:
+        pairs: Results of the same scenes in two evaluations. A metric is compared on the scenes where both have it.
+        names: Names of the evaluations; the second one is subtracted from the first.
+    """
+    known = [(one.fluency, other.fluency) for one, other in pairs if one.fluency and other.fluency]
+    values = {key: [(getattr(one, key), getattr(other, key)) for one, other in known] for key in _KEYS}
+    means = {
+        key: estimate_mean([float(one - other) for one, other in both if one is not None and other is not None])
+        for key, both in values.items()
+    }
+    header = ["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"]
+    return ReportTable(header, _format_rows(means if known else {}))
+
+
+def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:
+    """Format the title, mean, interval and number of values of each metric, by key."""
+    rows: list[list[object]] = []
     for column in FLUENCY if means else ():
         mean, interval = means[column.key].mean, means[column.key].interval_95
         if mean is None:
             rows.append([column.title, NO_VALUE, NO_VALUE, 0])
             continue
         # Three digits, without exponents.
-        spec = ".0f" if column.scale * max(map(abs, (mean, *(interval or ())))) >= 999.5 else ".3g"
+        sizes = [column.scale * abs(value) for value in (mean, *(interval or ()))]
+        spec = ".0f" if max(sizes) >= 999.5 else ".4f" if any(0.0 < size < 1e-4 for size in sizes) else ".3g"
         cells = [f"{column.scale * mean:{spec}}", format_interval(interval, spec, column.scale)]
         rows.append([column.title, *cells, means[column.key].n])
-    return ReportTable(["metric", "mean", "95 % interval", "n"], rows)
+    return rows
 
 
 def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:

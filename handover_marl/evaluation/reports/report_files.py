@@ -10,6 +10,7 @@ from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+from handover_marl.evaluation.results.episode_file import read_episode_file
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_results
@@ -21,25 +22,24 @@ _OFFICIAL_SCENES = ("dexycb", "synthetic")
 
 
 def evaluate(folder: str | os.PathLike[str]) -> Report:
-    """Compute the metrics of an official result folder, of this library or of HandoverSim.
+    """Compute the metrics of an official result folder, of this library or of HandoverSim, or of an episode file.
 
     Args:
-        folder: Result folder; nothing in it is changed.
+        folder: Result folder, or a file of `docs/results/data/episodes`; nothing is changed.
 
     Raises:
-        ResultsError: The folder does not exist, or one of its files is not an official result.
+        ResultsError: The path does not exist, or a file is not an official result.
     """
     try:
         path = Path(folder).expanduser()
-        exists = path.is_dir()
+        is_file, exists = path.is_file(), path.exists()
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         raise ResultsError(f"{folder!r} is no result folder ({error})") from error
     if not exists:
         raise ResultsError(f"result folder {path} does not exist")
-    metadata = read_result_metadata(path)
+    metadata, results = read_episode_file(path) if is_file else (read_result_metadata(path), read_results(path))
     setup, split = metadata.setup, metadata.split
     size = metadata.split_size
-    results = read_results(path)
     if results[-1].index >= size:
         raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
     scenes = _list_known_scenes(metadata)

@@ -7,7 +7,7 @@ official readers ignore.
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 from types import NoneType
@@ -48,7 +48,8 @@ _EXTRAS: dict[str, type] = {
     for name, hint in get_type_hints(EpisodeResult).items()
     if NoneType in get_args(hint) and name != "fluency"
 }
-_FLUENCY_PREFIX = "fluency_"
+#: Prefix of the keys of fluency metrics in result files.
+FLUENCY_PREFIX = "fluency_"
 _MAX_TEXT = 10_000  # characters of a description
 _MAX_NUMBER, _MAX_OBJECTS, _MAX_SCENES = 1e9, 1000, 10_000_000
 # Smallest and largest possible values.
@@ -242,6 +243,16 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
     results = [read_result(file) for file in files]
+    check_scenes_differ(results, path)
+    return results
+
+
+def check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
+    """Check that no two results that were read from a path are of the same scene.
+
+    Raises:
+        ResultsError: Two results are of the same scene.
+    """
     known: dict[int, int] = {}
     for result in results:
         if result.scene_id is not None and known.setdefault(result.scene_id, result.index) != result.index:
@@ -249,7 +260,6 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
                 f"{path}: {known[result.scene_id]:03d}.npz and {result.index:03d}.npz are both of scene "
                 f"{result.scene_id}; delete the one that was copied"
             )
-    return results
 
 
 def check_scalar(name: str, value: Any, kind: type) -> Any:
@@ -296,7 +306,20 @@ def read_result(path: Path) -> EpisodeResult:
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
     """
-    arrays = load_result_arrays(path)
+    return parse_result(load_result_arrays(path), int(path.stem), path)
+
+
+def parse_result(arrays: Mapping[str, npt.NDArray[Any]], index: int, path: Path) -> EpisodeResult:
+    """Return the result of an episode from the arrays of a result file.
+
+    Args:
+        arrays: Arrays by key; `elapsed_time` may also be the whole time.
+        index: Position of the scene in its split.
+        path: The file, for error messages.
+
+    Raises:
+        ResultsError: Arrays are missing, or their values are impossible.
+    """
     try:
         status, steps = int(arrays["result"]), int(arrays["elapsed_frame"])
         plan_s = float(np.sum(arrays["elapsed_time"]))
@@ -311,7 +334,7 @@ def read_result(path: Path) -> EpisodeResult:
     if wrong or (status & 1 and status != 1):
         key = wrong[0] if wrong else "result"
         raise ResultsError(f"{path}: impossible {key} {shorten_text(values[key])}; delete it and run the scene again")
-    return EpisodeResult(index=int(path.stem), status=EpisodeStatus(status), steps=steps, plan_s=plan_s, **extras)
+    return EpisodeResult(index=index, status=EpisodeStatus(status), steps=steps, plan_s=plan_s, **extras)
 
 
 def _is_within(value: float, limit: tuple[float, float]) -> bool:
@@ -330,15 +353,15 @@ def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArra
         return {}
     values = asdict(fluency).items()
     return {
-        _FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64) for key, value in values
+        FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64) for key, value in values
     }
 
 
 def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | None:
     stored = {
-        FLUENCY_KEYS.get(key := name.removeprefix(_FLUENCY_PREFIX), key): float(value)
+        FLUENCY_KEYS.get(key := name.removeprefix(FLUENCY_PREFIX), key): float(value)
         for name, value in archive.items()
-        if name.startswith(_FLUENCY_PREFIX)
+        if name.startswith(FLUENCY_PREFIX)
     }
     if not stored:
         return None

@@ -81,6 +81,32 @@ def test_a_robot_that_comes_while_the_person_moves_has_a_negative_delay() -> Non
     assert found.robot_idle == exactly(1.0 - 136 / N)
 
 
+def test_the_delay_is_between_the_last_activities_before_the_release() -> None:
+    """Of two activities of each agent, the last ones count: the person's ends at 2.6 s, the robot's starts at 3.2 s."""
+    wrist = ramp(0.3, 0.8, 5.0, 0.3) + ramp(2.0, 2.6, 5.0, 0.3)
+    gripper = ramp(0.5, 1.0, 5.0, 0.3) + ramp(3.2, 3.8, 5.0, 0.3)
+    found = compute_fluency(made_up(wrist=wrist, gripper=gripper))
+    assert found.functional_delay == exactly((3.18 - 2.62) / 5.0)
+
+
+def test_the_margin_at_a_contact_is_that_of_the_last_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a contact the distance is 0, so that the margin is minus the protective distance at that time."""
+    protective = np.array([0.3, 0.1, 0.2, 0.15])
+    monkeypatch.setattr(TraceRecorder, "_compute_protective_distances", lambda *motion: protective)
+    monkeypatch.setattr(ClearanceMonitor, "compute_min_margin", lambda *motion: 0.5)
+    scene, recorder, episode = SyntheticDataset().load_scene(209), TraceRecorder(), Episode("fast")
+    episode.reset(scene)
+    target = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
+    episode.advance(target, 2800)
+    recorder.on_reset(episode)
+    episode.advance(target, 40, on_step=[recorder.on_step])
+    recorder._hand_forces.append(10.0)
+    recorder.on_end(episode)
+    assert recorder.trace.min_separation_margin == exactly(-0.15)
+    recorder.close()
+    episode.close()
+
+
 def test_closing_fingers_are_activity() -> None:
     fingers = np.repeat(ramp(3.0, 3.5, 5.0, -0.03)[:, :1], 2, axis=1)
     still = np.zeros_like(made_up().gripper)
@@ -269,6 +295,8 @@ def test_path_and_speeds_of_the_gripper() -> None:
     assert found.gripper_path == exactly(0.6)
     assert found.gripper_max_speed == exactly(0.4)
     assert found.gripper_mean_speed == exactly(0.6 / 5.0)
+    # An episode that ends 19 ms after its last sample has these 19 ms in its duration.
+    assert compute_fluency(made_up(steps=5019)).gripper_mean_speed == exactly(0.6 / 5.019)
 
 
 def test_force_on_the_person_is_none_without_contact() -> None:
