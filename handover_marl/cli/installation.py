@@ -73,7 +73,7 @@ def _check_folder(library: str, folder: Path) -> Finding:
     if folder.name != handover_marl.__name__:
         return Finding("library", library)
     advice = (
-        f"programs in {folder.parent} import the folder {folder.name} instead of the library and fail with \"module "
+        f'programs in {folder.parent} import the folder {folder.name} instead of the library and fail with "module '
         f"'{folder.name}' has no attribute ...\"; rename it, for example to {_DISTRIBUTION}, and install it again"
     )
     return Finding("library", library, Severity.NOTE, advice)
