@@ -132,7 +132,7 @@ lowest: $(VENV)/.tested-with
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
 	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics mujoco
 
-# pip resolves for the Python that it runs in; uv resolves for any, here for patch 9, since packages leave out early ones.
+# pip resolves for the Python that it runs in; uv for any, here for patch 9, since packages leave out early ones.
 resolve:
 	$(PYTHON) -m venv --clear build/resolve
 	build/resolve/bin/python $(INSTALL) --quiet uv
