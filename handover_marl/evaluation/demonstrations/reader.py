@@ -71,7 +71,8 @@ class Demonstrations:
             check_obs_mode(content["obs_mode"])
             largest_class = check_scalar("largest_class", content["largest_class"], int)
             self.observation_space = receiver_observation_space(content["obs_mode"], largest_class)
-            self.fps = content["fps"] and check_scalar("fps", content["fps"], int)
+            fps = content["fps"]
+            self.fps: int | None = None if fps is None else check_scalar("fps", fps, int)
         self.action_space: spaces.Box = receiver_action_space()
         self.evaluation: ResultMetadata = read_result_metadata(self.folder)
         self._paths = find_demonstrations(self.folder)
