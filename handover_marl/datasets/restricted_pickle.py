@@ -71,8 +71,8 @@ def load_restricted(data: bytes, allowed: AllowedNames) -> object:
     """
     for count, (operation, argument, _) in enumerate(pickletools.genops(data)):
         # `pickle` allocates memory for all memo indices up to the largest one.
-        is_memo = operation.name in ("PUT", "LONG_BINPUT")
-        if count >= _MAX_OPERATIONS or (is_memo and not 0 <= argument < _MAX_OPERATIONS):
+        index = int(argument or 0) if operation.name in ("PUT", "LONG_BINPUT") else 0
+        if count >= _MAX_OPERATIONS or not 0 <= index < _MAX_OPERATIONS:
             reject("the pickle is far more intricate than a dict of arrays")
     return _RestrictedUnpickler(data, allowed).load()
 
