@@ -67,7 +67,6 @@ SETTINGS: dict[str, Callable[[], object]] = {
     "none": lambda: None,
     "locale": lambda: locale.setlocale(locale.LC_NUMERIC, COMMA),
     "bfloat16": lambda: torch.set_default_dtype(torch.bfloat16),
-    "float64": lambda: torch.set_default_dtype(torch.float64),
     "autocast": lambda: torch.autocast("cpu", dtype=torch.bfloat16).__enter__(),
     "precision": lambda: torch.set_float32_matmul_precision("medium"),
     "device": lambda: torch.set_default_device("meta"),

@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
+from handover_marl.geometry.arrays import use_default_torch_settings
 from handover_marl.learning.policy_files import RAW_ENCODINGS
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds
 from handover_marl.learning.stable_baselines_files import dense_network_from_state
@@ -105,7 +106,8 @@ def _compare_outputs(model: BaseAlgorithm, network: DenseNetwork, where: str) ->
     # The policy gets normalized inputs; the network normalizes them itself.
     plain = replace(network, normalization=None)
     try:
-        expected, _ = model.policy.predict(_unflatten(inputs, model.observation_space), deterministic=True)
+        with use_default_torch_settings():
+            expected, _ = model.policy.predict(_unflatten(inputs, model.observation_space), deterministic=True)
     except Exception as error:  # code of another library, for spaces of any kind
         raise DataFormatError(
             f"the {where} model does not take {network.n_inputs} numbers ({type(error).__name__}: {error})"

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
+from handover_marl.geometry.arrays import use_default_torch_settings
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork
 
 # Number and scale of the random inputs on which a converted network is compared with its module.
@@ -80,7 +81,7 @@ def _evaluate(module: Any, n_inputs: int) -> tuple[npt.NDArray[Any], npt.NDArray
     values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
     parameter = next(module.parameters())
     try:
-        with torch.no_grad():
+        with use_default_torch_settings(), torch.no_grad():
             outputs = module.eval()(torch.from_numpy(values).to(parameter))
     except Exception as error:  # code of the user
         raise DataFormatError(

@@ -11,6 +11,7 @@ import torch
 from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights
 from handover_marl.geometry.arrays import use_default_torch_settings
 from handover_marl.learning.adapters.models import TorchFunction
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.networks.gaddpg_network import N_POINTS, GaddpgNetwork
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor
@@ -49,14 +50,15 @@ def module() -> torch.nn.Module:
 
 
 def compute(module: torch.nn.Module) -> list[np.ndarray]:
-    """Outputs of the grasp network, of GA-DDPG's network and of a user's module."""
+    """Outputs of the grasp network, of GA-DDPG's network and of a user's module, also as a policy file has it."""
     rng = np.random.default_rng(0)
     points, hand = 0.05 * rng.normal(size=(300, 3)) + [0.0, 0.0, 0.4], 0.05 * rng.normal(size=(50, 3))
     prediction = load_grasp_predictor(find_vision_weights("s0"))[0](points, hand, np.zeros(3), rng)
     network, _ = read_network_weights(GADDPG_WEIGHTS, GaddpgNetwork)
     step = network.predict_step(np.concatenate([points[rng.integers(0, 300, N_POINTS)].T, np.zeros((1, N_POINTS))]), 9)
-    outputs = TorchFunction(module)(rng.normal(size=30).astype(np.float32))
-    return [prediction.grasps, prediction.quality, prediction.center, step, outputs]
+    inputs = rng.normal(size=30).astype(np.float32)
+    outputs, converted = TorchFunction(module)(inputs), dense_network_from_module(module)(inputs)
+    return [prediction.grasps, prediction.quality, prediction.center, step, outputs, converted]
 
 
 @pytest.fixture(scope="module")
