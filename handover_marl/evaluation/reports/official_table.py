@@ -68,4 +68,4 @@ def find_comparable_rows(metadata: ResultMetadata) -> tuple[PublishedResult, ...
 def _format_published_row(row: PublishedResult) -> list[object]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [format_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
-    return [f"published: {row.method}", *rates, f"{row.average_success:.2f} (derived)", f"{row.wait_s:g}", *times]
+    return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]

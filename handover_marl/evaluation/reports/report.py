@@ -175,7 +175,7 @@ class Report(TabularResult):
         if comparable:
             lines += [
                 "Published, on DexYCB with all objects and MANO hands, times on the authors' machines:",
-                "The authors report no AS; it is derived from their success rate and mean time.",
+                "* The authors report no AS; it is derived from their success rate and mean time.",
                 "GA-DDPG and handover-sim2real use the Panda with the camera (panda_camera), the others without.",
             ]
             lines += [f"{SOURCES[source]}." for source in dict.fromkeys(row.source for row in comparable)]

@@ -147,7 +147,7 @@ def test_tables_show_average_success_and_wait() -> None:
     titles = ("AS %", "wait s")
     assert cells(text, "mine", *titles) == ["30.77", "1.5"]
     assert cells(text, "95 % interval", *titles) == ["0.0 to 61.5", "-"]
-    assert cells(text, "published: GA-DDPG w/o hold", *titles) == ["23.60 (derived)", "0"]
+    assert cells(text, "published: GA-DDPG w/o hold", *titles) == ["23.60*", "0"]
     assert cells(text, "published: handover-sim2real", "wait s") == ["1.5"]
     assert cells(str(report(1, 2)), "mine", "wait s") == ["-"]
 
