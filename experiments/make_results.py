@@ -189,7 +189,7 @@ def make_evaluation(report: Report, path: Path | None = None) -> Evaluation:
         raise SystemExit(f"{metadata.receiver} must be evaluated with the official rules on a whole split")
     name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
     others = ",".join(option for option in options.split(",") if not option.startswith("wait="))
-    counts = [report.count(status) for status in EpisodeStatus if status]
+    success, contact, drop, timeout = (report.count(status) for status in EpisodeStatus if status)
     return Evaluation(
         f"{name}:{others}" if others else name,
         metadata.dataset,
@@ -200,7 +200,10 @@ def make_evaluation(report: Report, path: Path | None = None) -> Evaluation:
         metadata.physics,
         float(metadata.wait_s or 0.0),
         len(report.episodes),
-        *counts,
+        success,
+        contact,
+        drop,
+        timeout,
         report.time_exec,
         100.0 * report.average_success,
         metadata.version,
@@ -413,14 +416,16 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
             low, high = compute_wilson_interval(one.success, one.episodes)
             rate, color = 100 * one.success / one.episodes, colors[one.name]
             fill, errors = color if one.wait_s else "white", [[rate - 100 * low], [100 * high - rate]]
-            style = {"marker": INPUTS[one.name][1], "color": color, "markerfacecolor": fill}
-            axes.errorbar(one.as_percent, rate, errors, capsize=2, linewidth=1, **style)
+            marker = INPUTS[one.name][1]
+            axes.errorbar(
+                one.as_percent, rate, errors, capsize=2, linewidth=1, marker=marker, color=color, markerfacecolor=fill
+            )
         for row in PUBLISHED["s0"]:
             for receiver, methods in METHODS.items():
                 if row.source == "HandoverSim" and any(method in row.method for method in methods):
                     fill = colors[receiver] if row.wait_s else "white"
-                    style = {"marker": INPUTS[receiver][1], "color": fill, "markeredgecolor": "black"}
-                    axes.plot(row.average_success, row.success, linestyle="", **style)
+                    marker = INPUTS[receiver][1]
+                    axes.plot(row.average_success, row.success, marker, color=fill, markeredgecolor="black")
         for receiver in receivers:
             axes.plot([], [], INPUTS[receiver][1], color=colors[receiver], label=receiver)
         for marker, label in MARKERS.items():
