@@ -384,7 +384,7 @@ def test_some_may_be_reset_alone() -> None:
     seen, infos = envs.reset(seed=[7, 8, 9], options={"reset_mask": np.array([True, False, True]), "scene_id": scene})
     np.testing.assert_allclose(seen["time"][:, 0], [0.0, 0.1, 0.0], atol=1e-6)
     assert infos["scene_id"][[0, 2]].tolist() == [scene, scene]
-    with pytest.raises(OptionError, match="3 seeds"):
+    with pytest.raises(OptionError, match="3 such seeds"):
         envs.reset(seed=[1, 2])
     envs.close()
 

@@ -208,22 +208,24 @@ class ArrayEpisodes:
             The actions of the first physics step, with those of the partner; the giver's are clipped to their bounds.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
-        referees, agent, first = episodes.referees, self._partner_agent, None
+        agent, first = self._partner_agent, None
         observe = functools.partial(self._select_observation, agent)
-        ends = referees.steps[rows] + steps
+        ends = episodes.referees.steps[rows] + steps
         while len(rows):
             until = ends
             if self._partner is not None:
-                actions[agent], due = self._partner.act(rows, observe, referees.steps[rows])
+                actions[agent], due = self._partner.act(rows, observe, episodes.referees.steps[rows])
                 until = xp.minimum(ends, due)
             # For NumPy several times as fast as `xp.clip`.
             actions[GIVER] = xp.minimum(xp.maximum(actions[GIVER], low), high)
             first = first or dict(actions)
             self._advance_until(until, rows, actions)
             # The control period of the others goes on: their partner's next decision is due.
+            referees = episodes.referees
             left = xp.nonzero((referees.status[rows] == 0) & (referees.steps[rows] < ends))[0]
             rows, ends, actions = rows[left], ends[left], {name: values[left] for name, values in actions.items()}
-            episodes.observe(rows)
+            if len(rows):
+                episodes.observe(rows)
         return first or actions
 
     def _advance_until(self, until: AnyIntegers, rows: AnyIndices, actions: ByAgent) -> None:

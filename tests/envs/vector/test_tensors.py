@@ -30,7 +30,7 @@ from tests.fake_device import DEVICE, FakeDevice
 COUNT = 4
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "threads": 1, "rewards": "shaped"}
 #: Options of short episodes, so that all of them end and new ones start.
-SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.13}
+SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.1}
 #: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
 ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
 
@@ -81,7 +81,11 @@ def compare(request: pytest.FixtureRequest, steps: int, agent: str | None, optio
     ("agent", "options"),
     [
         ("receiver", {"partner": "replay", "autoreset": "next_step"}),
-        ("receiver", {"partner": "noisy", "autoreset": "same_step", "wrappers": [EpisodeReturns]}),
+        # The partner decides within the control periods of the environments.
+        (
+            "receiver",
+            {"partner": "noisy", "control_period": 0.13, "autoreset": "same_step", "wrappers": [EpisodeReturns]},
+        ),
         ("giver", {"partner": "yang2021:wait=0.2", "autoreset": "same_step", "rewards": "sparse"}),
         (None, {"autoreset": "next_step"}),
         (None, {"autoreset": "same_step"}),
