@@ -8,6 +8,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.object_models import OBJECTS_ROOT
@@ -177,6 +178,8 @@ def test_damaged_textures_are_reported(tmp_path: Path) -> None:
     assert (read_colors(urdf) == 255).all()
     (tmp_path / "mesh.mtl").write_text("newmtl m\nKd 0.1 0.2 0.3\nmap_Kd image.png\n")
     assert (read_colors(urdf) == 255).all()
+    Image.new("RGB", (1, 1), (9, 8, 7)).save(tmp_path / "image.png")
+    np.testing.assert_array_equal(read_colors(urdf), [[9, 8, 7]] * 4)
     (tmp_path / "image.png").write_bytes(b"nothing")
     with pytest.raises(DataFormatError, match=r"mesh\.obj: cannot read its texture"):
         read_surfaces(urdf, read_tree(urdf))

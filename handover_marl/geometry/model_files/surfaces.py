@@ -110,8 +110,11 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
         points.append((0.0, 0.0) if points else (0.5, 0.5))
         chosen = np.array(faces, dtype=np.int64)
         chosen[chosen >= len(points)] = -1
-        return np.array(points, dtype=np.float32)[chosen], image
-    except (OSError, ValueError, IndexError) as error:
+        places = np.array(points, dtype=np.float32)
+        if not np.isfinite(places).all():
+            raise ValueError("a texture coordinate is not finite")
+        return places[chosen], image
+    except Exception as error:  # Pillow raises many kinds of errors on damaged files
         raise DataFormatError(f"{path}: cannot read its texture ({error}); check the file") from error
 
 
