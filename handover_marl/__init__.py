@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from handover_marl.registration import register_environments
 
 #: Version of the library.
-__version__ = "0.8.0"
+__version__ = "0.8.1"
 
 
 if TYPE_CHECKING:

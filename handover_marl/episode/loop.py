@@ -128,7 +128,7 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_scene_seed` for a giver, `derive_receiver_seed` for a
-    receiver, which starts at its first decision.
+    receiver, which starts at its first decision. The draws of the wrist camera have a seed for a receiver, too.
 
     Args:
         episode: Episode at the start of a scene.
@@ -154,6 +154,8 @@ class EpisodeAgent:
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
         if self._is_giver:
             self._scheduler.reset(derive_scene_seed(seed, episode.scene.info.scene_id, "giver"), self._objects)
+        else:
+            episode.seed_camera(derive_seed(seed, "camera"))
 
     @property
     def due(self) -> int:
@@ -244,7 +246,6 @@ def run_episode(
     """
     horizon = episode.config.protocol.horizon_steps
     end = min(until, horizon) if isinstance(until, int) else horizon
-    episode.seed_camera(derive_seed(seed, "camera"))
     robot = EpisodeAgent(episode, "receiver", receiver, seed)
     person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
     step_hooks = [callback.on_step for callback in callbacks]
