@@ -1,6 +1,5 @@
 """Tests of folders of training runs: resuming, and damaged files."""
 
-import contextlib
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -87,22 +86,6 @@ class RenamedArgs:
     num_envs: int = 8
     use_groups: bool = False
     expert: str = "GraspExpertConfig(candidates=24, pads=(0.1, 0.2))"
-
-
-def test_runs_of_earlier_versions_can_be_resumed(tmp_path: Path) -> None:
-    """A run whose arguments and configurations have other names is resumed if the values are equal."""
-    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
-    old = {
-        "every": 512,
-        "envs": 8,
-        "groups": False,
-        "expert": "ExpertConfig(options=24, way=(0.1, 0.2))",
-        "dataset": "synthetic",
-    }
-    for values, is_same in ((old, True), (old | {"every": 256}, False), (old | {"expert": "E(options=23)"}, False)):
-        (tmp_path / "arguments.json").write_text(json.dumps(values))
-        with contextlib.nullcontext() if is_same else pytest.raises(ResultsError, match="other arguments"):
-            RunFolder(tmp_path, RenamedArgs(), True, "synthetic")
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"null", b'"text"', b"\xff\xfe\x00", b"[" * 100_000])
