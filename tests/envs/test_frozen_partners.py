@@ -172,7 +172,7 @@ def draw_hold_steps(rng: np.random.Generator) -> int:
     return int(rng.choice([13, 40, 270]))
 
 
-def expect_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[int]]:
+def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[int]]:
     """Return the decisions of `Irregular` in the first episode of an environment, by its seed in `pair`."""
     giver_seed = derive_scene_seed(int(seeding.np_random(seed)[0].integers(2**32)), scene, "giver")
     rng, asked = np.random.default_rng(giver_seed), [0]
@@ -194,7 +194,7 @@ def test_partners_keep_their_own_period(api: str) -> None:
     env.reset(seed=SEED, options={"scene_id": 9})
     for _ in range(4):
         env.step(START if api in ("aec", "gymnasium") else {"receiver": START})
-    assert Irregular.decisions == expect_decisions(SEED, 9, 400)
+    assert Irregular.decisions == list_decisions(SEED, 9, 400)
     env.close()
 
 
@@ -209,6 +209,6 @@ def test_partners_in_vector_environments_keep_their_own_periods(backend: str) ->
     np.testing.assert_array_equal(to_numpy(infos["steps"]), 100)
     np.testing.assert_allclose(to_numpy(observations["time"])[:, 0], 0.1, rtol=1e-6)
     envs.close()
-    expected = [expect_decisions(SEED + number, 9, 100) for number in range(3)]
+    expected = [list_decisions(SEED + number, 9, 100) for number in range(3)]
     assert Irregular.decisions == {**expected[0], **expected[1], **expected[2]}
     assert len({len(asked) for asked in Irregular.decisions.values()}) > 1, "their decisions are at different times"

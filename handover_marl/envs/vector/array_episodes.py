@@ -208,8 +208,9 @@ class ArrayEpisodes:
             The actions of the first physics step, with those of the partner; the giver's are clipped to their bounds.
         """
         episodes, xp, (low, high) = self._episodes, self.arrays.xp, self._giver_limits
-        agent, first = self._partner_agent, None
+        agent = self._partner_agent
         observe = functools.partial(self._select_observation, agent)
+        first: ByAgent | None = None
         ends = episodes.referees.steps[rows] + steps
         while len(rows):
             until = ends
