@@ -310,7 +310,7 @@ class WristCamera:
 
     def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
         """Return a generator that differs between images, so that a run's seed suffices for all scenes."""
-        digest = hashlib.sha256(np.ascontiguousarray(content)).digest()
+        digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 
 
