@@ -121,7 +121,7 @@ def test_givers_act_as_in_pair(partner: str, scene: int, period: float) -> None:
 @pytest.mark.parametrize("period", PERIODS)
 def test_a_recorded_scene_ends_as_in_pair(real_data: Path, period: float) -> None:
     options: dict[str, Any] = {"dataset": "dexycb", "data_dir": real_data, "physics": "fast"}
-    end = play_frozen("receiver", "reactive", 19, period, 0, **options)
+    end = play_frozen("receiver", "reactive", 19, period, **options)
     assert end.outcome[1:] == (3362, 2761)
 
 
