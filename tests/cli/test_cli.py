@@ -11,6 +11,7 @@ import tyro
 from handover_marl.cli import main
 from handover_marl.cli.options import parse_scenes
 from handover_marl.cli.streams import prepare_streams, print_result
+from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError
 from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.reports.report_files import evaluate
@@ -165,6 +166,14 @@ def test_help_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     with pytest.raises(SystemExit):
         main(["pair", "--help"])
     assert "--receiver" in capsys.readouterr().out
+
+
+def test_help_without_docstrings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As with `python -OO`."""
+    monkeypatch.setattr(WorldConfig, "__doc__", None)
+    with pytest.raises(SystemExit):
+        main(["pair", "--help"])
+    assert "--initial-joint-noise" in capsys.readouterr().out
 
 
 def test_parse_scenes() -> None:

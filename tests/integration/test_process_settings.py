@@ -16,14 +16,13 @@ PYTHON = "locale,umask,garbage,decimal,generators,numpy,warnings"
 PYTORCH = "bfloat16,autocast,precision,device,deterministic,threads,gradients,denormals"
 #: Receivers with networks.
 WITH_NETWORKS = ("gaddpg", "learned", "vision")
-#: Variables that change formats, hashes, optimization, and the number of threads.
+#: Variables that change formats, hashes and the number of threads.
 VARIABLES = {
     "COLUMNS": "1",
     "LANG": "fr_FR.UTF-8",
     "OMP_NUM_THREADS": "2",
     "OPENBLAS_NUM_THREADS": "2",
     "PYTHONHASHSEED": "5",
-    "PYTHONOPTIMIZE": "2",
     "TZ": "Asia/Kolkata",
 }
 #: Files of the working folder that have names of modules.
