@@ -82,7 +82,7 @@ def move_robot(observation: Observation) -> None:
 
 
 def move_hand(observation: Observation) -> None:
-    shift("hand_keypoints", 0.05)(observation)
+    shift("hand_keypoints", -0.05)(observation)
     shift("hand_dof_position", 0.05)(observation)
 
 
