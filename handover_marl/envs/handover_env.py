@@ -143,11 +143,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.scene.info.object_names
 
     @property
-    def steps(self) -> int:
-        """Physics steps (1 ms) since the start of the episode."""
-        return self._episode.steps
-
-    @property
     def policy_context(self) -> PolicyContext:
         """Robot, rules, objects and grasps for constructors of policies that act here."""
         return make_policy_context(self.dataset, self.config.world_config, self.config.setup)

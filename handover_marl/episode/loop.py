@@ -127,7 +127,7 @@ def steps_from_hold_time(hold_time: float) -> int:
 class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
-    The policy's seed is derived from the seed of the run: `derive_scene_seed` for a giver, `derive_receiver_seed` for a
+    The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
     receiver, which starts at its first decision. The draws of the wrist camera have a seed for a receiver, too.
 
     Args:
@@ -153,7 +153,7 @@ class EpisodeAgent:
         self._scheduler, self._is_giver = PolicyScheduler(policy), agent == "giver"
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
         if self._is_giver:
-            self._scheduler.reset(derive_scene_seed(seed, episode.scene.info.scene_id, "giver"), self._objects)
+            self._scheduler.reset(derive_giver_seed(seed, episode.scene.info.scene_id), self._objects)
         else:
             episode.seed_camera(derive_seed(seed, "camera"))
 
@@ -263,8 +263,8 @@ def run_episode(
         callback.on_end(episode)
 
 
-def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
-    """Derive a giver's seed for a scene: a hash of the run's seed, the scene number and the user of the seed.
+def derive_giver_seed(seed: int | None, scene_id: int) -> int:
+    """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
     Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
     trying all numbers. It may only see the motion of a giver that acts at random.
@@ -272,9 +272,8 @@ def derive_scene_seed(seed: int | None, scene_id: int, user: str) -> int:
     Args:
         seed: Seed of the run; None is 0.
         scene_id: Scene number.
-        user: "giver".
     """
-    return derive_seed(seed, f"{scene_id} {user}")
+    return derive_seed(seed, f"{scene_id} giver")
 
 
 def derive_robot_seed(seed: int | None, scene: Scene) -> int:

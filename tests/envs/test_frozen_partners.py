@@ -15,7 +15,7 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_scene_seed, run_episode
+from handover_marl.episode.loop import derive_giver_seed, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.givers import Action, Giver, make_giver_action
@@ -174,7 +174,7 @@ def draw_hold_steps(rng: np.random.Generator) -> int:
 
 def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[int]]:
     """Return the decisions of `Irregular` in the first episode of an environment, by its seed in `pair`."""
-    giver_seed = derive_scene_seed(int(seeding.np_random(seed)[0].integers(2**32)), scene, "giver")
+    giver_seed = derive_giver_seed(int(seeding.np_random(seed)[0].integers(2**32)), scene)
     rng, asked = np.random.default_rng(giver_seed), [0]
     while asked[-1] < steps:
         asked.append(asked[-1] + draw_hold_steps(rng))

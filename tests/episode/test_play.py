@@ -13,7 +13,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed, run_episode
+from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed, run_episode
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make_policy_context
@@ -221,7 +221,7 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
         episode.reset(dataset.load_scene(scene_id))
         run_episode(episode, receiver, giver, seed=seed, until=1)
         assert receiver.seeds[-1] == derive_receiver_seed(seed, receiver.first_observation)
-        assert giver.seeds[-1] == derive_scene_seed(seed, scene_id, "giver")
+        assert giver.seeds[-1] == derive_giver_seed(seed, scene_id)
     assert len({*receiver.seeds[:3], *giver.seeds[:3]}) == 6
     # Without a seed, the seed is 0, so that results can be reproduced.
     assert receiver.seeds[0] == receiver.seeds[3] == receiver.seeds[4]
@@ -229,7 +229,7 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
 
 
 def test_seeds_of_givers_differ_between_scenes_and_runs() -> None:
-    seeds = [derive_scene_seed(seed, scene, "giver") for seed in (0, 1, 1000) for scene in range(1000)]
+    seeds = [derive_giver_seed(seed, scene) for seed in (0, 1, 1000) for scene in range(1000)]
     assert len(set(seeds)) == len(seeds)
     assert all(0 <= seed < 2**32 for seed in seeds)
 
@@ -277,14 +277,14 @@ def test_times_of_a_decision_are_those_of_rendering_and_policy(monkeypatch: pyte
 
 
 def test_no_seed_is_the_seed_zero() -> None:
-    assert derive_scene_seed(None, SCENE, "giver") == derive_scene_seed(0, SCENE, "giver")
-    seeds = {derive_scene_seed(seed, SCENE, "giver") for seed in (-1, 0, 1)}
+    assert derive_giver_seed(None, SCENE) == derive_giver_seed(0, SCENE)
+    seeds = {derive_giver_seed(seed, SCENE) for seed in (-1, 0, 1)}
     assert len(seeds) == 3
 
 
 def test_seeds_are_those_of_earlier_versions() -> None:
     """Seeds equal those of earlier versions, so that stored results can be reproduced."""
-    assert derive_scene_seed(0, 209, "giver") == 989422024
+    assert derive_giver_seed(0, 209) == 989422024
     assert derive_receiver_seed(3, {"time": np.zeros(1, dtype=np.float32)}) == 2691522388
 
 

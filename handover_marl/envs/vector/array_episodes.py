@@ -17,7 +17,7 @@ from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.batch.camera_observations import WristCameraBatch
 from handover_marl.episode.batch.make_episodes import make_episode_batch
-from handover_marl.episode.loop import derive_receiver_seed, derive_scene_seed
+from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
@@ -263,7 +263,7 @@ class ArrayEpisodes:
     def _derive_partner_seed(self, seed: int | None, scene: Scene, rows: AnyIndices) -> int:
         """Derive the seed of the partner from the run seed; `rows` (1,) is the episode, whose state was observed."""
         if self._partner_agent == GIVER:
-            return derive_scene_seed(seed, scene.info.scene_id, GIVER)
+            return derive_giver_seed(seed, scene.info.scene_id)
         observation = self._select_observation(RECEIVER, rows)
         return derive_receiver_seed(seed, {key: to_numpy(values)[0] for key, values in observation.items()})
 

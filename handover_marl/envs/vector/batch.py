@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
+from handover_marl.envs.vector.results import EnvResult, copy_containers, merge_results, replace_rows, select_rows
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, Indices, disable_gradients, is_tensor
@@ -179,8 +179,9 @@ class EnvBatch:
             row_results = [row_result for row_result in self._map(reset) if row_result is not None]
             if self._latest is not None and len(rows) < self.num_envs:
                 row_results.insert(0, (np.arange(self.num_envs), self._latest))
-            self.is_running, self._latest = is_running, merge_results(self.num_envs, row_results)
-        return self._latest
+            self.is_running, result = is_running, merge_results(self.num_envs, row_results)
+        self._latest = copy_containers(result)
+        return result
 
     def require_running(self) -> None:
         """Check that every environment can be stepped.
@@ -210,13 +211,14 @@ class EnvBatch:
             steps: list[BatchStep] = self._map(lambda envs: envs.step(select_rows(checked, envs.rows)))
             self.is_running = True
         row_results = [(envs.rows, step.result) for envs, step in zip(self._thread_envs, steps, strict=True)]
-        self._latest = merge_results(self.num_envs, row_results)
+        result = merge_results(self.num_envs, row_results)
+        self._latest = copy_containers(result)
         reset_rows, final = np.concatenate([step.reset_rows for step in steps]), None
         if len(reset_rows):
             places = np.split(np.arange(len(reset_rows)), np.cumsum([len(step.reset_rows) for step in steps])[:-1])
             finals = [(rows, step.final) for rows, step in zip(places, steps, strict=True) if step.final is not None]
             final = merge_results(len(reset_rows), finals)
-        return BatchStep(self._latest, reset_rows, final)
+        return BatchStep(result, reset_rows, final)
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""

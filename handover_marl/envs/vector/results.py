@@ -49,12 +49,18 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
     return EnvResult(*(_merge(count, [(rows, result[k]) for rows, result in placed]) for k in range(5)))
 
 
+def copy_containers(result: EnvResult) -> EnvResult:
+    """Copy the dictionaries and tuples but not the arrays, since callers (TorchRL) change the dictionaries they get."""
+    copied: EnvResult = _select(result, slice(None))
+    return copied
+
+
 def select_rows(values: Any, rows: Indices | int) -> Any:
     """Return some rows, or one, of the arrays in dictionaries and tuples."""
     return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))
 
 
-def _select(values: Any, rows: AnyArray) -> Any:
+def _select(values: Any, rows: AnyArray | slice | int) -> Any:
     if isinstance(values, Mapping):
         return {key: _select(value, rows) for key, value in values.items()}
     if isinstance(values, tuple):

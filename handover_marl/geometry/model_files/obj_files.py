@@ -54,14 +54,14 @@ def read_obj(path: Path) -> ObjMesh:
             with fewer than three corners, or a face with a vertex number out of range.
     """
     try:
-        return _parse_obj(path, _split_lines(read_plain_file(path)))
+        return _parse_obj(path, split_obj_lines(read_plain_file(path)))
     except (OSError, ValueError, IndexError) as error:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
 
 
-def _split_lines(content: bytes) -> Iterator[list[str]]:
+def split_obj_lines(content: bytes) -> Iterator[list[str]]:
     """Return the words of the lines of an OBJ file that are neither empty nor comments; a backslash joins lines."""
     text = content.decode("utf-8-sig", errors="replace")
     if "\\" in text:

@@ -18,7 +18,7 @@ from handover_marl.errors import DataFormatError
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.model_files.meshes import group_visual_shapes, read_shape_mesh
-from handover_marl.geometry.model_files.obj_files import MAX_MATERIAL_BYTES
+from handover_marl.geometry.model_files.obj_files import MAX_MATERIAL_BYTES, split_obj_lines
 from handover_marl.geometry.model_files.urdf import UrdfShape
 
 Array = npt.NDArray[np.float32]
@@ -92,16 +92,16 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
     Without a texture, the coordinates are None and the texture is a white pixel.
     """
     try:
-        lines = read_plain_file(path).decode(errors="replace").splitlines()
+        lines = list(split_obj_lines(read_plain_file(path)))
         image = _load_first_texture(path.parent, lines)
         if image is None:
             return None, _WHITE
         points: list[tuple[float, ...]] = []
         faces: list[tuple[int, int, int]] = []
-        for words in map(str.split, lines):
-            if words[:1] == ["vt"]:
+        for words in lines:
+            if words[0] == "vt":
                 points.append(tuple(map(float, words[1:3])))
-            elif words[:1] == ["f"]:
+            elif words[0] == "f":
                 numbers = [int((word.split("/")[1:2] or [""])[0] or 0) for word in words[1:]]
                 # Coordinates count from 1, or backwards from the last one before the face.
                 first, *others = [n - 1 if n > 0 else len(points) + n if n < 0 else -1 for n in numbers]
@@ -118,11 +118,16 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
         raise DataFormatError(f"{path}: cannot read its texture ({error}); check the file") from error
 
 
-def _load_first_texture(folder: Path, lines: list[str]) -> Texture | None:
-    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None."""
+def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:
+    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None.
+
+    Args:
+        folder: Folder of the file.
+        lines: Words of each line of the file.
+    """
     textures: dict[str, str] = {}
     current, has_faces = "", False
-    for words in [*map(str.split, lines), ["o"]]:
+    for words in [*lines, ["o"]]:
         if words[:1] == ["mtllib"] and (folder / words[1]).is_file():
             textures |= _read_texture_names(folder / words[1])
         elif words[:1] == ["usemtl"]:
