@@ -5,8 +5,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMotion
-from handover_marl.episode.giver_motion import PLANNED_STEPS
+from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion, PlannedMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
@@ -46,7 +45,7 @@ class EpisodeBatch:
 
     def __init__(self, config: WorldConfig, count: int) -> None:
         self.config = config
-        self.motion = GiverMotionBatch(count, config.giver)
+        self.motion = GiverMotion(count, config.giver)
         self._start = RefereeStateBatch.from_states([Referee(config.protocol).get_state()])
         self.referees = RefereeStateBatch(*(np.repeat(array, count) for array in self._start))
         self._scenes: list[Scene | None] = [None] * count
