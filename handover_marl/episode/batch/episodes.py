@@ -140,6 +140,10 @@ class EpisodeBatch:
         giver_arrays["holding"][:, 0] = self.motion.holding[rows]
         return {**self.select_state(rows), **giver_arrays}
 
+    def are_grasped(self, rows: Indices) -> Flags:
+        """Return whether both fingers touched the object in the last physics step, in each of r episodes."""
+        return np.array([self.read_contacts(row).both_fingers_touch for row in rows.tolist()], dtype=bool)
+
     def read_contacts(self, row: int) -> Contacts:
         """Return the contacts of an episode in the last physics step."""
         if self.referees.steps[row] == 0:
