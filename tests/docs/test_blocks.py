@@ -33,7 +33,7 @@ NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/w
     "docs/how_to/many_machines.md": ("ray",),
     "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
     "docs/how_to/vector_environments.md": ("mujoco", "stable_baselines3", "torchrl"),
-    "docs/tutorials/own_network.md": ("stable_baselines3", "onnxruntime", "onnx"),
+    "docs/tutorials/own_network.md": ("stable_baselines3",),
     "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
 }
 #: Additional module that a script needs, by the beginning of its name.
