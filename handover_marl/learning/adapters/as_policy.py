@@ -32,7 +32,7 @@ from handover_marl.learning.policy_files import (
     read_policy,
 )
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing import hash_object, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
@@ -163,7 +163,7 @@ def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
 
 
 def _describe_choice(choice: object) -> str:
-    return choice if isinstance(choice, str) else hash_function(choice)
+    return choice if isinstance(choice, str) else hash_object(choice)
 
 
 def _make_model(
@@ -187,7 +187,7 @@ def _make_model(
         return GraphModel(Path(f"{stem}.pt"), content), stem, hashlib.sha256(content).hexdigest(), None
     if torch is not None and isinstance(policy, torch.nn.Module):
         module = copy.deepcopy(policy).to("cpu").eval().requires_grad_(False)
-        return TorchModel(module), type(policy).__name__, hash_function(module), None
+        return TorchModel(module), type(policy).__name__, hash_object(module), None
     if not callable(policy) or isinstance(policy, type):
         raise OptionError(
             f"policy must be a function, a PyTorch module, a model of Stable-Baselines3 or the path of a file, got "
@@ -195,7 +195,7 @@ def _make_model(
         )
     function = policy.func if isinstance(policy, functools.partial) else policy
     stem = str(getattr(function, "__name__", type(function).__name__)).strip("<>")
-    return CallableModel(policy), stem, hash_function(policy), None
+    return CallableModel(policy), stem, hash_object(policy), None
 
 
 def _convert_model(
@@ -214,7 +214,7 @@ def _convert_model(
         raise OptionError("the model does not record its encoding; pass features and action_scheme of its training")
     encoding = Encoding(features, actions, _match_period("policy", period, control_period))
     network = dense_network_from_sb3(policy)
-    return NetworkModel(network), type(policy).__name__, hash_function(network), encoding
+    return NetworkModel(network), type(policy).__name__, hash_object(network), encoding
 
 
 def _read_model(
