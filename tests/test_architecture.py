@@ -1,7 +1,6 @@
 """Tests of the architecture rules: packages, their order, file counts, and where engines may be imported."""
 
 import ast
-import configparser
 import re
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -85,14 +84,6 @@ def users_of(package: str) -> set[str]:
 )
 def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) -> None:
     assert users_of(engine) == {f"handover_marl.{package}" for package in packages}
-
-
-def test_setup_cfg_lists_all_packages() -> None:
-    setup = configparser.ConfigParser()
-    setup.read(REPOSITORY / "setup.cfg")
-    listed = setup["options"]["packages"].split()
-    assert listed == sorted(listed)
-    assert set(listed) == {name for name, path in find_modules().items() if path.name == "__init__.py"}
 
 
 def test_a_class_name_means_one_thing() -> None:

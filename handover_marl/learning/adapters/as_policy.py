@@ -31,7 +31,7 @@ from handover_marl.learning.policy_files import (
 )
 from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing import hash_object, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
@@ -152,7 +152,7 @@ def _adapt(
             f"take 'state+{obs_mode}'"
         )
     hashed = function.module if isinstance(function, TorchFunction) else function
-    parts = [hash_function(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
+    parts = [hash_object(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
     digest = hashlib.sha256(repr((parts, encoding.control_period, obs_mode)).encode()).hexdigest()[:16]
     keywords: dict[str, Any] = {"function": function, "encoding": encoding, "name": name or stem, "digest": digest}
     label = name or f"{stem}@{digest[:8]}"
@@ -175,7 +175,7 @@ def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
 
 
 def _describe_choice(choice: object) -> str:
-    return choice if isinstance(choice, str) else hash_function(choice)
+    return choice if isinstance(choice, str) else hash_object(choice)
 
 
 def _complete_pair(agent: str, chosen: tuple[Any, Any], takes_vectors: bool = True) -> tuple[Any, Any]:
