@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.datasets.grasp_files import unpickle_arrays
+from handover_marl.datasets.restricted_pickle import unpickle_arrays
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
