@@ -146,7 +146,7 @@ class SingleScheme(ActionScheme):
         scheme.reset(0)
 
     @property
-    def wait(self) -> float:  # type: ignore[override]
+    def wait(self) -> float:
         """Time at the start of an episode during which the agent does not act (s)."""
         return self.scheme.wait
 
