@@ -7,19 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from experiments.figures.draw_architecture import (
+from tests.import_graph import (
     FOLDERS,
     REPOSITORY,
     build_import_graph,
     build_package_graph,
     find_modules,
-    remove_implied_edges,
     sort_into_layers,
 )
 
 ROOT = REPOSITORY / "handover_marl"
 MAX_PACKAGES, MAX_FILES = 12, 20
-PICTURE = REPOSITORY / "docs" / "explanation" / "architecture.svg"
 
 
 def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
@@ -102,11 +100,3 @@ def test_test_folders_mirror_packages() -> None:
     packages = {name.removeprefix("handover_marl").removeprefix(".").replace(".", "/") for name in find_modules()}
     others = {"", ".", "docs", "integration", "experiments"}
     assert {folder.as_posix() for folder in folders} <= packages | others
-
-
-def test_the_picture_shows_the_imports() -> None:
-    drawn = set(re.findall(r'id="([\w.]+ imports [\w.]+)"', PICTURE.read_text()))
-    edges = remove_implied_edges(build_package_graph())
-    assert drawn == {f"{start} imports {end}" for start, ends in edges.items() for end in ends}, (
-        "run experiments/figures/draw_architecture.py"
-    )
