@@ -13,12 +13,12 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from handover_marl import __version__
 from handover_marl.cli.options import SceneNumbers
 from handover_marl.cli.streams import print_result
 from handover_marl.config import HAND_DOF, OBJECT_DOF, PANDA_DOF
 from handover_marl.errors import HandoverError
 from handover_marl.execution.options import check_path
+from handover_marl.version import __version__
 
 #: Level ("ok", "note" or "fault"), name and result of a check.
 Finding = tuple[str, str, str]

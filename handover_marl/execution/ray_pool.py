@@ -14,7 +14,6 @@ from pathlib import Path
 from platform import node
 from typing import Any
 
-from handover_marl import __version__
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import PoolConfig, resolve_worker_count
 from handover_marl.execution.pool import (
@@ -28,6 +27,7 @@ from handover_marl.execution.pool import (
     run_pickled_task,
     unpickle_result,
 )
+from handover_marl.version import __version__
 
 # Packages that results depend on bit for bit. The optional ones may be missing on a node: physics
 # that need them raise an error there, and all others do not use them.
