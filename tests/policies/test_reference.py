@@ -27,7 +27,6 @@ from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE, LearnedPol
 from handover_marl.policies import registry
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list
-from handover_marl.receivers import Receiver
 from handover_marl.receivers.hold import HoldReceiver
 
 DATA = SyntheticDataset()
@@ -211,6 +210,7 @@ def test_constructor_arguments() -> None:
 
 
 def test_make_givers_and_receivers() -> None:
+    assert make((Anything, {"a": 1, "b": "x"})).options == {"a": 1, "b": "x"}
     assert type(givers.make((f"{HERE}:Mine", {"speed": 2.0}), DATA)) is Mine
     assert type(receivers.make(Robot, DATA)) is Robot
 
@@ -221,17 +221,13 @@ def test_unknown_options(name: str) -> None:
     for policy in (f"{HERE}:Mine:{name}=1", (Mine, {name: 1}), (f"{HERE}:Mine", {name: 1})):
         with pytest.raises(OptionError, match=rf"Mine' has no option '{name}'; valid options: speed, word"):
             parse_policy("giver", policy)
-    with pytest.raises(OptionError, match=rf"giver 'replay' has no option '{name}'; it takes no options"):
-        parse_policy("giver", f"replay:{name}=1")
+    with pytest.raises(OptionError, match=rf"giver 'replay' has no option '{name}'"):
+        make(f"replay:{name}=1")
     with pytest.raises(OptionError, match=rf"giver 'learned' has no option '{name}'; valid options: control_period"):
         parse_policy("giver", f"learned:{DEFAULT_GIVER_FILE}:{name}=true")
 
 
-def test_constructors_with_arbitrary_options() -> None:
-    assert make((Anything, {"a": 1, "b": "x"})).options == {"a": 1, "b": "x"}
-
-
-@pytest.mark.parametrize("tail", ["speed", "=2", "speed=2=3", "speed=2, word=x", "1=2", "a b=2"])
+@pytest.mark.parametrize("tail", ["speed", "=2", "speed=2=3", "speed=2, word=x", "1=2", "speed=2,", "word=a,b"])
 def test_malformed_options(tail: str) -> None:
     for agent, name in (("giver", f"{HERE}:Mine"), ("receiver", "hold")):
         with pytest.raises(OptionError, match=r"options of .* must be key=value,key=value, got"):
@@ -243,29 +239,13 @@ def test_an_option_may_be_given_once() -> None:
         parse_policy("giver", f"{HERE}:Mine:speed=1,speed=2")
 
 
-def test_lists_that_are_nested_too_deeply_are_text() -> None:
-    deep = "[" * 100_000
-    assert parse_policy("giver", f"{HERE}:Mine:word={deep}").options == (("word", deep),)
-    with pytest.raises(OptionError, match=r"wait must be a time from 0 to 60 s, got .{203}$"):
-        make(f"omg:wait={deep}", "receiver")
-
-
-@pytest.mark.parametrize("tail", ["speed=2,", "word=a,b", ",speed=2"])
-def test_commas_separate_options(tail: str) -> None:
-    with pytest.raises(OptionError, match=r"no option|must be key=value"):
-        parse_policy("giver", f"{HERE}:Mine:{tail}")
-
-
-@pytest.mark.parametrize("name", ["polite", "", ":", "polite:", ":Mine", "replay2:speed=1", "no_such_module:Mine"])
+@pytest.mark.parametrize(
+    "name",
+    ["polite", "", ":", "polite:", ":Mine", "no_such_module:Mine", f"{HERE}:Nobody", ".relative:Mine", "os.path:no"],
+)
 def test_unknown_names(name: str) -> None:
     with pytest.raises(UnknownNameError, match=r"unknown giver .*valid: cooperative, displaced"):
         parse_policy("giver", name)
-
-
-@pytest.mark.parametrize("place", [f"{HERE}:Nobody", ".relative:Mine", f"{HERE}:", "os.path.nowhere:join"])
-def test_missing_attributes(place: str) -> None:
-    with pytest.raises(UnknownNameError, match="unknown giver"):
-        parse_policy("giver", place)
 
 
 def test_unknown_agents() -> None:
@@ -380,37 +360,17 @@ def typed(folder: Path, prompt: bool = False, gain: float = 2.0, shared: float =
 
 
 @pytest.mark.parametrize("prompt", [False, True])
-def test_classes_of_scripts_are_pickled(tmp_path: Path, prompt: bool) -> None:
-    """References to classes of a script can be unpickled in a process that has not run the script."""
-    references = typed(tmp_path, prompt)
+def test_classes_of_scripts(tmp_path: Path, prompt: bool) -> None:
+    """References to classes of a script work in processes that have not run it; hashes cover its code and globals."""
+    first, again = typed(tmp_path, prompt), typed(tmp_path, prompt)
     assert "Typed" not in vars(sys.modules["__main__"])
-    assert [float(reference.make(DATA).act({})[0]) for reference in references] == [2.0, 1.0, 0.5]
-    assert [reference.label for reference in references] == ["typed", "typed:speed=0.5", "typed"]
-    assert len({reference.code_hash for reference in references}) == 3
-
-
-@pytest.mark.parametrize("prompt", [False, True])
-def test_script_code_is_hashed(tmp_path: Path, prompt: bool) -> None:
-    first, again, changed = (typed(tmp_path / "a", prompt, gain) for gain in (2.0, 2.0, 3.0))
-    for number in (0, 1):
-        assert first[number].code_hash == again[number].code_hash
-        assert first[number].code_hash != changed[number].code_hash
-
-
-@pytest.mark.parametrize(
-    "prompt",
-    [False, True],
-)
-def test_globals_of_scripts_are_hashed(tmp_path: Path, prompt: bool) -> None:
-    first, changed = (typed(tmp_path / "a", prompt, shared=shared) for shared in (1.0, 5.0))
-    assert first[0].make(DATA).act({})[0] != changed[0].make(DATA).act({})[0]
-    assert first[0].code_hash != changed[0].code_hash
-
-
-@pytest.mark.parametrize("prompt", [False, True])
-def test_instances_of_script_classes_have_stable_hashes(tmp_path: Path, prompt: bool) -> None:
-    first, again = (typed(tmp_path / "a", prompt) for _ in range(2))
-    assert first[2].code_hash == again[2].code_hash
+    assert [float(reference.make(DATA).act({})[0]) for reference in first] == [2.0, 1.0, 0.5]
+    assert [reference.label for reference in first] == ["typed", "typed:speed=0.5", "typed"]
+    hashes = [reference.code_hash for reference in first]
+    assert len(set(hashes)) == 3
+    assert [reference.code_hash for reference in again] == hashes
+    for changed in (typed(tmp_path, prompt, gain=3.0), typed(tmp_path, prompt, shared=5.0)):
+        assert not set(hashes) & {reference.code_hash for reference in changed}
 
 
 def test_closure_values_are_hashed() -> None:
@@ -441,7 +401,7 @@ def test_labels() -> None:
 
 
 @pytest.mark.parametrize("name", ["label", "weights_hash"])
-@pytest.mark.parametrize("value", [5, None, b"x", "two\nlines", "\udcff", "\x1b[2J", "x" * 1001], ids=ascii)
+@pytest.mark.parametrize("value", [5, "two\nlines", "\udcff", "x" * 1001], ids=ascii)
 def test_labels_and_hashes_that_cannot_be_printed_are_refused(name: str, value: object) -> None:
     with pytest.raises(OptionError, match=rf"{name} of giver 'Odd' must be text without control characters"):
         resolve(type("Odd", (Mine,), {name: property(lambda self: value)}))
@@ -454,12 +414,6 @@ def test_attributes_that_fail_are_reported_before_the_first_scene(name: str) -> 
 
     with pytest.raises(PolicyError, match=rf"{name} of giver 'Odd' cannot be read \(KeyError: 'nothing'\)"):
         resolve(type("Odd", (Mine,), {name: property(fail)}))
-
-
-@pytest.mark.parametrize("text", ["two\nlines", "\udcff"])
-def test_options_that_cannot_be_printed_are_refused(text: str) -> None:
-    with pytest.raises(OptionError, match=r"label of giver .* must be text without control characters"):
-        resolve((Mine, {"word": text}))
 
 
 def test_hashes_of_different_policies_differ() -> None:
@@ -609,11 +563,6 @@ def test_name_registered_twice(monkeypatch: pytest.MonkeyPatch) -> None:
         parse_policy("giver", "theirs")
 
 
-def test_package_installed_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    register(monkeypatch, ("theirs", f"{HERE}:Mine", "one"), ("theirs", f"{HERE}:Mine", "one"))
-    assert type(make("theirs")) is Mine
-
-
 @pytest.mark.parametrize("value", ["no_such_module:Mine", f"{HERE}:Nobody"])
 def test_registered_names_that_cannot_be_imported(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     register(monkeypatch, ("theirs", value, "one"))
@@ -627,12 +576,6 @@ def test_registered_classes_are_checked(monkeypatch: pytest.MonkeyPatch) -> None
         parse_policy("giver", "theirs")
     with pytest.raises(OptionError, match="'unfinished' must define act"):
         parse_policy("giver", "unfinished")
-
-
-def test_context_of_receivers() -> None:
-    made = parse_policy("receiver", Robot).make(DATA)
-    assert isinstance(made, Receiver)
-    assert made.context.object_urdf == DATA.find_object_urdf
 
 
 def test_a_module_that_exits_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
