@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from handover_marl.cli.streams import OutputError, discard_output, prepare_streams, print_message, print_result
+from handover_marl.cli.streams import discard_output, prepare_streams, print_message, print_result
 from handover_marl.errors import HandoverError
 from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.version import __version__
@@ -43,8 +43,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run_program(arguments)
     except HandoverError as error:
         print_message(str(error))
-        if isinstance(error, OutputError):
-            discard_output()
         return 2
     except KeyboardInterrupt:
         print_message("stopped; with --out, the same command resumes from here")
