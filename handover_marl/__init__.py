@@ -46,22 +46,22 @@ if TYPE_CHECKING:
     from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
     from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
     from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
-    from handover_marl.evaluation.agreement import compare_physics as compare_physics
     from handover_marl.evaluation.benchmark import benchmark as benchmark
     from handover_marl.evaluation.benchmark import evaluate_pair as evaluate_pair
     from handover_marl.evaluation.comparison import compare as compare
+    from handover_marl.evaluation.comparison import compare_physics as compare_physics
     from handover_marl.evaluation.config import EvaluationConfig as EvaluationConfig
     from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
     from handover_marl.evaluation.crossplay import crossplay as crossplay
-    from handover_marl.evaluation.demonstrations.reader import Demonstrations as Demonstrations
+    from handover_marl.evaluation.demonstrations.demonstration import Demonstrations as Demonstrations
     from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
     from handover_marl.evaluation.merge import merge as merge
-    from handover_marl.evaluation.rendering.plan import render_plan as render_plan
-    from handover_marl.evaluation.rendering.scene import render_scene as render_scene
+    from handover_marl.evaluation.rendering import render_plan as render_plan
+    from handover_marl.evaluation.rendering import render_scene as render_scene
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
     from handover_marl.evaluation.strangers.protocol import strangers as strangers
-    from handover_marl.evaluation.verification.verify import verify as verify
+    from handover_marl.evaluation.verification import verify as verify
     from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
     from handover_marl.learning.adapters.as_policy import as_giver as as_giver
     from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
@@ -76,7 +76,7 @@ _MODULES = {
     "ActionScheme": "learning.action_scheme",
     "CameraCapture": "episode.camera_observations",
     "CameraNoise": "simulation.camera.noise",
-    "Demonstrations": "evaluation.demonstrations.reader",
+    "Demonstrations": "evaluation.demonstrations.demonstration",
     "EnvConfig": "envs.config",
     "EpisodeStatus": "episode.referee",
     "EvaluationConfig": "evaluation.config",
@@ -94,7 +94,7 @@ _MODULES = {
     "benchmark_env": "envs.constructors",
     "combine_rewards": "envs.custom_rewards",
     "compare": "evaluation.comparison",
-    "compare_physics": "evaluation.agreement",
+    "compare_physics": "evaluation.comparison",
     "crossplay": "evaluation.crossplay",
     "declare_size": "learning.encodings.choices",
     "declare_terms": "envs.custom_rewards",
@@ -109,11 +109,11 @@ _MODULES = {
     "homogeneous": "envs.wrappers.homogeneous",
     "merge": "evaluation.merge",
     "parallel_env": "envs.constructors",
-    "render_plan": "evaluation.rendering.plan",
-    "render_scene": "evaluation.rendering.scene",
+    "render_plan": "evaluation.rendering",
+    "render_scene": "evaluation.rendering",
     "strangers": "evaluation.strangers.protocol",
     "vector_env": "envs.vector.vector_env",
-    "verify": "evaluation.verification.verify",
+    "verify": "evaluation.verification",
 }
 
 __all__ = ["__version__", *_MODULES]

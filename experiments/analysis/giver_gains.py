@@ -15,7 +15,7 @@ import tyro
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE, format_fluency_header, format_fluency_row
+from handover_marl.evaluation.reports.episode_tables import FLUENCY_NOTE, format_fluency_header, format_fluency_row
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
 from handover_marl.evaluation.reports.tables import format_percent_difference, format_percent_rate, format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult

@@ -20,8 +20,8 @@ import tyro
 
 from handover_marl import EvaluationConfig, ExecutionConfig
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.agreement import Agreement
 from handover_marl.evaluation.benchmark import evaluate_pair
+from handover_marl.evaluation.comparison import Agreement
 from handover_marl.evaluation.config import resolve_config
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval

@@ -22,7 +22,7 @@ from handover_marl.config import TIME_STEP, CameraConfig
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.evaluation.config import REPLAY
-from handover_marl.evaluation.rendering.player import ScenePlayer
+from handover_marl.evaluation.rendering import ScenePlayer
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population

@@ -50,14 +50,14 @@ def run_render(
         execution: Progress bar, and trust in policy files.
     """
     from handover_marl.config import CameraConfig
-    from handover_marl.evaluation.rendering.scene import render_scene
+    from handover_marl.evaluation.rendering import render_scene
 
     options: Any = {key: getattr(evaluation, key) for key in _SCENE_FIELDS} | {"trust": execution.trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}
     if plan:
-        from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
+        from handover_marl.evaluation.rendering import PLAN_CAMERA, render_plan
 
         if not camera.keys() <= size.keys():
             raise ArgumentError("--position, --target and --vertical-fov do not apply to --plan; leave them out")

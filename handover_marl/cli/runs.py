@@ -63,7 +63,7 @@ def run_agreement(
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
+    from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
 
     result = compare_physics(evaluation, against=against, execution=execution)
     print_tables(result, table_format, _describe_path(execution, AGREEMENT_FILE))

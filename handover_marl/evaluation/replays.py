@@ -14,9 +14,9 @@ from handover_marl.evaluation.config import (
     ExecutionConfig,
     require_policy_reference,
 )
+from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.result_folder import get_replay_path
-from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
 from handover_marl.execution.files import remove_stale_temporaries, write_atomically
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy

@@ -24,8 +24,8 @@ from handover_marl.episode.metrics.motion_trace import SAMPLE_STEPS, EpisodeTrac
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.columns import FLUENCY
-from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
+from handover_marl.evaluation.reports.episode_tables import estimate_fluency
+from handover_marl.evaluation.reports.tables import FLUENCY
 from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.policies.policy import Policy

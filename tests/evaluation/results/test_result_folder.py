@@ -260,14 +260,6 @@ def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) ->
     assert (tmp_path / "000.npz").read_text() == "precious"
 
 
-def test_a_folder_that_another_evaluation_took_over_is_not_written(folder: ResultFolder) -> None:
-    other = ResultFolder(folder.path, replace(SETTINGS, receiver="yang2021"), fresh=True)
-    with pytest.raises(ResultsError, match="belongs to another evaluation"):
-        folder.write(RESULT, CONTENT)
-    other.write(RESULT, CONTENT)
-    assert len(read_results(folder.path)) == 1
-
-
 def test_a_copied_result_is_not_counted_twice(folder: ResultFolder) -> None:
     (folder.path / "001.npz").write_bytes((folder.path / "000.npz").read_bytes())
     with pytest.raises(ResultsError, match=r"000\.npz and 001\.npz are both of scene 209"):

@@ -17,8 +17,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
+from handover_marl.evaluation.rendering import render_scene
 from handover_marl.evaluation.rendering import scene as scene_rendering
-from handover_marl.evaluation.rendering.scene import render_scene
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.hold import HoldReceiver
 from handover_marl.simulation.contacts import Contacts
