@@ -15,9 +15,14 @@ import tyro
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.benchmark import evaluate_pair
-from handover_marl.evaluation.reports.episode_tables import FLUENCY_NOTE, format_fluency_header, format_fluency_row
+from handover_marl.evaluation.reports.episode_tables import FLUENCY_NOTE, format_fluency_row
 from handover_marl.evaluation.reports.statistics import compute_paired_difference
-from handover_marl.evaluation.reports.tables import format_percent_difference, format_percent_rate, format_table
+from handover_marl.evaluation.reports.tables import (
+    FLUENCY,
+    format_percent_difference,
+    format_percent_rate,
+    format_table,
+)
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.run_folder import select_held_out_scenes
@@ -97,7 +102,7 @@ def main(args: Args) -> None:
         "95 % intervals (Wilson; Agresti and Min for paired differences)."
     )
     fluency = format_table(
-        ["giver", *format_fluency_header()],
+        ["giver", *(column.title for column in FLUENCY)],
         [[name, *format_fluency_row(episodes_by_giver[name])] for name in episodes_by_giver],
     )
     text = "\n\n".join(

@@ -160,8 +160,8 @@ class Evaluation:
             # The result folder is the last: its files mark scenes as finished.
             replay_writers = [] if replays == REPLAYS_NONE else [ReplayWriter(folder.path, replays)]
             all_writers = (*writers, *replay_writers, folder)
-        found = {task: folder and folder.read(task.index, task.fingerprint) for task in self._tasks}
-        stored = {task: result for task, result in found.items() if result is not None}
+        found = [folder.read(task.index, task.fingerprint) if folder else None for task in self._tasks]
+        stored = {task: result for task, result in zip(self._tasks, found, strict=True) if result is not None}
         results = {
             task: result for task, result in stored.items() if all(writer.contains(result) for writer in all_writers)
         }
@@ -218,7 +218,9 @@ def _show_progress(
         stored: Results of an earlier run in the same folder, shown first.
         enabled: Whether to show anything.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    if not enabled:
+        yield lambda result: None
+        return
     console = Console(stderr=True, highlight=False)
     successes: list[bool] = []
 
@@ -229,19 +231,17 @@ def _show_progress(
     def add(result: EpisodeResult, style: str | None = None) -> None:
         successes.append(result.success)
         bar.update(task, advance=1, description=f"success {100 * sum(successes) / len(successes):5.1f} %")
-        if enabled:
-            scene, name, subject, side, outcome, steps, _, plan_s = format_scene_cells(result)
-            cells = (scene, name, subject.partition("-")[2], side, outcome, steps, plan_s)
-            print_row(cells, style or _COLORS.get(outcome, "red"))
+        scene, name, subject, side, outcome, steps, _, plan_s = format_scene_cells(result)
+        cells = (scene, name, subject.partition("-")[2], side, outcome, steps, plan_s)
+        print_row(cells, style or _COLORS.get(outcome, "red"))
 
-    bar = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, disable=not enabled)
-    with bar:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bar:
         task = bar.add_task("success   -  ", total=n_scenes)
-        if enabled:
-            print_row(tuple(_WIDTHS), "bold")
-            if stored:
-                text = f"{len(stored)} of {n_scenes} episodes are from an earlier run in this folder:"
-                console.print(text, style="dim")
+        print_row(tuple(_WIDTHS), "bold")
+        if stored:
+            text = f"{len(stored)} of {n_scenes} episodes are from an earlier run in this folder:"
+            console.print(text, style="dim")
         for result in stored:
             add(result, "dim")
         yield add
