@@ -81,7 +81,7 @@ class HandoverPoseScheme(GiverScheme):
         self._decided = self._chosen = False
         self._shift, self._turn = np.zeros(3), np.zeros(3)
         self._withdrawal: npt.NDArray[np.float64] | None = None
-        self._pose_variation = HandoverPoseVariation()
+        self._pose_variation = HandoverPoseVariation(1)
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the recorded hand is about to stop and no outputs were set yet."""
@@ -106,8 +106,8 @@ class HandoverPoseScheme(GiverScheme):
         if self._chosen and observation["released"][0]:
             return self._withdraw(observation)
         if self._chosen:
-            self._pose_variation.update(observation)
-        scale = self._pose_variation.scale
+            self._pose_variation.update(np.zeros(1, int), {key: value[None] for key, value in observation.items()})
+        scale = float(self._pose_variation.scale[0])
         return make_giver_action(displacement=scale * self._shift, rotation=scale * self._turn)
 
     def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
@@ -137,9 +137,10 @@ class HandoverPoseScheme(GiverScheme):
         return center, axes, wrist + Rotation.from_rotvec(rotation).apply(center - wrist)
 
     def _withdraw(self, observation: Observation) -> Action:
+        scale = float(self._pose_variation.scale[0])
         if self._withdrawal is None:
             away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
             length = (self.outputs[6] + 1.0) / 2.0 * self.max_withdrawal
-            shift = self._pose_variation.scale * self._shift
+            shift = scale * self._shift
             self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
-        return make_giver_action(displacement=self._withdrawal, rotation=self._pose_variation.scale * self._turn)
+        return make_giver_action(displacement=self._withdrawal, rotation=scale * self._turn)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import QhullError
 
-from handover_marl.assets.robot_model import PANDA_URDF, format_panda_urdf
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dexycb.assets import write_missing_files
 from handover_marl.datasets.official_files import (
@@ -236,6 +236,7 @@ def _write_panda(assets: Path) -> None:
     }
     write_missing_files(assets, meshes)
     for robot in missing:
-        text = format_panda_urdf(f"package://{_PANDA_MESH_FOLDER}", camera=robot == PANDA_CAMERA)
-        content = f"<!-- {STAND_IN}: PyBullet's Panda -->\n{text}".encode()
+        text = (CAMERA_PANDA_URDF if robot == PANDA_CAMERA else PANDA_URDF).read_text()
+        robot_element = text[text.index("<robot") :].replace("package://", f"package://{_PANDA_MESH_FOLDER}/")
+        content = f"<!-- {STAND_IN}: PyBullet's Panda -->\n{robot_element}".encode()
         write_missing_files(assets, {PANDA_FILES[robot]: content})

@@ -5,7 +5,7 @@ from handover_marl.episode.spaces import giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
-from handover_marl.givers.cooperative_batch import HandoverPoseVariationBatch
+from handover_marl.givers.cooperative import HandoverPoseVariation
 from handover_marl.learning.batch.features import compute_handover_frames, rotate_to_world
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.batch.schemes import SchemeBatch
@@ -44,7 +44,7 @@ class HandoverPoseBatch(SchemeBatch):
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
         super().__init__(scheme, selector, count, arrays)
-        self._scheme, self._pose_variation = scheme, HandoverPoseVariationBatch(count, arrays)
+        self._scheme, self._pose_variation = scheme, HandoverPoseVariation(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
 
