@@ -11,9 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY,
+    REPLAY_CHOICES,
     REPLAYS_NONE,
     EvaluationConfig,
     ExecutionConfig,
@@ -21,7 +22,7 @@ from handover_marl.evaluation.config import (
     resolve_config,
 )
 from handover_marl.evaluation.episode_runner import EpisodeWriter, SceneTask, run_episodes
-from handover_marl.evaluation.replays import ReplayWriter, check_replay_options
+from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.episode_tables import format_scene_cells
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import write_report
@@ -32,6 +33,7 @@ from handover_marl.execution.options import PoolConfig, check_pool, forward_sign
 from handover_marl.execution.pool import Pool
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.visualization.replay_scene import require_replay_extra
 
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 # Widths of the columns of the progress display; the sum fits a terminal of 80 columns.
@@ -123,8 +125,11 @@ class Evaluation:
     """
 
     def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str = "") -> None:
+        check_name("replays", execution.replays, REPLAY_CHOICES)
         if execution.replays != REPLAYS_NONE:
-            check_replay_options(execution)
+            if execution.folder is None:
+                raise OptionError("replays need an output folder; pass out= (--out DIR)")
+            require_replay_extra()
         check_pool(execution.pool)
         self.config, dataset = resolve_config(config, execution.trust)
         split_ids = dataset.list_scenes(self.config.setup, self.config.split)
@@ -172,12 +177,13 @@ class Evaluation:
             _show_progress(len(self._tasks), results.values(), self._execution.progress) as show,
             contextlib.closing(run_episodes(self.config, remaining, pool, all_writers)) as finished,
         ):
-            for _, episode in finished:
-                _check_same_outcome(stored.get(episode.task), episode.result)
-                for writer, content in zip(all_writers, episode.contents, strict=True):
-                    writer.write(episode.result, content)
-                results[episode.task] = episode.result
-                show(episode.result)
+            for number, (result, contents) in finished:
+                task = remaining[number]
+                _check_same_outcome(stored.get(task), result)
+                for writer, content in zip(all_writers, contents, strict=True):
+                    writer.write(result, content)
+                results[task] = result
+                show(result)
         episodes = tuple(results[task] for task in self._tasks)
         report = Report(self._metadata, episodes, self._n_split_scenes, len(self._tasks) - len(remaining))
         if folder is not None:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from handover_marl import __version__
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
@@ -18,7 +17,6 @@ from handover_marl.evaluation.reports.episode_tables import (
     build_difference_table,
     build_fluency_difference_table,
     build_rate_table,
-    compute_rate_difference,
 )
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
@@ -60,15 +58,6 @@ class Comparison(TabularResult):
     def changes(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
         """Pairs of results (A, B) of the scenes with different outcomes."""
         return [(first, second) for first, second in self.pairs if first.status != second.status]
-
-    def compute_difference(self, flag: EpisodeStatus = EpisodeStatus.SUCCESS) -> tuple[float, float, float]:
-        """Compute the difference of an outcome's rates, A minus B, with its 95 % interval (-1..1).
-
-        Args:
-            flag: Outcome whose rates are compared.
-        """
-        first, second = zip(*self.pairs, strict=True)
-        return compute_rate_difference(first, second, flag)
 
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""

@@ -234,7 +234,8 @@ def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_
         actions = read_actions(file, stored.steps)
     except ResultsError as error:
         return [Difference(task.scene_id, file.name, shorten_text(error), "a result")]
-    return compare_results(stored, runner.run(task, StoredActions(actions)).result, same_version)
+    simulated, _ = runner.run(task, StoredActions(actions))
+    return compare_results(stored, simulated, same_version)
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:

@@ -58,7 +58,7 @@ def simulated(original: Path, runner: EpisodeRunner) -> EpisodeResult:
     """Return the result of simulating the stored actions."""
     stored = read_result(original / "002.npz")
     receiver = StoredActions(read_actions(original / "002.npz", stored.steps))
-    return runner.run(SceneTask(INDEX, SCENE), receiver).result
+    return runner.run(SceneTask(INDEX, SCENE), receiver)[0]
 
 
 def copy_files(source: Path, folder: Path) -> Path:

@@ -15,7 +15,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, check_obs_mode, get_camera_data_kind
-from handover_marl.errors import OptionError, ResultsError, check_name
+from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.demonstrations.demonstration import (
@@ -31,9 +31,10 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.result_folder import (
     get_demonstration_path,
     get_demonstrations_metadata_path,
+    prepare_subfolder,
     read_results,
 )
-from handover_marl.execution.files import remove_stale_temporaries, write_atomically
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike
@@ -219,11 +220,7 @@ class DemonstrationWriter(EpisodeWriter):
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
         self._folder, self._config, self._recording = folder, config, recording
         path = get_demonstrations_metadata_path(folder)
-        try:
-            path.parent.mkdir(exist_ok=True)
-            remove_stale_temporaries(path.parent)
-        except OSError as error:
-            raise ResultsError(f"cannot use {folder} for demonstrations: {error.strerror or error}") from error
+        prepare_subfolder(path.parent)
         largest_class = max(config.open_dataset().object_names)
         description = {"obs_mode": recording.obs_mode, "fps": recording.fps, "largest_class": largest_class}
         write_atomically(path, json.dumps(description) + "\n")
@@ -237,19 +234,14 @@ class DemonstrationWriter(EpisodeWriter):
         if not self._recording.includes(result.status):
             return True
         try:
-            stored = read_episode_metadata(get_demonstration_path(self._folder, result.index))
+            stored = read_episode_metadata(self.get_path(result))
         except Exception:  # damaged files raise exceptions of many types; their episodes are simulated again
             return False
         return stored == EpisodeMetadata.from_result(result, self._config)
 
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the file of a recorded episode.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        if content:
-            write_atomically(get_demonstration_path(self._folder, result.index), content)
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the file of an episode."""
+        return get_demonstration_path(self._folder, result.index)
 
     def delete_excluded(self) -> None:
         """Delete the files of episodes that an earlier run recorded and this one excludes.
@@ -259,7 +251,7 @@ class DemonstrationWriter(EpisodeWriter):
         """
         for result in read_results(self._folder):
             if not self._recording.includes(result.status):
-                get_demonstration_path(self._folder, result.index).unlink(missing_ok=True)
+                self.get_path(result).unlink(missing_ok=True)
 
 
 def compute_frame_step(number: int, fps: int) -> int:

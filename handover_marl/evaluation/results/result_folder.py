@@ -29,7 +29,7 @@ from handover_marl.evaluation.results.metadata import (
     format_config,
     read_result_metadata,
 )
-from handover_marl.execution.files import create_exclusively, shorten_text, write_atomically
+from handover_marl.execution.files import create_exclusively, remove_stale_temporaries, shorten_text
 from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
@@ -101,6 +101,19 @@ def _find_numbered(folder: Path, suffix: str) -> list[Path]:
     return sorted((path for path, number in numbers.items() if path.stem == f"{number:03d}"), key=numbers.__getitem__)
 
 
+def prepare_subfolder(path: Path) -> None:
+    """Create the folder of recordings in a result folder; remove files that killed processes left there.
+
+    Raises:
+        ResultsError: The folder cannot be created.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+        remove_stale_temporaries(path)
+    except OSError as error:
+        raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
+
+
 class ResultFolder(EpisodeWriter):
     """Result folder of one evaluation, and the writer of its official result files.
 
@@ -147,13 +160,9 @@ class ResultFolder(EpisodeWriter):
         """Return whether the result file of an episode exists."""
         return get_result_path(self.path, result.index).is_file()
 
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the official result file of a scene.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        write_atomically(get_result_path(self.path, result.index), content)
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the official result file of a scene."""
+        return get_result_path(self.path, result.index)
 
 
 class _ResultRecorder(ActionRecorder, EpisodeRecorder):

