@@ -15,7 +15,6 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
-from handover_marl import __version__
 from handover_marl.config import PANDA_DOF, TIME_STEP, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
@@ -46,6 +45,7 @@ from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike, PolicyReference
 from handover_marl.policies.registry import check_stored_reference, list_available
+from handover_marl.version import __version__
 
 Actions = npt.NDArray[np.float32]
 

@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from handover_marl import __version__
 from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
@@ -21,6 +20,7 @@ from handover_marl.evaluation.results.metadata import ResultMetadata, read_resul
 from handover_marl.evaluation.results.result_folder import REPORT_FILES, find_replays, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+from handover_marl.version import __version__
 from handover_marl.visualization.web_page import render_page
 
 # Data sets with the scene numbers of DexYCB.

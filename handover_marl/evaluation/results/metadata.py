@@ -9,7 +9,6 @@ from typing import Any
 
 import yaml
 
-from handover_marl import __version__
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.episode.spaces import OBS_MODES, STATE
@@ -20,6 +19,7 @@ from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.execution.reading import read_yaml
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA, ROBOTS
 from handover_marl.simulation.engines import PHYSICS
+from handover_marl.version import __version__
 
 CONFIG_FILE = "config.yaml"
 #: Label of the official world and rules.
