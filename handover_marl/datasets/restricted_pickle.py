@@ -19,8 +19,8 @@ from handover_marl.execution.files import shorten_text
 AllowedNames: TypeAlias = Mapping[tuple[str, str], Callable[..., object]]
 
 # NumPy's functions that make arrays; their modules have other names in other versions.
-_RECONSTRUCT = np.zeros(1).__reduce__()[0]
-_FROM_BUFFER = np.zeros(1).__reduce_ex__(5)[0]  # type: ignore[arg-type]
+_RECONSTRUCT: Any = np.zeros(1).__reduce__()[0]
+_FROM_BUFFER: Any = np.zeros(1).__reduce_ex__(5)[0]
 
 #: Names in pickles of arrays, and of dicts of arrays, by all versions of NumPy.
 ARRAY_NAMES: AllowedNames = {

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
 from handover_marl.assets.building.custom_scenes.motion_tables import (
@@ -22,10 +21,11 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.custom_scenes.robot_grasps import make_robot_grasps
 from handover_marl.assets.building.custom_scenes.splits import split_scenes
 from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
-from handover_marl.assets.building.object_files import merge_meshes, read_parts
+from handover_marl.assets.building.mesh_solid import load_mesh_solid
+from handover_marl.assets.building.object_files import read_parts
+from handover_marl.assets.building.robot_grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS
@@ -132,8 +132,9 @@ class CustomSceneFolder:
             raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        with _show_stage("convex parts", progress) as show:
-            item = make_object_mesh(source, config, show)
+        console = Console(stderr=True, quiet=not progress)
+        with console.status("convex parts"):
+            item = make_object_mesh(source, config)
         with self._prepare(OBJECT_FOLDER) as scratch:
             new = scratch / text
             new.mkdir()
@@ -207,8 +208,8 @@ class CustomSceneFolder:
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         self._check_bodies(table, others, hand)
-        mesh = self._load_mesh(object_name)
-        bodies = {body: self._read_vertices(item) for body, item in zip((OBJECT, *others), names, strict=True)}
+        urdfs = [self._find_urdf(item) for item in names]
+        bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         _check_ranges(check_objects, make_trajectory(table, others, None, None).object_dof, bodies)
         side_name: Side = "left" if side == "left" else "right"
         model, fingers = None, None
@@ -216,7 +217,7 @@ class CustomSceneFolder:
             model = make_hand_geometry(hand, side_name)
             fingers = table.fingers
             if fingers is None:
-                table, fingers = close_hand(table, mesh, hand, side_name)
+                table, fingers = close_hand(table, load_mesh_solid(urdfs[0]), hand, side_name)
         trajectory = make_trajectory(table, others, model, fingers)
         if trajectory.hand_span[0] >= 0:
             frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)
@@ -288,18 +289,9 @@ class CustomSceneFolder:
         if hand is not None and table.wrist is None:
             raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
 
-    def _load_mesh(self, name: str) -> trimesh.Trimesh:
-        if name in CLASS_NAMES.values():
-            from handover_marl.assets.building.object_files import load_visual_mesh
-
-            return load_visual_mesh(name)
-        return merge_meshes(read_parts(self.folder / OBJECT_FOLDER / name / VISUAL_NAME))
-
-    def _read_vertices(self, name: str) -> npt.NDArray[np.float64]:
+    def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
-        return read_collision_mesh(
-            find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
-        )[0]
+        return find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
 
     @contextlib.contextmanager
     def _prepare(self, subfolder: str) -> Iterator[Path]:
@@ -338,12 +330,3 @@ def _check(argument: str, check: Callable[[object], str], value: object) -> str:
         return check(value)
     except ValueError as error:
         raise OptionError(f"{argument} {error}") from None
-
-
-@contextlib.contextmanager
-def _show_stage(what: str, progress: bool) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being made, its stage and the elapsed time; the number of stages is unknown."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not progress, transient=True) as bar:
-        task = bar.add_task(what)
-        yield lambda stage: bar.update(task, description=f"{what}: {stage}")

@@ -13,12 +13,14 @@ import pytest
 import handover_marl
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, MotionConfig
 from handover_marl.assets.building.custom_scenes.finger_closing import find_hand_grasp
+from handover_marl.assets.building.mesh_solid import MeshSolid
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification.verify import verify
+from handover_marl.geometry.distance_field import distance_field_from_mesh
 from handover_marl.simulation.engines import PHYSICS
 from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
 
@@ -108,10 +110,12 @@ def test_a_hand_closes_on_the_object(scenes: CustomSceneFolder) -> None:
 
 
 def test_left_hands_are_mirrored_right_hands() -> None:
-    position, rotation = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION)
-    right = find_hand_grasp(make_box(), np.array([*position, *rotation]), 6, "right", "")
+    position, rotation, box = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION), make_box()
+    vertices, faces = np.array(box.vertices), np.array(box.faces, dtype=np.int64)
+    solid = MeshSolid(box, distance_field_from_mesh(vertices, faces, 0.05, 0.003))
+    right = find_hand_grasp(solid, np.array([*position, *rotation]), 6, "right", "")
     mirrored = np.array([-position[0], *position[1:], rotation[0], -rotation[1], -rotation[2], rotation[3]])
-    left = find_hand_grasp(make_box(), mirrored, 6, "left", "")
+    left = find_hand_grasp(solid, mirrored, 6, "left", "")
     np.testing.assert_allclose(left.closed, right.closed * np.tile([1.0, -1.0, -1.0], 15), atol=0.12)
     np.testing.assert_allclose(left.shift, right.shift * [-1.0, 1.0, 1.0], atol=1e-9)
 
