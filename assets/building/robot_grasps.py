@@ -61,7 +61,7 @@ def make_robot_grasps(
     random = RandomStream(zlib.crc32(f"{urdf.parent.name} {seed}".encode()))
     config = RobotGraspConfig(n_points=_POINTS_PER_GRASP * count, n_grasps=_CANDIDATES_PER_GRASP * count)
     candidates = draw_robot_grasps(random, load_mesh_solid(urdf), config)
-    make, held, n_simulated = functools.partial(_make_validation, urdf), [], 0
+    make, held, n_simulated = functools.partial(_make_validation, urdf), list[Array](), 0
     while n_simulated < len(candidates) and len(held) < count:
         batch = candidates[n_simulated : n_simulated + max(_CHUNK, count - len(held))]
         tasks = [range(start, min(start + _CHUNK, len(batch))) for start in range(0, len(batch), _CHUNK)]

@@ -18,17 +18,15 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
     MotionTable,
+    make_trajectory,
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.custom_scenes.splits import split_scenes
-from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
 from handover_marl.assets.building.mesh_solid import load_mesh_solid
-from handover_marl.assets.building.object_files import read_parts
 from handover_marl.assets.building.robot_grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
-from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME, find_object_urdf
-from handover_marl.config import MAX_OBJECTS
+from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
+from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,
     MOTION_FOLDER,
@@ -44,14 +42,18 @@ from handover_marl.datasets.custom.scene_file import (
     SceneFile,
     check_class_name,
     check_file_name,
+    check_setup_name,
     read_scene_file,
 )
+from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
-from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
+#: Ways to divide scenes: by the object that is handed over, by the person, or at random.
+DIVISIONS = ("object", "person", "random")
 #: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
 DEFAULT_HAND = 6
 
@@ -260,7 +262,8 @@ class CustomSceneFolder:
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
         with self._change() as content:
-            setup = split_scenes(content, name, by, val, test, seed)
+            _check("name", check_setup_name, name)
+            setup = _split_scenes(content, by, {"val": val, "test": test}, seed)
             replace(content, setups={**content.setups, name: setup}).write(self.folder)
         return setup
 
@@ -273,8 +276,8 @@ class CustomSceneFolder:
         dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
-            dataset.check_object(item)
-            read_parts(dataset.find_object_urdf(item.name).with_name(VISUAL_NAME))
+            check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
+            dataset.load_grasps(item.name)
         for scene_id in range(dataset.n_scenes):
             dataset.load_scene(scene_id)
         return dataset
@@ -330,3 +333,37 @@ def _check(argument: str, check: Callable[[object], str], value: object) -> str:
         return check(value)
     except ValueError as error:
         raise OptionError(f"{argument} {error}") from None
+
+
+def _split_scenes(
+    content: SceneFile, by: str, shares: Mapping[str, Iterable[str] | float], seed: int
+) -> dict[str, tuple[int, ...]]:
+    check_name("by", by, DIVISIONS)
+    keys = [
+        {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
+        for number, scene in enumerate(content.scenes)
+    ]
+    groups = list(dict.fromkeys(keys))
+    drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
+    home: dict[str, str] = {}
+    for split, chosen in shares.items():
+        if isinstance(chosen, (int, float)):
+            if not 0.0 <= chosen < 1.0:
+                raise OptionError(f"{split} must be a share from 0 to 1 or names, got {chosen!r}")
+            count = round(chosen * len(groups)) or int(chosen > 0.0)
+            members = [key for key in drawn if key not in home][:count]
+        else:
+            members = [str(key) for key in chosen]
+        for key in members:
+            check_name(by, key, groups)
+            if key in home:
+                raise OptionError(f"val and test must not share a name, got {key!r} in both; remove it from one")
+            home[key] = split
+    setup = {
+        split: tuple(number for number, key in enumerate(keys) if home.get(key, "train") == split) for split in SPLITS
+    }
+    if not setup["train"]:
+        raise OptionError(
+            f"the train split must not be empty, got all {len(keys)} scenes in val and test; lower the shares"
+        )
+    return setup
