@@ -2,10 +2,12 @@
 
     python experiments/make_results.py                              # pages and figure
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
+    python experiments/make_results.py --measure yang2021 --data-dir DIR   # evaluate on all test splits before
 
 `docs/results/data/episodes/` has one file for each evaluation, with the outcome of every scene;
-`--add` writes these files, and appends uses of test splits to `test_use.csv`. Rows of evaluations whose
-outcomes were not stored are computed from the counts in `evaluations.json`. Each template
+`--add` writes these files, and appends uses of test splits to `test_use.csv`. `--measure` evaluates receivers in exact
+physics; a scene in the test splits of several setups is simulated once, and an interrupted run continues.
+Rows of evaluations whose outcomes were not stored are computed from the counts in `evaluations.json`. Each template
 `docs/results/data/NAME.md.jinja` becomes the page `docs/results/NAME.md`. Differences are computed by
 `handover-marl compare`, only between evaluations with stored outcomes.
 """
@@ -13,6 +15,7 @@ outcomes were not stored are computed from the counts in `evaluations.json`. Eac
 import csv
 import json
 import re
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,13 +25,20 @@ import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 import handover_marl
+from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import STATE
+from handover_marl.evaluation import benchmark
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import append_interval, format_csv, format_percent_rate
 from handover_marl.evaluation.results.episode_file import format_episode_file
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
+from handover_marl.evaluation.results.result_folder import get_result_path
+from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
+from handover_marl.policies.reference import parse_policy
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
@@ -83,11 +93,17 @@ class Args:
         add: Result folders of complete evaluations to store first.
         purpose: Reason for the use of a test split, in its log.
         out: Folder for the pages and the figure.
+        measure: Receivers, with options, to evaluate on all test splits before all else.
+        data_dir: Data folder in HandoverSim's layout, for `measure`.
+        results: Folder for the result folders of `measure`.
     """
 
     add: tuple[Path, ...] = ()
     purpose: str = "table of results"
     out: Path = FOLDER
+    measure: tuple[str, ...] = ()
+    data_dir: str | None = None
+    results: Path = Path("results/measured")
 
 
 @dataclass(frozen=True)
@@ -210,6 +226,33 @@ def make_evaluation(report: Report, path: Path | None = None) -> Evaluation:
         report.time_plan,
         path,
     )
+
+
+def measure(
+    receiver: str, out: Path, data_dir: str | None, setups: Sequence[str] = SETUPS, **config: str
+) -> Iterable[Report]:
+    """Evaluate a receiver on the test split of each setup, and yield a report for each setup.
+
+    Args:
+        receiver: Name of the receiver, with options.
+        out: Folder for the result folders.
+        data_dir: Data folder in HandoverSim's layout.
+        setups: Official setups.
+        config: Other fields of the configuration, such as another data set.
+    """
+    has_camera = parse_policy("receiver", receiver).policy_class.obs_mode != STATE
+    robot, paths = PANDA_CAMERA if has_camera else PANDA, dict[int, Path]()
+    for setup in setups:
+        chosen = {"setup": setup, "split": "test", "dataset": "dexycb", "physics": "exact"} | config
+        whole = EvaluationConfig(**chosen, data_dir=data_dir, receiver=receiver, robot=robot)  # type: ignore[arg-type]
+        folder = out / re.sub(r"\W+", "-", f"{receiver}-{whole.dataset}-{setup}")
+        evaluation = benchmark.Evaluation(whole, ExecutionConfig(out=str(folder)))
+        for index, scene in enumerate(whole.open_dataset().list_scenes(setup, "test")):
+            path = get_result_path(folder, index)
+            if scene in paths and not path.exists():
+                shutil.copyfile(paths[scene], path)
+            paths.setdefault(scene, path)
+        yield evaluation.run()
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
@@ -444,8 +487,12 @@ def draw_figure(evaluations: list[Evaluation], path: Path) -> None:
 
 
 def main(args: Args) -> None:
-    """Store new evaluations, then write the results pages and their figure."""
-    for folder in args.add:
+    """Measure and store new evaluations, then write the results pages and their figure."""
+    for receiver in args.measure:
+        for report in measure(receiver, args.results, args.data_dir):
+            print(report)
+    measured = args.results.iterdir() if args.measure else ()
+    for folder in (*args.add, *measured):
         add_evaluation(folder, args.purpose)
     evaluations = read_evaluations()
     args.out.mkdir(parents=True, exist_ok=True)

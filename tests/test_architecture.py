@@ -1,26 +1,23 @@
 """Tests of the architecture rules: packages, their order, file counts, and where engines may be imported."""
 
 import ast
-import configparser
 import re
 from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
 
-from experiments.figures.draw_architecture import (
+from tests.import_graph import (
     FOLDERS,
     REPOSITORY,
     build_import_graph,
     build_package_graph,
     find_modules,
-    remove_implied_edges,
     sort_into_layers,
 )
 
 ROOT = REPOSITORY / "handover_marl"
 MAX_PACKAGES, MAX_FILES = 12, 20
-PICTURE = REPOSITORY / "docs" / "explanation" / "architecture.svg"
 
 
 def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
@@ -89,14 +86,6 @@ def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) ->
     assert users_of(engine) == {f"handover_marl.{package}" for package in packages}
 
 
-def test_setup_cfg_lists_all_packages() -> None:
-    setup = configparser.ConfigParser()
-    setup.read(REPOSITORY / "setup.cfg")
-    listed = setup["options"]["packages"].split()
-    assert listed == sorted(listed)
-    assert set(listed) == {name for name, path in find_modules().items() if path.name == "__init__.py"}
-
-
 def test_a_class_name_means_one_thing() -> None:
     homes = defaultdict(list)
     for name, path in find_modules().items():
@@ -111,11 +100,3 @@ def test_test_folders_mirror_packages() -> None:
     packages = {name.removeprefix("handover_marl").removeprefix(".").replace(".", "/") for name in find_modules()}
     others = {"", ".", "docs", "integration", "experiments"}
     assert {folder.as_posix() for folder in folders} <= packages | others
-
-
-def test_the_picture_shows_the_imports() -> None:
-    drawn = set(re.findall(r'id="([\w.]+ imports [\w.]+)"', PICTURE.read_text()))
-    edges = remove_implied_edges(build_package_graph())
-    assert drawn == {f"{start} imports {end}" for start, ends in edges.items() for end in ends}, (
-        "run experiments/figures/draw_architecture.py"
-    )

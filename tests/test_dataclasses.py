@@ -4,7 +4,7 @@ import ast
 import functools
 from pathlib import Path
 
-from experiments.figures.draw_architecture import find_modules
+from tests.import_graph import find_modules
 
 #: Dataclasses whose fields change during an episode.
 MUTABLE = {"PointCloudMemory", "_Rollout"}

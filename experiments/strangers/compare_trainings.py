@@ -27,7 +27,7 @@ from handover_marl.evaluation.strangers.report import format_estimate
 from handover_marl.evaluation.strangers.scores import compute_mean, estimate, estimate_difference
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.policy_spec import PolicyFunction, PolicySpec
+from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, load_population
 from handover_marl.simulation.engines import MUJOCO, BatchBackend
@@ -65,7 +65,7 @@ class Args(SetupArgs):
     out: Path | None = None
 
 
-def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunction]]:
+def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[DenseNetwork]]:
     """Read policy files, and return their common specification and their networks.
 
     Raises:
@@ -80,7 +80,7 @@ def load_policies(files: tuple[Path, ...]) -> tuple[PolicySpec, list[PolicyFunct
     return found[0].spec, [one.function for one in found]
 
 
-def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tuple[StatusArray, Array]:
+def play(envs: Envs, functions: list[DenseNetwork], scenes: list[int]) -> tuple[StatusArray, Array]:
     """Return status bits and physics steps, each (policies, scenes), of an episode of each policy in each scene.
 
     Args:
@@ -105,7 +105,7 @@ def play(envs: Envs, functions: list[PolicyFunction], scenes: list[int]) -> tupl
 
 
 def play_partner(
-    config: EnvConfig, partner: str, spec: PolicySpec, functions: list[PolicyFunction], scenes: list[int]
+    config: EnvConfig, partner: str, spec: PolicySpec, functions: list[DenseNetwork], scenes: list[int]
 ) -> tuple[StatusArray, Array]:
     """Return status bits and physics steps, each (policies, scenes), of policies with a giver; see `play`."""
     factory = EnvFactory(

@@ -1,24 +1,19 @@
-"""Givers and receivers that run a trained network."""
+"""Givers and receivers that run the network of a policy file."""
 
 import os
 from pathlib import Path
 
 import handover_marl.givers
-from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.learning.action_scheme import Outputs
-from handover_marl.learning.adapters.network_policy import NetworkPolicy
-from handover_marl.learning.encodings.custom_features import Vector
-from handover_marl.learning.features import make_features
+from handover_marl.errors import OptionError
+from handover_marl.learning.adapters.function_policy import Encoding, FunctionPolicy
 from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.policy_spec import PolicyFunction
-from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import PolicyContext
 
 #: Shipped giver, trained for the receiver `yang2021`.
 DEFAULT_GIVER_FILE = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
 
 
-class LearnedPolicy(NetworkPolicy):
+class LearnedPolicy(FunctionPolicy):
     """Policy that runs a trained network, `learned:FILE`; the giver `learned` runs the shipped file.
 
     Args:
@@ -51,36 +46,10 @@ class LearnedPolicy(NetworkPolicy):
     ) -> None:
         if path is None and agent != "giver":
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
-        file = DEFAULT_GIVER_FILE if path is None else Path(path).expanduser()
-        found = read_policy(file, agent, trust, control_period)
-        self._label = self.name if path is None else f"{self.name}:{found.label}"
-        self.spec, self._function = found.spec, found.function
-        features = make_features(agent, self.spec.features, context)
-        scheme = make_scheme(agent, self.spec.actions, context)
-        sizes = features.size, scheme.size
-        if (self._function.n_inputs, self._function.n_outputs) != sizes:
-            raise DataFormatError(
-                f"{found.label}: the network must have {sizes[0]} inputs for features {self.spec.features!r} and "
-                f"{sizes[1]} outputs for actions {self.spec.actions!r}, got {self._function.n_inputs} and "
-                f"{self._function.n_outputs}"
-            )
-        super().__init__(features, scheme, self.spec.control_period, wait, found.label)
-
-    @property
-    def features(self) -> str:
-        """Name of the features that the network receives."""
-        return self.spec.features
-
-    @property
-    def function(self) -> PolicyFunction:
-        """Function from features to outputs."""
-        return self._function
-
-    @property
-    def label(self) -> str:
-        """Unique label of the policy in result files: its name, file name and file hash."""
-        return self._label
-
-    def evaluate(self, inputs: Vector) -> Outputs:
-        """Return the outputs (n_outputs,) of the network for features (n_inputs,)."""
-        return self._function(inputs)
+        found = read_policy(
+            DEFAULT_GIVER_FILE if path is None else Path(path).expanduser(), agent, trust, control_period
+        )
+        encoding = Encoding(found.spec.features, found.spec.actions, found.spec.control_period)
+        # Its name and the name and hash of the file.
+        label = self.name if path is None else f"{self.name}:{found.label}"
+        super().__init__(agent, context, found.function, encoding, self.name, label, wait=wait)

@@ -1,41 +1,29 @@
-"""Reader and writer of policy files.
+"""Reader and writer of policy files: a network and its encoding.
 
 | suffix | content | loading |
 |---|---|---|
 | .npz | weights of a `DenseNetwork`, and a `PolicySpec` as JSON; written by `export_policy` | always safe |
-| .zip | Stable-Baselines3 model, trained on a frozen environment, encoded or not | weights only; extra `train` |
-| .pt | TorchScript module from flat observations to actions | code, needs `trust=True`; extra `train` |
-| .onnx | ONNX graph from flat observations to actions | always safe; extra `onnx` |
+| .zip | Stable-Baselines3 model, trained on a frozen environment, encoded or not | code: needs trust, extra `train` |
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError
+from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.learning.features import count_features
-from handover_marl.learning.policy_spec import (
-    DenseNetwork,
-    InputNormalization,
-    OutputBounds,
-    PolicyFunction,
-    PolicySpec,
-)
-from handover_marl.learning.schemes import count_outputs
+from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds, PolicySpec
 from handover_marl.policies.registry import check_stored_reference
 
-# Format 2 has normalized inputs or bounded outputs; versions before 0.8 read format 1 only.
-_FORMAT, _EXTENDED_FORMAT = 1, 2
-#: Features and action scheme of policies from other libraries: flat observations, physical units.
-RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
+_FORMAT = 1
+_DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +32,12 @@ class PolicyFile:
 
     Attributes:
         spec: Encoding of inputs and outputs.
-        function: Function from features to outputs.
+        function: Network from features to outputs.
         label: Unique label of the policy in result files: file name and a hash of the content.
     """
 
     spec: PolicySpec
-    function: PolicyFunction
+    function: DenseNetwork
     label: str
 
 
@@ -86,8 +74,6 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
     if network.bounds is not None:
         arrays |= {"output_low": network.bounds.low, "output_high": network.bounds.high}
         about["is_scaled"] = network.bounds.is_scaled
-    if network.normalization is not None or network.bounds is not None:
-        about["format"] = _EXTENDED_FORMAT
     write_arrays(path, {"about": np.array(json.dumps(about)), **arrays})
 
 
@@ -103,63 +89,65 @@ def read_policy(
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether code in the file may run, and modules that it names may be imported.
-        control_period: Time between two decisions in training (s), for files that do not record it.
+        control_period: Time between two decisions in training (s), for files that do not record it; default: 0.1 s.
 
     Raises:
         DataNotFoundError: The file does not exist or cannot be read.
         DataFormatError: The file is damaged, or the policy is for another agent or other spaces.
         UnsafeFileError: The file contains Python objects or code, or names a module, and is not trusted.
-        OptionError: The suffix is unknown, a package is missing, or `control_period` is missing or
-            contradicts the file.
+        OptionError: The suffix is unknown, a package is missing, or `control_period` contradicts the file.
     """
     content = read_file(path)
-    label = f"{path.stem}@{hashlib.sha256(content).hexdigest()[:8]}"
-    function: PolicyFunction
     if path.suffix == ".npz":
         spec, function = _read_npz(path, content)
-    elif path.suffix in (".zip", ".pt", ".onnx"):
-        function, recorded, encoding = _read_other_format(path, content, agent, trust)
-        period = _resolve_control_period(path, recorded, control_period)
-        spec = PolicySpec(agent, *encoding, period, origin=path.name)
+    elif path.suffix == ".zip":
+        spec, function = _read_zip(path, content, agent, trust)
     else:
-        raise OptionError(f"{path}: policy files are .npz, .zip (Stable-Baselines3), .pt (TorchScript) or .onnx (ONNX)")
+        raise OptionError(f"{path}: policy files are .npz or .zip (Stable-Baselines3); run others with as_{agent}")
     if spec.agent != agent:
         raise DataFormatError(f"{path}: policy must be for the {agent}, got one for the {spec.agent}")
-    if control_period is not None and abs(control_period - spec.control_period) > 1e-9:
-        raise OptionError(f"{path}: control_period must be {spec.control_period} as in training, got {control_period}")
-    check_stored_encoding(path, (spec.features, spec.actions), trust)
-    return PolicyFile(spec, function, label)
+    for kind, name in (("features", spec.features), ("action scheme", spec.actions)):
+        check_stored_reference(path, kind, name, trust)
+    period = match_control_period(path, spec.control_period, control_period)
+    label = f"{path.stem}@{hashlib.sha256(content).hexdigest()[:8]}"
+    return PolicyFile(replace(spec, control_period=period), function, label)
 
 
-def check_stored_encoding(path: Path, encoding: tuple[str, str], trust: bool) -> None:
-    """Check the names of features and action scheme that a policy file records.
+def _read_zip(path: Path, content: bytes, agent: str, trust: bool) -> tuple[PolicySpec, DenseNetwork]:
+    # Imports Stable-Baselines3, which policies in .npz files do not need.
+    from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
+
+    model = load_sb3_file(path, content, trust)
+    owner, features, actions, period = get_recorded_encoding(model)
+    if owner is None or features is None or actions is None:
+        raise DataFormatError(
+            f"{path}: the file does not record features and action scheme of its training; pass them to as_{agent}"
+        )
+    spec = PolicySpec(owner, features, actions, _DEFAULT_PERIOD if period is None else period, path.name)
+    return spec, dense_network_from_sb3(model)
+
+
+def load_sb3_file(path: Path, content: bytes, trust: bool) -> Any:
+    """Load a model of Stable-Baselines3 from the content of a file, which contains pickles.
 
     Raises:
-        UnsafeFileError: One is `module:name`, and the file is not trusted.
+        UnsafeFileError: The file is not trusted.
+        DataFormatError: The file contains no such model.
+        OptionError: Stable-Baselines3 is not installed.
     """
-    for kind, name in zip(("features", "action scheme"), encoding, strict=True):
-        check_stored_reference(path, kind, name, trust)
-
-
-def _read_other_format(
-    path: Path, content: bytes, agent: str, trust: bool
-) -> tuple[PolicyFunction, float | None, tuple[str, str]]:
-    """Return the function of another library's file, its control period if recorded, and its encoding."""
-    # Readers are imported here, because .npz files need neither PyTorch nor ONNX Runtime.
-    features, actions = RAW_ENCODINGS[agent]
-    if path.suffix == ".zip":
-        from handover_marl.learning.stable_baselines_files import read_stable_baselines
-
-        found = read_stable_baselines(path, content, agent)
-        return found.function, found.control_period, found.encoding or (features, actions)
-    sizes = count_features(agent, features), count_outputs(agent, actions)
-    if path.suffix == ".onnx":
-        from handover_marl.learning.adapters.onnx_files import read_onnx
-
-        return read_onnx(path, content, sizes), None, (features, actions)
-    from handover_marl.learning.adapters.torch_script import read_torch_script
-
-    return read_torch_script(path, content, agent, trust, sizes), None, (features, actions)
+    if not trust:
+        raise UnsafeFileError(
+            f"{path}: a file of Stable-Baselines3 can run code; pass trust=True (--trust) if you know where it comes "
+            "from, or write the policy as .npz with handover_marl.export_policy"
+        )
+    try:
+        from handover_marl.learning.adapters.sb3_models import load_sb3_model
+    except ImportError as error:
+        raise OptionError(f"{path} needs Stable-Baselines3: pip install 'handover-marl[train]'") from error
+    try:
+        return load_sb3_model(content)
+    except Exception as error:  # unpickling may raise anything
+        raise DataFormatError(f"{path}: not a model of Stable-Baselines3 ({shorten_text(error)})") from error
 
 
 def read_file(path: Path) -> bytes:
@@ -179,14 +167,21 @@ def read_file(path: Path) -> bytes:
         raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
 
 
-def _resolve_control_period(path: Path, recorded: float | None, requested: float | None) -> float:
-    period = requested if recorded is None else recorded
-    if period is None:
-        raise OptionError(
-            f"{path}: the file does not record the control period of the training; pass it: "
-            f"learned:{path}:control_period=0.1"
-        )
-    return check_control_period(period, f"{path}: ")
+def match_control_period(where: object, recorded: float | None, requested: float | None) -> float:
+    """Return the time between two decisions (s): as recorded, else as requested, else 0.1 s.
+
+    Args:
+        where: Policy, for errors.
+        recorded: Time that is recorded for the policy, or None.
+        requested: Time that the caller passes, or None.
+
+    Raises:
+        OptionError: The times differ, or one is out of range.
+    """
+    if recorded is not None and requested is not None and abs(recorded - requested) > 1e-9:
+        raise OptionError(f"{where}: control_period must be {recorded} as in training, got {requested}")
+    found = requested if recorded is None else recorded
+    return _DEFAULT_PERIOD if found is None else check_control_period(found, f"{where}: ")
 
 
 def check_control_period(period: object, where: str = "") -> float:
@@ -240,14 +235,11 @@ def _parse_bounds(arrays: Mapping[str, npt.NDArray[Any]], about: Mapping[str, An
 
 
 def _parse_spec(about: dict[str, Any]) -> PolicySpec:
-    if about["format"] not in (_FORMAT, _EXTENDED_FORMAT):
-        raise DataFormatError(
-            f"format must be {_FORMAT} or {_EXTENDED_FORMAT}, got {about['format']!r}; update handover_marl"
-        )
+    if about["format"] != _FORMAT:
+        raise DataFormatError(f"format must be {_FORMAT}, got {about['format']!r}; write the file again")
     spec = PolicySpec(**about["spec"])
+    check_control_period(spec.control_period)
     for name, value in asdict(spec).items():
-        if not isinstance(value, (int, float) if name == "control_period" else str):
+        if name != "control_period" and not isinstance(value, str):
             raise DataFormatError(f"{name} has the wrong type: {shorten_text(repr(value))}")
-    if not 0.001 <= spec.control_period <= 60.0:
-        raise DataFormatError(f"control_period must be from 0.001 to 60 s, got {spec.control_period}")
     return spec

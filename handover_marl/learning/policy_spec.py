@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +11,8 @@ from handover_marl.errors import DataFormatError
 
 Array = npt.NDArray[np.float32]
 
+#: Features and action scheme of policies from other libraries: flat observations, physical units.
+RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
 #: Activations by name; they return float32 arrays for float32 arrays.
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": lambda values: np.tanh(values),
@@ -22,21 +23,6 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "sigmoid": lambda values: np.asarray(expit(values)),
     "silu": lambda values: np.asarray(values * expit(values)),
 }
-
-
-class PolicyFunction(Protocol):
-    """Callable from a feature vector to network outputs, such as a `DenseNetwork`."""
-
-    @property
-    def n_inputs(self) -> int:
-        """Number of input features."""
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of network outputs."""
-
-    def __call__(self, inputs: Array) -> Array:
-        """Return the outputs (n_outputs,) for features (n_inputs,)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ class HandoverPosePredictorConfig(CheckedConfig):
     The second term moves the prediction of a moving object towards the mean handover position; it
     is zero for an object at rest. An object that was lifted and then stays within a small region
     counts as held still. Its velocity is extrapolated for a shorter time, without the second term.
-    `experiments/analysis/handover_pose_error.py` fits the constants.
+    The constants were fitted on recordings of s0 train.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).

@@ -54,7 +54,7 @@ def test_error_messages(arguments: list[str], message: str, capsys: pytest.Captu
     assert not printed.out
 
 
-@pytest.mark.parametrize("module", ["examples.own_giver", "examples.own_receiver", "analysis.failures"])
+@pytest.mark.parametrize("module", ["examples.own_giver", "examples.own_receiver"])
 def test_scripts_take_scene_numbers_alike(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     script = importlib.import_module(f"experiments.{module}")
     for words in (["35", "36"], ["35,36"], ["35,", "36"]):

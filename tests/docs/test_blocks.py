@@ -33,7 +33,7 @@ NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/w
     "docs/how_to/many_machines.md": ("ray",),
     "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
     "docs/how_to/vector_environments.md": ("mujoco", "stable_baselines3", "torchrl"),
-    "docs/tutorials/own_network.md": ("stable_baselines3", "onnxruntime", "onnx"),
+    "docs/tutorials/own_network.md": ("stable_baselines3",),
     "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
 }
 #: Additional module that a script needs, by the beginning of its name.
@@ -46,7 +46,6 @@ SCRIPTS_NEED = {
     "other_libraries/train_both_rllib": "tree",  # a requirement of RLlib; the backend needs only Ray
     "other_libraries/train_both_benchmarl": "benchmarl",
     "other_libraries/train_both_tianshou": "tianshou",
-    "best_response": "stable_baselines3",
 }
 ENVIRONMENTS, DECISIONS = 2, 16
 #: Pages whose programs need what happens late in an episode: a decision of the giver, a release, or a success.
@@ -83,7 +82,7 @@ def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         "handover-marl benchmark --recever hold",
         "handover-marl benchmark --receiver nobody",
         "handover-marl crossplay --givers nobody --receivers hold",
-        "python experiments/analysis/scene_37.py --scenes 37",
+        "python experiments/rank_correlation.py --scenes 37",
         "make everything",
         "pip install -e .[nothing]",
     ):

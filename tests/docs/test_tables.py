@@ -31,7 +31,8 @@ from handover_marl.evaluation.reports.pages import render_report_page
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.scene_tables import SCENE_HEADER, build_scene_table
 from handover_marl.evaluation.verification.differences import Difference, EpisodeCheck, Verification
-from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, format_columns
+from handover_marl.learning.features import list_features
+from handover_marl.learning.schemes import list_schemes
 from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks, name
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
@@ -48,9 +49,9 @@ CHECKED = {
     },
     "docs/reference/features.md": {
         f"{kind} {agent}/{name}"
-        for kind, table in (("features", FEATURE_COLUMNS), ("scheme", SCHEME_COLUMNS))
-        for agent, named in table.items()
-        for name in named
+        for agent in ("giver", "receiver")
+        for kind, names in (("features", list_features(agent)), ("scheme", list_schemes(agent)))
+        for name in names
     },
     "docs/reference/generated_scenes.md": {"generated scenes"},
     "docs/reference/policies.md": {"receiver inputs"},
@@ -144,19 +145,6 @@ def test_reward_terms() -> None:
     lines = [line.split("|") for line in (reward_terms.__doc__ or "").splitlines() if line.startswith("| ")][1:]
     documented = [[bare(row[0]), row[1].replace(" of duration T", ""), row[2]] for row in rows]
     assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
-
-
-@pytest.mark.parametrize("mark", sorted(CHECKED["docs/reference/features.md"]))
-def test_columns_of_features_and_schemes(mark: str) -> None:
-    """The page has the same tables as the code; `tests/learning/encodings/test_columns.py` checks their values."""
-    page = REPOSITORY / "docs" / "reference" / "features.md"
-    kind, _, place = mark.partition(" ")
-    agent, _, name = place.partition("/")
-    columns = (FEATURE_COLUMNS if kind == "features" else SCHEME_COLUMNS)[agent][name]
-    lines = format_columns(columns).splitlines()[2:]
-    assert checked_table(page, mark) == [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-    unit = "features" if kind == "features" else "outputs"
-    assert f"`{name}` of the {agent} ({sum(column.size for column in columns)} {unit})" in page.read_text()
 
 
 def test_arguments() -> None:

@@ -232,18 +232,14 @@ def test_demonstrations_are_the_same(cluster: Any, nodes: list[Any], tmp_path: P
     assert contents(tmp_path / "ray") == contents(tmp_path / "local")
 
 
-@pytest.mark.parametrize("kind", ["function", "module", "onnx"])
+@pytest.mark.parametrize("kind", ["function", "module"])
 def test_adapted_networks_act_as_here(cluster: Any, nodes: list[Any], kind: str, tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="needs the extra `train`")
-    from tests.learning.adapters.networks import CHOICES, SIZES, make_net, write_onnx
+    from tests.learning.adapters.networks import CHOICES, SIZES, make_net
 
     net, (n_inputs, n_outputs) = make_net(), SIZES["receiver"]
     weights = np.random.default_rng(0).normal(size=(n_outputs, n_inputs)).astype(np.float32)
-    if kind == "onnx":
-        pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
-        pytest.importorskip("onnx")
-        write_onnx(net, tmp_path / "net.onnx")
-    policies = {"function": lambda features: weights @ features, "module": net, "onnx": tmp_path / "net.onnx"}
+    policies = {"function": lambda features: weights @ features, "module": net}
     receiver = handover_marl.as_receiver(policies[kind], **CHOICES["receiver"])
     scenes = SCENES[:2]
     handover_marl.evaluate_pair(

@@ -1,10 +1,10 @@
-"""experiments/analysis/rank_correlation.py, as one would call it."""
+"""experiments/rank_correlation.py, as one would call it."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-SCRIPT = Path(__file__).parents[2] / "experiments" / "analysis" / "rank_correlation.py"
+SCRIPT = Path(__file__).parents[2] / "experiments" / "rank_correlation.py"
 
 
 def reported(study: Path, text: str) -> subprocess.CompletedProcess[str]:

@@ -100,7 +100,7 @@ def test_yang_receiver_gives_the_recording(name: str, recordings: Path, real_dat
     episode.close()
 
 
-# The test plays a sixth of the scenes without a recording; experiments/measure_results.py evaluates all test splits.
+# The test plays a sixth of the scenes without a recording; experiments/make_results.py evaluates all test splits.
 def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset) -> None:
     expected = json.loads((recordings / "yang_s0_val.json").read_text())
     scene_ids = real_dataset.list_scenes("s0", "val")

@@ -1,9 +1,7 @@
 """Tests that names in files import no module unless the caller trusts the file or passes the name."""
 
 import contextlib
-import json
 import sys
-import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -67,20 +65,6 @@ def planted_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     sys.modules.pop(MODULE, None)
 
 
-def write_sb3(control_period: float = 0.1) -> str:
-    """Write a model of Stable-Baselines3 that records own features and an own action scheme."""
-    torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    state = {"mlp_extractor.policy_net.0.weight": torch.zeros(4, 2), "mlp_extractor.policy_net.0.bias": torch.zeros(4)}
-    state |= {"action_net.weight": torch.zeros(9, 4), "action_net.bias": torch.zeros(9)}
-    torch.save(state, "policy.pth")
-    space = {"low": str([-1.0] * 9), "high": str([1.0] * 9), "control_period": control_period}
-    space["encoding"] = {"agent": "receiver", **ENCODING}
-    with zipfile.ZipFile("model.zip", "w") as archive:
-        archive.writestr("data", json.dumps({"action_space": space}))
-        archive.write("policy.pth")
-    return "model.zip"
-
-
 def write_strangers_population(agent: str = "giver") -> Path:
     entries = [dict(each) for each in (GIVERS if agent == "giver" else RECEIVERS)]
     entries[-1]["policy"] = f"{MODULE}:Own{agent.capitalize()}"
@@ -101,11 +85,11 @@ def make_receiver(policy: Any, trust: bool) -> None:
     parse_policy("receiver", policy, trust).make(DATA)
 
 
-def write_npz(**names: str) -> str:
+def write_npz(control_period: float = 0.1, **names: str) -> str:
     chosen = {"features": "close", "actions": "receiver"} | names
     size = 2 if chosen["features"] == ENCODING["features"] else count_features("receiver", chosen["features"])
     network = DenseNetwork((np.zeros((9, size), np.float32),), (np.zeros(9, np.float32),))
-    write_policy(Path("policy.npz"), PolicySpec("receiver", control_period=0.1, **chosen), network)
+    write_policy(Path("policy.npz"), PolicySpec("receiver", control_period=control_period, **chosen), network)
     return "policy.npz"
 
 
@@ -131,10 +115,6 @@ READERS: dict[str, Callable[[bool], object]] = {
     "features of as_receiver(npz)": lambda trust: make_receiver(
         handover_marl.as_receiver(write_npz(**ENCODING), trust=trust), False
     ),
-    "features of as_receiver(zip)": lambda trust: make_receiver(
-        handover_marl.as_receiver(write_sb3(), trust=trust), False
-    ),
-    "features of learned:zip": lambda trust: make_receiver(f"learned:{write_sb3()}", trust),
     "giver of a result folder": verify_results,
     "givers of a population": lambda trust: parse_policy(
         "giver", load_population(write_strangers_population(), trust).givers[-1].policy
@@ -177,7 +157,8 @@ def test_what_the_caller_passes_is_imported() -> None:
     assert Path("imported").exists()
     sys.modules.pop(MODULE)
     Path("imported").unlink()
-    handover_marl.as_receiver(write_sb3(), features=ENCODING["features"], action_scheme=ENCODING["actions"]).make(DATA)
+    chosen = {"features": ENCODING["features"], "action_scheme": ENCODING["actions"]}
+    handover_marl.as_receiver(lambda features: np.zeros(9), **chosen).make(DATA)
     assert Path("imported").exists()
 
 
@@ -185,4 +166,4 @@ def test_what_the_caller_passes_is_imported() -> None:
 def test_control_periods_in_files(control_period: float) -> None:
     for read in (handover_marl.as_receiver, lambda file, trust: make_receiver(f"learned:{file}", trust)):
         with pytest.raises(HandoverError, match=r"control_period must be a time from 0\.001 to 60 s"):
-            read(write_sb3(control_period), trust=True)
+            read(write_npz(control_period=control_period), trust=True)

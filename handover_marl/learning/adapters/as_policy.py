@@ -1,9 +1,8 @@
-"""Conversion of functions, networks and files of other libraries to receivers and givers."""
+"""Conversion of functions, networks and policy files to receivers and givers."""
 
 import copy
 import functools
 import hashlib
-import io
 import os
 import sys
 from collections.abc import Callable
@@ -14,32 +13,30 @@ from typing import Any, TypeAlias
 import cloudpickle
 
 from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
-from handover_marl.errors import OptionError, UnsafeFileError, check_name
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
 from handover_marl.learning.adapters.export import is_sb3_model
-from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy
-from handover_marl.learning.adapters.models import CallableModel, GraphModel, Model, NetworkModel, TorchModel
+from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy, TorchFunction
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import list_features
 from handover_marl.learning.policy_files import (
-    RAW_ENCODINGS,
     check_control_period,
-    check_stored_encoding,
+    load_sb3_file,
+    match_control_period,
     read_file,
     read_policy,
 )
+from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing import hash_object, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
 #: Function, PyTorch module, model of Stable-Baselines3, or path of a policy file.
 ModelLike: TypeAlias = Callable[..., Any] | str | os.PathLike[str]
-_DEFAULT_PERIOD = 0.1  # s, as that of environments
-_GRAPHS = (".pt", ".onnx")
 
 
 def as_receiver(
@@ -58,9 +55,8 @@ def as_receiver(
     |---|---|---|
     | function or callable object | the observation, a dict of arrays | `reset(seed)` is called if it exists |
     | PyTorch module | (1, n) flat observation; with camera data a dict of (1, ...) tensors | copied to the CPU |
-    | model of Stable-Baselines3, or its .zip file | as in training | PPO, A2C, SAC, TD3, DDPG |
-    | TorchScript file, .pt | (1, n) flat observation | code, needs `trust=True` |
-    | ONNX file, .onnx | (1, n) flat observation | extra `onnx` |
+    | model of Stable-Baselines3 | as in training | PPO, A2C, SAC, TD3, DDPG |
+    | file of such a model, .zip | as in training | can run code, needs `trust=True` |
     | policy file, .npz | as in training | see `handover_marl.export_policy` |
 
     By default the outputs are nine target joint positions (rad, m). The policy is copied: later training of
@@ -76,7 +72,7 @@ def as_receiver(
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and
             a hash.
-        trust: Whether the code of a TorchScript file may run, and modules that a file names may be imported.
+        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
 
     Raises:
         OptionError: The policy does not fit the features or the action scheme, cannot be sent to worker
@@ -112,7 +108,7 @@ def as_giver(
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
         name: Name in tables and result folders; default: the name of the function, class or file and
             a hash.
-        trust: Whether the code of a TorchScript file may run, and modules that a file names may be imported.
+        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
 
     Raises:
         HandoverError: As for `as_receiver`.
@@ -137,12 +133,28 @@ def _adapt(
         control_period = check_control_period(control_period)
     _check_choice("features", features, (*list_features(agent), OBSERVATION))
     _check_choice("action scheme", action_scheme, list_schemes(agent))
-    chosen = None if features is None and action_scheme is None else (features, action_scheme)
-    model, stem, digest, trained = _make_model(agent, policy, control_period, chosen, trust)
-    encoding = _complete_encoding(agent, model, trained, control_period, obs_mode, (features, action_scheme))
-    parts = [digest, *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
+    chosen = features, action_scheme
+    if isinstance(policy, (str, os.PathLike)):
+        stem, function, encoding = _read_file(agent, Path(policy).expanduser(), control_period, chosen, trust)
+    elif is_sb3_model(policy):
+        stem = type(policy).__name__
+        function, encoding = _convert_sb3_model(agent, policy, control_period, chosen)
+    else:
+        stem, function = _wrap_function(policy)
+        takes_vectors = isinstance(function, TorchFunction) and obs_mode == STATE
+        encoding = Encoding(
+            *_complete_pair(agent, chosen, takes_vectors), match_control_period("policy", None, control_period)
+        )
+    encoding = replace(encoding, obs_mode=obs_mode)
+    if encoding.features in list_features(agent) and not has_state(obs_mode):
+        raise OptionError(
+            f"obs_mode must include the state that features {encoding.features!r} are computed from, got {obs_mode!r}; "
+            f"take 'state+{obs_mode}'"
+        )
+    hashed = function.module if isinstance(function, TorchFunction) else function
+    parts = [hash_object(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
     digest = hashlib.sha256(repr((parts, encoding.control_period, obs_mode)).encode()).hexdigest()[:16]
-    keywords: dict[str, Any] = {"model": model, "encoding": encoding, "name": name or stem, "digest": digest}
+    keywords: dict[str, Any] = {"function": function, "encoding": encoding, "name": name or stem, "digest": digest}
     label = name or f"{stem}@{digest[:8]}"
     try:
         pickled = cloudpickle.dumps(functools.partial(FunctionPolicy, **keywords, label=label))
@@ -151,7 +163,7 @@ def _adapt(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "
             f"write a subclass of handover_marl.{agent}s.{agent.capitalize()}, which makes what it needs itself"
         ) from error
-    packages = list_packages(policy) if isinstance(model, (CallableModel, TorchModel)) else ()
+    packages = () if isinstance(function, DenseNetwork) else list_packages(policy)
     return PolicyReference(agent, name or stem, pickled, packages=packages)
 
 
@@ -163,128 +175,61 @@ def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
 
 
 def _describe_choice(choice: object) -> str:
-    return choice if isinstance(choice, str) else hash_function(choice)
+    return choice if isinstance(choice, str) else hash_object(choice)
 
 
-def _make_model(
-    agent: str, policy: Any, control_period: float | None, chosen: tuple[object, object] | None, trust: bool
-) -> tuple[Model, str, str, Encoding | None]:
-    """Return model, name, hash, and the encoding that is recorded for a model that was trained here."""
+def _complete_pair(agent: str, chosen: tuple[Any, Any], takes_vectors: bool = True) -> tuple[Any, Any]:
+    """Return features and action scheme, by default the flat or whole observation and the action in physical units."""
+    features, actions = RAW_ENCODINGS[agent]
+    default = features if takes_vectors else OBSERVATION
+    return (default if chosen[0] is None else chosen[0], actions if chosen[1] is None else chosen[1])
+
+
+def _read_file(
+    agent: str, path: Path, control_period: float | None, chosen: tuple[Any, Any], trust: bool
+) -> tuple[str, DenseNetwork, Encoding]:
+    """Return name, network and encoding of a policy file."""
+    if chosen == (None, None):
+        file = read_policy(path, agent, trust, control_period)
+        return path.stem, file.function, Encoding(file.spec.features, file.spec.actions, file.spec.control_period)
+    if path.suffix != ".zip":
+        raise OptionError(f"{path}: a policy file records features and action scheme; do not pass them")
+    model = load_sb3_file(path, read_file(path), trust)
+    return path.stem, *_convert_sb3_model(agent, model, control_period, chosen)
+
+
+def _convert_sb3_model(
+    agent: str, model: Any, control_period: float | None, chosen: tuple[Any, Any]
+) -> tuple[DenseNetwork, Encoding]:
+    """Return network and encoding of a model of Stable-Baselines3."""
+    # Imports Stable-Baselines3, which made the model.
+    from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
+
+    owner, features, actions, period = get_recorded_encoding(model)
+    if owner not in (None, agent):
+        raise OptionError(f"policy must be a model for the {agent}, got one for the {owner}")
+    if chosen != (None, None):
+        features, actions = _complete_pair(agent, chosen)
+    if features is None or actions is None:
+        raise OptionError("the model does not record its encoding; pass features and action_scheme of its training")
+    encoding = Encoding(features, actions, match_control_period("policy", period, control_period))
+    return dense_network_from_sb3(model), encoding
+
+
+def _wrap_function(policy: Any) -> tuple[str, Callable[[Any], Any]]:
+    """Return the name and the function of a plain function, a callable object or a PyTorch module."""
     if isinstance(policy, (Policy, PolicyReference)) or (isinstance(policy, type) and issubclass(policy, Policy)):
         raise OptionError(
             f"policy must be a function, a network or a file, got the policy {policy!r}; pass it directly"
         )
-    if isinstance(policy, (str, os.PathLike)):
-        return _read_model(agent, Path(policy).expanduser(), control_period, chosen, trust)
-    if is_sb3_model(policy):
-        return _convert_model(agent, policy, control_period, chosen)
     torch = sys.modules.get("torch")  # a module of PyTorch can exist only if PyTorch was imported
-    if torch is not None and isinstance(policy, torch.jit.ScriptModule):
-        stream = io.BytesIO()
-        torch.jit.save(policy, stream)
-        stem = getattr(policy, "original_name", "script")
-        content = stream.getvalue()
-        return GraphModel(Path(f"{stem}.pt"), content), stem, hashlib.sha256(content).hexdigest(), None
     if torch is not None and isinstance(policy, torch.nn.Module):
         module = copy.deepcopy(policy).to("cpu").eval().requires_grad_(False)
-        return TorchModel(module), type(policy).__name__, hash_function(module), None
+        return type(policy).__name__, TorchFunction(module)
     if not callable(policy) or isinstance(policy, type):
         raise OptionError(
             f"policy must be a function, a PyTorch module, a model of Stable-Baselines3 or the path of a file, got "
             f"{shorten_text(repr(policy))}"
         )
     function = policy.func if isinstance(policy, functools.partial) else policy
-    stem = str(getattr(function, "__name__", type(function).__name__)).strip("<>")
-    return CallableModel(policy), stem, hash_function(policy), None
-
-
-def _convert_model(
-    agent: str, policy: Any, control_period: float | None, chosen: tuple[object, object] | None
-) -> tuple[Model, str, str, Encoding | None]:
-    """Return network, name, hash and encoding of a model of Stable-Baselines3."""
-    # Imports Stable-Baselines3, which made the model.
-    from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
-
-    owner, features, actions, period = get_recorded_encoding(policy)
-    if owner not in (None, agent):
-        raise OptionError(f"policy must be a model for the {agent}, got one for the {owner}")
-    if chosen is not None:
-        features, actions = _complete_pair(agent, chosen)
-    if features is None or actions is None:
-        raise OptionError("the model does not record its encoding; pass features and action_scheme of its training")
-    encoding = Encoding(features, actions, _match_period("policy", period, control_period))
-    network = dense_network_from_sb3(policy)
-    return NetworkModel(network), type(policy).__name__, hash_function(network), encoding
-
-
-def _read_model(
-    agent: str, path: Path, control_period: float | None, chosen: tuple[object, object] | None, trust: bool
-) -> tuple[Model, str, str, Encoding | None]:
-    """Return model, name and hash of a policy file, and the encoding that it records."""
-    content = read_file(path)
-    digest = hashlib.sha256(content).hexdigest()
-    if path.suffix in _GRAPHS:
-        if path.suffix == ".pt" and not trust:
-            raise UnsafeFileError(
-                f"{path}: a TorchScript file is code; pass trust=True if you know where it comes from, or export the "
-                "policy as .npz or .onnx"
-            )
-        return GraphModel(path, content), path.stem, digest, None
-    if path.suffix == ".zip":
-        from handover_marl.learning.stable_baselines_files import read_stable_baselines
-
-        pair = None if chosen is None else _complete_pair(agent, chosen)
-        found = read_stable_baselines(path, content, agent, pair)
-        period = _match_period(path, found.control_period, control_period)
-        if pair is None and found.encoding is not None:
-            check_stored_encoding(path, found.encoding, trust)
-        features, actions = pair or found.encoding or RAW_ENCODINGS[agent]
-        encoding = Encoding(features, actions, period)
-        return NetworkModel(found.function), path.stem, digest, encoding
-    if chosen is not None:
-        raise OptionError(f"{path}: a policy file records features and action scheme; do not pass them")
-    file = read_policy(path, agent, trust, control_period)
-    encoding = Encoding(file.spec.features, file.spec.actions, file.spec.control_period)
-    return NetworkModel(file.function), path.stem, digest, encoding
-
-
-def _complete_pair(agent: str, chosen: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Return features and action scheme, by default the flat observation and the action in physical units."""
-    features, actions = RAW_ENCODINGS[agent]
-    return (features if chosen[0] is None else chosen[0], actions if chosen[1] is None else chosen[1])
-
-
-def _match_period(where: object, recorded: float | None, requested: float | None) -> float:
-    if recorded is not None and requested is not None and abs(recorded - requested) > 1e-9:
-        raise OptionError(f"{where}: control_period must be {recorded} as in training, got {requested}")
-    found = recorded if requested is None else requested
-    return _DEFAULT_PERIOD if found is None else check_control_period(found, f"{where}: ")
-
-
-def _complete_encoding(
-    agent: str,
-    model: Model,
-    trained: Encoding | None,
-    control_period: float | None,
-    obs_mode: str,
-    chosen: tuple[Any, Any],
-) -> Encoding:
-    """Return the encoding of a policy: that of its training, else the chosen one and defaults."""
-    if trained is not None:
-        encoding = replace(trained, obs_mode=obs_mode)
-    else:
-        features, actions = _complete_pair(agent, chosen)
-        if chosen[0] is None and not (model.takes_vectors and obs_mode == STATE):
-            features = OBSERVATION
-        encoding = Encoding(features, actions, _match_period("policy", None, control_period), obs_mode)
-    name = encoding.features
-    if isinstance(model, GraphModel) and name == OBSERVATION:
-        raise OptionError(
-            f"{model.path} takes vectors, not observations; pass features, or a PyTorch module that takes a dict"
-        )
-    if isinstance(name, str) and name in list_features(agent) and not has_state(obs_mode):
-        raise OptionError(
-            f"obs_mode must include the state that features {name!r} are computed from, got {obs_mode!r}; take "
-            f"'state+{obs_mode}'"
-        )
-    return encoding
+    return str(getattr(function, "__name__", type(function).__name__)).strip("<>"), policy

@@ -10,11 +10,9 @@ from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.learning.adapters.torch_modules import dense_network_from_module
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.policy_files import check_control_period, write_policy
+from handover_marl.learning.policy_files import match_control_period, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
 from handover_marl.learning.schemes import count_outputs, list_schemes
-
-_DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def export_policy(
@@ -117,8 +115,7 @@ def _make_spec(
     ):
         if not is_reference(value):
             check_name(kind, value, known)
-    period = check_control_period(_DEFAULT_PERIOD if period is None else period)
-    return PolicySpec(agent, features, actions, period, origin)
+    return PolicySpec(agent, features, actions, match_control_period("policy", period, None), origin)
 
 
 def _check_sizes(network: DenseNetwork, spec: PolicySpec) -> None:

@@ -1,5 +1,7 @@
-"""Policies that run a function, a PyTorch module or a file of another library."""
+"""Policies that run a function or a network on encoded observations."""
 
+import inspect
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,13 +13,13 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.episode.spaces import STATE, check_vector
 from handover_marl.errors import ActionError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text
-from handover_marl.learning.adapters.models import Model, ModelFunction, reset_function
-from handover_marl.learning.adapters.network_policy import NetworkPolicy
+from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.custom_features import AgentFeatures, FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
+from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_scheme
-from handover_marl.policies.policy import PolicyContext
+from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
 
 #: Choice of features for functions that take observations as they are.
 OBSERVATION = "observation"
@@ -25,7 +27,7 @@ OBSERVATION = "observation"
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """Encoding of the inputs and outputs of an adapted policy.
+    """Encoding of the inputs and outputs of a policy.
 
     Attributes:
         features: Features, see `handover_marl.encode`, or `OBSERVATION`.
@@ -40,30 +42,29 @@ class Encoding:
     obs_mode: str = STATE
 
 
-class FunctionPolicy(NetworkPolicy):
-    """Policy that runs a model; made by `handover_marl.as_receiver` and `handover_marl.as_giver`.
+class FunctionPolicy(Policy):
+    """Policy that encodes observations, evaluates a function or a network, and decodes its outputs.
 
     Args:
         agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
-        model: Function, PyTorch module, network of a policy file, or content of a TorchScript or ONNX file.
+        function: Function from inputs to outputs: a plain function, a `TorchFunction` or a `DenseNetwork`.
         encoding: Encoding of inputs and outputs.
         name: Name of the policy.
         label: Unique label of the policy in result files.
-        digest: Hash of model and encoding.
+        digest: Hash of function and encoding.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
 
     Raises:
-        OptionError: The model does not fit features or action scheme, or a package is missing.
-        DataFormatError: A file does not fit features or action scheme.
+        OptionError: The function does not fit features or action scheme, or the action scheme has no wait.
     """
 
     def __init__(
         self,
         agent: str,
         context: PolicyContext,
-        model: Model,
+        function: Callable[[Any], Any],
         encoding: Encoding,
         name: str = "function",
         label: str = "function",
@@ -72,28 +73,32 @@ class FunctionPolicy(NetworkPolicy):
     ) -> None:
         self.name = name  # type: ignore[misc]
         self.obs_mode = encoding.obs_mode
-        self._agent, self._label, self._digest, self._features = agent, label, digest, encoding.features
-        scheme = make_scheme(agent, encoding.action_scheme, context)
-        features = None
-        if not _is_observation(encoding.features):
-            features = make_features(agent, encoding.features, context)
-        super().__init__(
-            _return_observation if features is None else features, scheme, encoding.control_period, wait, name
-        )
-        self._n_outputs = scheme.size
-        sizes = None if features is None else (features.size, scheme.size)
-        self._check_declared_sizes(model, sizes)
-        self._function = model.load(agent, sizes)
-        if model.is_network:
-            self._try_zeros(features, context)
+        self._agent, self._label, self._digest, self._encoding = agent, label, digest, encoding
+        self._function, self._scheme = function, make_scheme(agent, encoding.action_scheme, context)
+        self._features: AgentFeatures | None = None
+        if not (isinstance(encoding.features, str) and encoding.features == OBSERVATION):
+            self._features = make_features(agent, encoding.features, context)
+        if wait is not None:
+            if not self._scheme.wait:
+                raise OptionError(f"{name}: action scheme {self._scheme.name!r} has no wait; remove wait={wait}")
+            self._scheme.wait = milliseconds_from_wait(wait) / 1000.0
+        if isinstance(function, DenseNetwork):
+            self._check_sizes(function)
+        elif isinstance(function, TorchFunction):
+            self._try_zeros(context)
+
+    @property
+    def scheme(self) -> ActionScheme:
+        """Action scheme that decodes the outputs."""
+        return self._scheme
 
     @property
     def features(self) -> FeaturesLike:
         """Features that the function receives, or `OBSERVATION` if it receives whole observations."""
-        return self._features
+        return self._encoding.features
 
     @property
-    def function(self) -> ModelFunction:
+    def function(self) -> Callable[[Any], Any]:
         """Function from inputs to outputs."""
         return self._function
 
@@ -107,10 +112,29 @@ class FunctionPolicy(NetworkPolicy):
         """Hash of the function's code and values, of weights, and of the encoding."""
         return self._digest
 
+    @property
+    def wait(self) -> float:
+        """Time for which the robot stays at its waiting pose at the start of an episode (s)."""
+        return self._scheme.wait
+
+    @property
+    def hold_time(self) -> float:
+        """Time between two decisions (s), as in training."""
+        return self._encoding.control_period
+
     def reset(self, seed: int | None = None) -> None:
         """Clear the state of the previous episode; a function with a method `reset(seed)` is reset too."""
-        super().reset(seed)
+        self._scheme.reset()
+        if self._features is not None:
+            self._features.reset()
         reset_function(self._function, seed)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the next action; evaluate the function only if the action scheme requires it."""
+        if self._scheme.needs_outputs(observation):
+            inputs = observation if self._features is None else self._features(observation)
+            self._scheme.set_outputs(self.evaluate(inputs))
+        return self._scheme.compute_action(observation)
 
     def evaluate(self, inputs: Any) -> npt.NDArray[np.float32]:
         """Return the outputs (n_outputs,) of the function for encoded inputs.
@@ -118,33 +142,28 @@ class FunctionPolicy(NetworkPolicy):
         Raises:
             ActionError: The outputs are not `n_outputs` finite real numbers.
         """
-        outputs = self._function(inputs)
+        outputs, what = self._function(inputs), f"outputs of the {self._agent} {self.name!r}"
         if isinstance(outputs, np.ndarray) and outputs.dtype.kind not in "biuf":
-            raise ActionError(
-                f"outputs of the {self._agent} {self.name!r} must be real numbers, got an array of {outputs.dtype}"
-            )
+            raise ActionError(f"{what} must be real numbers, got an array of {outputs.dtype}")
         if outputs is None:
-            raise ActionError(f"outputs of the {self._agent} {self.name!r} must be numbers, got None; return them")
-        return check_vector(
-            f"outputs of the {self._agent} {self.name!r}", outputs, self._n_outputs, "as its action scheme decodes"
-        )
+            raise ActionError(f"{what} must be numbers, got None; return them")
+        return check_vector(what, outputs, self._scheme.size, "as its action scheme decodes")
 
-    def _check_declared_sizes(self, model: Model, sizes: tuple[int, int] | None) -> None:
-        function = getattr(model, "function", None)
-        declared = getattr(function, "n_inputs", None), getattr(function, "n_outputs", None)
-        if model.is_network and function is not None and sizes is not None and declared != sizes:
+    def _check_sizes(self, network: DenseNetwork) -> None:
+        n_inputs = network.n_inputs if self._features is None else self._features.size
+        if (network.n_inputs, network.n_outputs) != (n_inputs, self._scheme.size):
             raise OptionError(
-                f"{self.name!r} must have {sizes[0]} inputs, the features, and {sizes[1]} outputs, which the action "
-                f"scheme decodes, got {declared[0]} and {declared[1]}; pass features and action_scheme of its training"
+                f"{self._label}: the network must have {n_inputs} inputs for features {self.features!r} and "
+                f"{self._scheme.size} outputs for actions {self._scheme.name!r}, got {network.n_inputs} and "
+                f"{network.n_outputs}; pass the encoding of its training"
             )
 
-    def _try_zeros(self, features: AgentFeatures | None, context: PolicyContext) -> None:
-        """Check the sizes of a network by its outputs for zeros, which need not be finite."""
-        space: spaces.Space[Any] = self._make_observation_space(context) if features is None else features.space
-        wanted = "the observation" if features is None else f"features of shape (1, {features.size})"
+    def _try_zeros(self, context: PolicyContext) -> None:
+        """Check the sizes of a module by its outputs for zeros, which need not be finite."""
+        wanted = "the observation" if self._features is None else f"features of shape (1, {self._features.size})"
         try:
             with np.errstate(all="ignore"):
-                outputs = self._function(_make_zeros(space))
+                outputs = self._function(_make_zeros(self._get_input_space(context)))
         except HandoverError:
             raise
         except Exception as error:  # code of the user
@@ -152,25 +171,85 @@ class FunctionPolicy(NetworkPolicy):
                 f"{self.name!r} must accept {wanted}, got {type(error).__name__}: {shorten_text(error)}; pass the "
                 "features of its training"
             ) from error
-        if not isinstance(outputs, np.ndarray) or outputs.shape != (self._n_outputs,):
+        if not isinstance(outputs, np.ndarray) or outputs.shape != (self._scheme.size,):
             got = f"shape {outputs.shape}" if isinstance(outputs, np.ndarray) else type(outputs).__name__
             raise OptionError(
-                f"{self.name!r} must return outputs of shape (1, {self._n_outputs}) for action scheme "
+                f"{self.name!r} must return outputs of shape (1, {self._scheme.size}) for action scheme "
                 f"{self._scheme.name!r}, got {got}; pass the action scheme of its training"
             )
 
-    def _make_observation_space(self, context: PolicyContext) -> spaces.Dict:
+    def _get_input_space(self, context: PolicyContext) -> spaces.Space[Any]:
+        if self._features is not None:
+            return self._features.space
         if self._agent == "giver":
             return giver_observation_space(context.config.giver)
         return receiver_observation_space(self.obs_mode)
 
 
-def _is_observation(features: object) -> bool:
-    return isinstance(features, str) and features == OBSERVATION
+class TorchFunction:
+    """Function that evaluates a PyTorch module for one decision, with one thread and without gradients.
+
+    Random numbers that the module draws come from the seed of the episode; PyTorch's global generator
+    is not changed.
+
+    Args:
+        module: Module on the CPU in evaluation mode, from (1, n) inputs, or from a dict of observations, to
+            (1, m) outputs.
+
+    Attributes:
+        module: The module.
+    """
+
+    def __init__(self, module: Any) -> None:
+        import torch
+
+        self.module = module
+        parameter = next((value for value in module.parameters() if value.is_floating_point()), None)
+        self._dtype = torch.float32 if parameter is None else parameter.dtype
+        self._random_state = torch.Generator().manual_seed(0).get_state()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Seed the module's random numbers, and call the module's own `reset(seed)` if it has one."""
+        import torch
+
+        self._random_state = torch.Generator().manual_seed(seed or 0).get_state()
+        reset_function(self.module, seed)
+
+    def __call__(self, inputs: Any) -> Any:
+        """Return the outputs for a vector (n,) or a dict of arrays: a float32 array, or what is no tensor."""
+        import torch
+
+        from handover_marl.learning.networks.weights import single_threaded_inference
+
+        before = torch.get_rng_state()
+        torch.set_rng_state(self._random_state)
+        try:
+            with single_threaded_inference():
+                outputs = self.module(self._make_batch(inputs))
+        finally:
+            self._random_state = torch.get_rng_state()
+            torch.set_rng_state(before)
+        if not isinstance(outputs, torch.Tensor):
+            return outputs
+        outputs = outputs.detach().cpu()
+        outputs = outputs.float() if outputs.is_floating_point() else outputs
+        return outputs.numpy()[0] if outputs.ndim > 1 and len(outputs) == 1 else outputs.numpy()
+
+    def _make_batch(self, inputs: Any) -> Any:
+        import torch
+
+        if isinstance(inputs, Mapping):
+            return {key: self._make_batch(value) for key, value in inputs.items()}
+        # A copy, because modules may write into their inputs.
+        tensor = torch.from_numpy(np.array(inputs))[None]
+        return tensor.to(self._dtype) if tensor.is_floating_point() else tensor
 
 
-def _return_observation(observation: Observation) -> Observation:
-    return observation
+def reset_function(function: object, seed: int | None) -> None:
+    """Call a function's own `reset(seed)`, if it has a method of this name with the parameter `seed`."""
+    reset = getattr(function, "reset", None)
+    if callable(reset) and "seed" in inspect.signature(reset).parameters:
+        reset(seed=seed)
 
 
 def _make_zeros(space: Any) -> Any:

@@ -1,38 +1,72 @@
-"""Conversion of models of Stable-Baselines3 to networks of policy files. The module needs the extra `train`."""
+"""Models of Stable-Baselines3: loading, and conversion to networks of policy files. Needs the extra `train`."""
 
+import io
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.td3.policies import TD3Policy
+from torch import nn
 
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.policy_files import RAW_ENCODINGS
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds
-from handover_marl.learning.stable_baselines_files import dense_network_from_state
+from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
 
 Array = npt.NDArray[np.float64]
 
+#: Activation functions of policy files by the class of PyTorch's modules, with its default parameters.
+ACTIVATION_MODULES: dict[type[nn.Module], str] = {
+    nn.Tanh: "tanh",
+    nn.ReLU: "relu",
+    nn.Identity: "identity",
+    nn.ELU: "elu",
+    nn.LeakyReLU: "leaky_relu",
+    nn.SiLU: "silu",
+    nn.Sigmoid: "sigmoid",
+}
+# Algorithm that loads the files of each kind of policy: A2C's policies are those of PPO, DDPG's those of TD3.
+_LOADERS: dict[type, type[BaseAlgorithm]] = {ActorCriticPolicy: PPO, SACPolicy: SAC, TD3Policy: TD3}
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
 # Numbers and scale of the random inputs on which a converted network is compared with its model.
 _N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
+def load_sb3_model(content: bytes) -> BaseAlgorithm:
+    """Load a model of PPO, A2C, SAC, TD3 or DDPG; pickles in the file are loaded, so it must be trusted.
+
+    Args:
+        content: Content of a file that the model's method `save` wrote.
+
+    Raises:
+        Exception: The content is damaged or of another algorithm.
+    """
+    data, _, _ = load_from_zip_file(io.BytesIO(content), device="cpu")
+    for policy_class, algorithm in _LOADERS.items():
+        if data is not None and issubclass(data["policy_class"], policy_class):
+            return algorithm.load(io.BytesIO(content), device="cpu")
+    raise ValueError("its policy is not of PPO, A2C, SAC, TD3 or DDPG")
+
+
 def dense_network_from_sb3(
-    model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None, with_bounds: bool = True
+    model: BaseAlgorithm, normalization: VecNormalize | InputNormalization | None = None
 ) -> DenseNetwork:
-    """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs.
+    """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs and bounded outputs.
+
+    The outputs of both are compared on random inputs.
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
         normalization: Normalization of the observations; default: as in the model's environment.
-        with_bounds: Whether the network clips its outputs to the bounds of the actions, as the model does, and is
-            compared with the model.
 
     Raises:
         DataFormatError: The policy contains other layers, or computes something else than these layers.
@@ -41,23 +75,31 @@ def dense_network_from_sb3(
     where, space = type(model).__name__, model.action_space
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
         raise OptionError(f"actions of the {where} model must be a vector (Box), got {space}")
-    state = {name: value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
-    about = {"policy_kwargs": {key: str(value) for key, value in model.policy_kwargs.items()}}
-    network, squashed = dense_network_from_state(state, about, f"the {where} model")
-    if model.policy.squash_output and not squashed:
-        raise DataFormatError(f"the {where} model: policies that squash their outputs (gSDE) are not supported")
+    layers, is_squashed = _get_actor(model)
+    activation = ACTIVATION_MODULES.get(getattr(model.policy, "activation_fn", nn.Module))
+    if activation is None:
+        names = ", ".join(module.__name__ for module in ACTIVATION_MODULES)
+        raise DataFormatError(f"activation of the {where} model must be one of {names}")
     found = model.get_vec_normalize_env() if normalization is None else normalization
     network = replace(
-        network,
-        output="tanh" if squashed else network.output,
+        dense_network_from_layers(layers, activation, "tanh" if is_squashed else "identity"),
         normalization=find_input_normalization(found) if isinstance(found, VecNormalize) else found,
+        bounds=OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=is_squashed),
     )
-    if not with_bounds:
-        return network
-    bounds = OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=squashed)
-    network = replace(network, bounds=bounds)
     _compare_outputs(model, network, where)
     return network
+
+
+def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
+    """Return the module with the layers of the deterministic policy, and whether tanh squashes its outputs."""
+    policy: Any = model.policy
+    if isinstance(policy, ActorCriticPolicy):
+        return nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net), False
+    if isinstance(policy, SACPolicy):
+        return nn.Sequential(policy.actor.latent_pi, policy.actor.mu), True
+    if isinstance(policy, TD3Policy):
+        return policy.actor.mu, True
+    raise DataFormatError(f"the model must be of PPO, A2C, SAC, TD3 or DDPG, got {type(model).__name__}")
 
 
 def get_recorded_encoding(model: BaseAlgorithm) -> tuple[str | None, str | None, str | None, float | None]:

@@ -12,7 +12,6 @@ from typing import Any
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy
-from handover_marl.learning.adapters.network_policy import NetworkPolicy
 from handover_marl.learning.batch.encodings import find_scheme_batch
 from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch
 from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
@@ -63,7 +62,7 @@ class TensorNetwork:
         return low + (values + 1.0) / 2.0 * (high - low) if network.bounds.is_scaled else values.clip(low, high)
 
 
-class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
+class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
     """Batch of policies that evaluate one network, for all episodes in one call.
 
     Args:
@@ -77,7 +76,7 @@ class NetworkPolicyBatch(ArrayPolicy[NetworkPolicy]):
 
     def __init__(
         self,
-        policy: NetworkPolicy,
+        policy: FunctionPolicy,
         features: FeatureBatch,
         scheme: SchemeBatch,
         count: int,
@@ -134,11 +133,11 @@ def make_network_policy_batch(
         arrays: Creator of the arrays.
 
     Returns:
-        The batch, or None for other policies: PyTorch modules, graphs and user-defined encodings are evaluated
+        The batch, or None for other policies: PyTorch modules and user-defined encodings are evaluated
         episode by episode.
     """
     # A subclass may act in another way, so it has no batch.
-    if not isinstance(policy, NetworkPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
+    if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
         return None
     if not isinstance(policy.function, DenseNetwork):
         return None

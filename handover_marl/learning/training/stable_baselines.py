@@ -167,8 +167,7 @@ class EvaluationCallback(BaseCallback):
         """Write the policy file, evaluate the policy and write a checkpoint."""
         if not isinstance(self.model, OnPolicyAlgorithm):
             raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
-        # Action schemes clip the outputs.
-        network = dense_network_from_sb3(self.model, with_bounds=False)
+        network = dense_network_from_sb3(self.model)
         point = self._run.evaluate(self.num_timesteps, {self._agent: network})
         for name in ("success", "contact", "drop", "timeout"):
             self.logger.record(f"evaluation/{name}", getattr(point, name))

@@ -70,13 +70,6 @@ def test_unknown_choices_and_long_names(folder: ResultFolder, key: str, value: s
         read_result_metadata(folder.path)
 
 
-def test_duplicate_keys_are_refused(folder: ResultFolder) -> None:
-    config = folder.path / "config.yaml"
-    config.write_text(config.read_text().replace("receiver: hold", "receiver: hold\n  receiver: reactive"))
-    with pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration .*key 'receiver' twice"):
-        read_result_metadata(folder.path)
-
-
 @pytest.mark.parametrize("value", [[1], "text", 3, {"colour": "red"}, {"setup": "s0"}, {3: "x"}])
 def test_malformed_library_sections(folder: ResultFolder, value: object) -> None:
     change_config(folder.path, "HANDOVER_MARL", value)

@@ -1,7 +1,5 @@
 """Functions and modules that tests adapt to policies."""
 
-import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,10 +61,3 @@ def make_net(agent: str = "receiver", seed: int = 0, activation: Any = torch.nn.
     torch.manual_seed(seed)
     n_inputs, n_outputs = SIZES[agent]
     return torch.nn.Sequential(torch.nn.Linear(n_inputs, 16), activation(), torch.nn.Linear(16, n_outputs))
-
-
-def write_onnx(net: Any, path: Path) -> None:
-    """Write a sequential module as an ONNX file."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.onnx.export(net, (torch.zeros(1, net[0].in_features),), path, dynamo=False)

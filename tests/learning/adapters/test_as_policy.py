@@ -1,13 +1,11 @@
 """Tests of functions, modules and files that are adapted to receivers and givers."""
 
 import functools
-import io
 import os
 import pickle
 import subprocess
 import sys
 import threading
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +17,10 @@ from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import (
     ActionError,
-    DataFormatError,
     DataNotFoundError,
     HandoverError,
     OptionError,
     UnknownNameError,
-    UnsafeFileError,
 )
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
@@ -34,7 +30,7 @@ torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from tests.evaluation.quick import SHORT  # noqa: E402
 from tests.learning.adapters import networks  # noqa: E402
-from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay, write_onnx  # noqa: E402
+from tests.learning.adapters.networks import CHOICES, Counting, DictModule, NoisyModule, make_net, stay  # noqa: E402
 
 DATA = SyntheticDataset()
 SCENES = (5, 6)
@@ -148,90 +144,6 @@ def test_random_numbers_of_modules_come_from_the_seed(observations: dict[str, An
     assert not np.array_equal(*act(1, 5))
 
 
-def test_torch_script_and_onnx_files_act_as_their_module(tmp_path: Path, observations: dict[str, Any]) -> None:
-    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
-    pytest.importorskip("onnx")
-    net, seen = make_net(), observations["receiver"]
-    expected = make("receiver", net, **CHOICES["receiver"]).act(seen)
-    scripted = torch.jit.script(net)
-    scripted.save(tmp_path / "net.pt")
-    write_onnx(net, tmp_path / "net.onnx")
-    with pytest.raises(UnsafeFileError, match="TorchScript file is code; pass trust=True"):
-        handover_marl.as_receiver(tmp_path / "net.pt", **CHOICES["receiver"])
-    for policy in (scripted, tmp_path / "net.pt", str(tmp_path / "net.onnx")):
-        made = make("receiver", policy, **CHOICES["receiver"], trust=True)
-        np.testing.assert_allclose(made.act(seen), expected, atol=1e-6)
-    for suffix in ("pt", "onnx"):
-        with pytest.raises(DataFormatError, match=r"3 inputs|64 inputs"):
-            make("receiver", save_small(tmp_path, suffix), **CHOICES["receiver"], trust=True)
-    with pytest.raises(OptionError, match="takes vectors, not observations"):
-        handover_marl.as_receiver(tmp_path / "net.onnx", obs_mode="pointcloud")
-
-
-def save_small(folder: Path, suffix: str) -> Path:
-    net = torch.nn.Sequential(torch.nn.Linear(3, 7))
-    if suffix == "pt":
-        torch.jit.script(net).save(folder / "small.pt")
-    else:
-        write_onnx(net, folder / "small.onnx")
-    return folder / f"small.{suffix}"
-
-
-def test_onnx_files_may_not_name_other_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    onnx = pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime", reason="needs the extra `onnx`")
-    helper, number = onnx.helper, onnx.TensorProto.FLOAT
-    weights = helper.make_tensor("w", number, [64, 7], [0.0] * 448)
-    weights.ClearField("float_data")
-    weights.data_location = onnx.TensorProto.EXTERNAL
-    for key, value in (("location", "secret.bin"), ("offset", "0"), ("length", str(4 * 448))):
-        entry = weights.external_data.add()
-        entry.key, entry.value = key, value
-    graph = helper.make_graph(
-        [helper.make_node("MatMul", ["x", "w"], ["y"])],
-        "g",
-        [helper.make_tensor_value_info("x", number, [1, 64])],
-        [helper.make_tensor_value_info("y", number, [1, 7])],
-        [weights],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-    (tmp_path / "net.onnx").write_bytes(model.SerializeToString())
-    np.ones(448, np.float32).tofile(tmp_path / "secret.bin")
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(DataFormatError, match="not an ONNX policy"):
-        make("receiver", tmp_path / "net.onnx", **CHOICES["receiver"])
-
-
-class Evil:
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.system, ("touch evil_code_ran",)
-
-
-def test_nothing_in_files_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    stream = io.BytesIO()
-    torch.save({"action_net.weight": Evil()}, stream)
-    with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
-        archive.writestr("data", "{}")
-        archive.writestr("policy.pth", stream.getvalue())
-    (tmp_path / "net.onnx").write_bytes(pickle.dumps(Evil()))
-    np.savez(tmp_path / "policy.npz", about=np.array([Evil()], dtype=object))
-    (tmp_path / "module.pt").write_bytes(stream.getvalue())
-    for file in ("model.zip", "net.onnx", "policy.npz", "module.pt"):
-        with pytest.raises(DataFormatError):
-            handover_marl.as_receiver(file).make(DATA)
-    with pytest.raises(DataFormatError):
-        handover_marl.as_receiver("module.pt", trust=True).make(DATA)
-    assert not (tmp_path / "evil_code_ran").exists()
-
-
-def test_missing_onnxruntime_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "net.onnx").write_bytes(b"graph")
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(OptionError, match=r"onnxruntime: pip install 'handover-marl\[onnx\]'"):
-        handover_marl.as_receiver(tmp_path / "net.onnx").make(DATA)
-
-
 @pytest.mark.parametrize(
     ("outputs", "fault"),
     [
@@ -277,6 +189,7 @@ def test_modules_of_wrong_sizes_are_refused() -> None:
         (receivers.Receiver, {}, OptionError, "got the policy .*; pass it directly"),
         (Counting, {}, OptionError, "policy must be a function"),
         ("nowhere.zip", {}, DataNotFoundError, "no such policy file"),
+        ("setup.cfg", {}, OptionError, r"policy files are \.npz or \.zip"),
         (threading.Lock().acquire, {}, OptionError, "cannot be sent to worker processes"),
     ],
 )

@@ -123,17 +123,18 @@ def test_files_of_encoded_models_need_no_export(tmp_path: Path) -> None:
     env = make_env()
     seen, model = collect(env, 1), make_model("PPO", env)
     model.save(tmp_path / "model.zip")
-    policy = receivers.make(f"learned:{tmp_path / 'model.zip'}", DATA)
+    policy = receivers.make(f"learned:{tmp_path / 'model.zip'}", DATA, trust=True)
     assert policy.hold_time == 0.2
-    for made in (policy, handover_marl.as_receiver(tmp_path / "model.zip").make(DATA)):
+    for made in (policy, handover_marl.as_receiver(tmp_path / "model.zip", trust=True).make(DATA)):
         expected, _ = model.predict(seen[0], deterministic=True)
         np.testing.assert_allclose(made.evaluate(seen[0]), expected, atol=1e-5)  # type: ignore[attr-defined]
     with pytest.raises(DataFormatError, match="must be for the giver, got one for the receiver"):
-        handover_marl.as_giver(tmp_path / "model.zip")
+        handover_marl.as_giver(tmp_path / "model.zip", trust=True)
     with pytest.raises(OptionError, match=r"control_period must be 0\.2 as in training, got 0\.1"):
-        handover_marl.as_receiver(tmp_path / "model.zip", control_period=0.1)
-    with pytest.raises(OptionError, match="must have 12 inputs, the features"):
-        handover_marl.as_receiver(tmp_path / "model.zip", features="close", action_scheme="grasp_servo").make(DATA)
+        handover_marl.as_receiver(tmp_path / "model.zip", control_period=0.1, trust=True)
+    other = {"features": "close", "action_scheme": "grasp_servo", "trust": True}
+    with pytest.raises(OptionError, match="must have 12 inputs for features 'close'"):
+        handover_marl.as_receiver(tmp_path / "model.zip", **other).make(DATA)
     env.close()
 
 
@@ -154,13 +155,13 @@ def test_models_that_record_nothing(tmp_path: Path) -> None:
         handover_marl.as_receiver(model)
     handover_marl.export_policy(model, tmp_path / "policy.npz", **NAMES)
     model.save(tmp_path / "model.zip")
-    with pytest.raises(DataFormatError, match=r"pass features and action scheme .* handover_marl\.as_receiver"):
-        handover_marl.as_receiver(tmp_path / "model.zip")
+    with pytest.raises(DataFormatError, match="does not record features and action scheme"):
+        handover_marl.as_receiver(tmp_path / "model.zip", trust=True)
     inputs = np.ones(64, np.float32)
     expected, _ = model.predict(inputs, deterministic=True)
     for policy in (model, tmp_path / "model.zip", tmp_path / "policy.npz"):
         options = {} if str(policy).endswith(".npz") else CHOICES["receiver"]
-        made: Any = handover_marl.as_receiver(policy, **options).make(DATA)
+        made: Any = handover_marl.as_receiver(policy, **options, trust=True).make(DATA)
         np.testing.assert_allclose(made.evaluate(inputs), expected, atol=1e-5)
 
 
@@ -279,15 +280,6 @@ def test_files_with_normalization_and_bounds(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found(inputs), network(inputs))
         assert (found(inputs) >= -2).all()
         assert (found(inputs) <= 3).all()
-
-
-def test_plain_files_keep_their_format(tmp_path: Path) -> None:
-    """Files without normalization and bounds have format 1, which versions before 0.8 read."""
-    plain = DenseNetwork((np.zeros((7, 64), np.float32),), (np.zeros(7, np.float32),))
-    write_policy(tmp_path / "p.npz", PolicySpec("receiver", "grasp", "cartesian_delta"), plain)
-    with np.load(tmp_path / "p.npz") as arrays:
-        assert sorted(arrays) == ["about", "bias_0", "weight_0"]
-        assert '"format": 1' in str(arrays["about"])
 
 
 @given(st.data())

@@ -27,7 +27,6 @@ from handover_marl.learning.policy_spec import (
     DenseNetwork,
     InputNormalization,
     OutputBounds,
-    PolicyFunction,
     PolicySpec,
 )
 from handover_marl.learning.schemes import count_outputs, list_schemes
@@ -236,8 +235,3 @@ def test_whole_episodes_equal_those_of_single_environments(agent: str, tmp_path:
             np.testing.assert_array_equal(alone[0][key], values[:1])
     for one in envs:
         one.close()
-
-
-def test_policy_functions_accept_rows() -> None:
-    network: PolicyFunction = draw_network(3, 2, 0)
-    assert network(np.zeros((4, 3), dtype=np.float32)).shape == (4, 2)

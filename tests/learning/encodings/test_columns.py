@@ -1,7 +1,7 @@
-"""Tests of the described columns: built-in features and action schemes have the described values."""
+"""Tests of the page of features and action schemes: every column has the described value."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -11,15 +11,33 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.learning.encodings.columns import FEATURE_COLUMNS, SCHEME_COLUMNS, locate_columns
 from handover_marl.learning.features import compute_handover_frame, list_features, make_features
 from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
+from tests.docs.pages import REPOSITORY, checked_table
 
 CONTEXT = make_policy_context(SyntheticDataset())
 AGENTS = ("giver", "receiver")
+PAGE = REPOSITORY / "docs" / "reference" / "features.md"
 _RNG = np.random.default_rng(1)
+
+
+class Column(NamedTuple):
+    """Row of a table of the page: consecutive numbers of a vector."""
+
+    place: slice
+    name: str
+    value: str
+
+
+def read_columns(kind: str, agent: str, name: str) -> list[Column]:
+    """Return the table of features, or of an action scheme ("scheme"), on the page."""
+    columns = []
+    for numbers, quantity, value, *_ in checked_table(PAGE, f"{kind} {agent}/{name}"):
+        first, _, last = numbers.partition(" to ")
+        columns.append(Column(slice(int(first), int(last or first) + 1), quantity, value))
+    return columns
 
 
 def _pose(*position: float) -> np.ndarray:
@@ -133,13 +151,19 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-def test_every_feature_and_scheme_is_described(agent: str) -> None:
-    assert set(FEATURE_COLUMNS[agent]) == set(list_features(agent))
-    assert set(SCHEME_COLUMNS[agent]) == set(list_schemes(agent))
-    for name, columns in FEATURE_COLUMNS[agent].items():
-        assert sum(column.size for column in columns) == make_features(agent, name, CONTEXT).size, name
-    for name, columns in SCHEME_COLUMNS[agent].items():
-        assert sum(column.size for column in columns) == make_scheme(agent, name, CONTEXT).size, name
+def test_every_column_is_described(agent: str) -> None:
+    for kind, names, make in (
+        ("features", list_features(agent), make_features),
+        ("scheme", list_schemes(agent), make_scheme),
+    ):
+        for name in names:
+            columns, size = read_columns(kind, agent, name), make(agent, name, CONTEXT).size
+            assert [column.place.start for column in columns] == [0, *(column.place.stop for column in columns[:-1])]
+            assert columns[-1].place.stop == size
+            assert (
+                f"`{name}` of the {agent} ({size} {'features' if kind == 'features' else 'outputs'})"
+                in PAGE.read_text()
+            )
 
 
 @pytest.mark.parametrize(
@@ -147,9 +171,9 @@ def test_every_feature_and_scheme_is_described(agent: str) -> None:
 )
 def test_features_have_the_described_values(agent: str, name: str) -> None:
     features = make_features(agent, name, CONTEXT)(OBSERVATION)
-    for place, column in locate_columns(FEATURE_COLUMNS[agent][name]):
+    for column in read_columns("features", agent, name):
         expected = described_value(column.value, QUANTITIES[column.name]())
-        np.testing.assert_allclose(features[place], expected, atol=1e-4, err_msg=column.name)
+        np.testing.assert_allclose(features[column.place], expected, atol=1e-4, err_msg=column.name)
 
 
 def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
@@ -171,8 +195,8 @@ def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
 @pytest.mark.parametrize("agent", AGENTS)
 def test_flat_features_are_the_named_entries(agent: str) -> None:
     features = make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION if agent == "giver" else _state())
-    for place, column in locate_columns(FEATURE_COLUMNS[agent][f"flat_{agent}"]):
-        np.testing.assert_array_equal(features[place], OBSERVATION[column.name.strip("`")].ravel())
+    for column in read_columns("features", agent, f"flat_{agent}"):
+        np.testing.assert_array_equal(features[column.place], OBSERVATION[column.name.strip("`")].ravel())
 
 
 def _state() -> dict[str, Any]:
@@ -188,15 +212,15 @@ def test_schemes_of_givers_have_the_described_scales() -> None:
     deviation = make_scheme("giver", "deviation", CONTEXT)
     deviation.set_outputs(np.ones(8))
     action = deviation.compute_action(OBSERVATION)
-    for place, column in list(locate_columns(SCHEME_COLUMNS["giver"]["deviation"]))[:3]:
-        np.testing.assert_allclose(action[place], described_scale(column.value)[0], rtol=1e-6)
+    for column in read_columns("scheme", "giver", "deviation")[:3]:
+        np.testing.assert_allclose(action[column.place], described_scale(column.value)[0], rtol=1e-6)
     offer: Any = make_scheme("giver", "offer", CONTEXT)
-    scales = [described_scale(column.value)[0] for column in SCHEME_COLUMNS["giver"]["offer"]]
+    scales = [described_scale(column.value)[0] for column in read_columns("scheme", "giver", "offer")]
     assert scales == [offer.max_output_translation, offer.max_output_rotation, offer.max_withdrawal]
 
 
 def test_schemes_of_receivers_have_the_described_scales() -> None:
-    columns = SCHEME_COLUMNS["receiver"]
+    columns = {name: read_columns("scheme", "receiver", name) for name in list_schemes("receiver")}
     delta: Any = make_scheme("receiver", "joint_delta", CONTEXT)
     centered = {**OBSERVATION, "robot_joint_position": np.float32((np.array(LOWER_LIMITS) + UPPER_LIMITS) / 2)}
     delta.set_outputs(np.ones(8))

@@ -8,7 +8,6 @@ import pytest
 from handover_marl.errors import UnknownNameError
 from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.scene_arguments import SetupArgs
-from tests.learning.training.scripts import script
 
 GENERATED = "generated:n=50,seed=7"
 
@@ -38,9 +37,3 @@ def test_training_runs_record_the_setup(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "run" / "arguments.json").read_text())["setup"] == "random"
     assert args.make_env_config().setup is None
     assert len(args.make_env_config().scenes or ()) > 30
-
-
-def test_scripts_read_other_data(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    errors = script("handover_pose_error", monkeypatch)
-    errors.main(errors.Args(dataset=GENERATED, stride=20))
-    assert f"3 scenes of random train, {GENERATED}" in capsys.readouterr().out

@@ -1,7 +1,6 @@
 """Tests of the training scripts with a few steps on synthetic scenes."""
 
 import functools
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from handover_marl.learning.training.run_folder import RunFolder
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
-from tests.learning.training.evil import Evil
 from tests.learning.training.scripts import REWARDS, files, reward_terms_of, script, steps_of
 from tests.short_episodes import shorten_episodes
 
@@ -100,81 +98,13 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     parse_policy("receiver", f"learned:{tmp_path / 'run' / 'policy.npz'}", trust=True).make(SyntheticDataset())
 
 
-def test_train_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
-    train = script("train_both_ippo", monkeypatch)
-    args = {
-        "out": str(tmp_path / "run"),
-        "dataset": "synthetic",
-        "num_envs": 2,
-        "batch_size": 20,
-        "minibatch_size": 10,
-        "eval_interval": 20,
-        "val_scenes": 1,
-        "time_limit": 1.5,
-        "epochs": 1,
-        "rewards": REWARDS,
-    }
-    train.main(train.Args(**args, decisions=20))
-    assert reward_terms_of(tmp_path / "run", "receiver") == {*vars(SHAPED.receiver), "approach"}
-    assert reward_terms_of(tmp_path / "run", "giver") == set(vars(SHAPED.giver))
-    assert (MADE | {"giver.npz", "receiver.npz"}) - {"policy.npz"} <= files(tmp_path / "run")
-    train.main(train.Args(**args, decisions=40, resume=True))
-    assert steps_of(tmp_path / "run") == ["steps", "0", "20", "40"]
-
-
-@pytest.mark.usefixtures("one_process")
-def test_best_responses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    respond = script("best_response", monkeypatch)
-    args = respond.Args(
-        out=str(tmp_path / "run"),
-        rounds=1,
-        first_receiver="hold",
-        dataset="synthetic",
-        val_scenes=1,
-        giver=respond.train_giver_sb3.Args(**GIVER | {"teacher": ""}, decisions=4),
-        receiver=respond.train_receiver_sb3.Args(**RECEIVER, decisions=16),
-    )
-    respond.main(args)
-    table = (tmp_path / "run" / "crossplay" / "crossplay.csv").read_text().splitlines()
-    assert len(table) == 1 + 2 * 2
-
-
 def test_batches_smaller_than_the_environments_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     with pytest.raises(OptionError, match="batch_size must be at least the number of environments, 8, got 4"):
         train.Args(**GIVER | {"num_envs": 8})
 
 
-class StoppedError(Exception):
-    """Interruption of a run."""
-
-
-@pytest.mark.usefixtures("one_process")
-def test_best_responses_resume_runs_without_a_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    respond = script("best_response", monkeypatch)
-    folder, trainer = tmp_path / "giver-1", respond.train_giver_sb3
-    few = {"receiver": "yang2021", "teacher": ""}
-    args, changes = trainer.Args(**GIVER | few, decisions=4), {"receiver": "hold"}
-
-    def stop(*_: object, **__: object) -> None:
-        raise StoppedError
-
-    for where in ("stable_baselines.SubprocVecEnv", "training_run.evaluate_pair", "stable_baselines.save_checkpoint"):
-        with monkeypatch.context() as patched:
-            patched.setattr(f"handover_marl.learning.training.{where}", stop)
-            with pytest.raises(StoppedError):
-                respond.train_response(trainer, args, folder, changes)
-        assert "arguments.json" in files(folder)
-        assert not {"checkpoint.pt", "done"} & files(folder)
-    assert respond.train_response(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
-    assert files(folder) >= MADE | {"done"}
-    assert steps_of(folder) == ["steps", "0", "4"]
-    monkeypatch.setattr(trainer, "main", stop)
-    assert respond.train_response(trainer, args, folder, changes) == f"learned:{folder / 'policy.npz'}"
-
-
-@pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3", "train_both_ippo"])
+@pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3"])
 def test_runs_are_not_resumed_on_another_dataset(
     tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -185,18 +115,6 @@ def test_runs_are_not_resumed_on_another_dataset(
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
         train.main(args)
-
-
-def test_checkpoints_do_not_run_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
-    train = script("train_both_ippo", monkeypatch)
-    options = {"dataset": "synthetic", "setup": "s0", "num_envs": 1, "batch_size": 4, "val_scenes": 1, "resume": True}
-    args = train.Args(out=str(tmp_path / "run"), **options)
-    folder = RunFolder(tmp_path / "run", args, False, "synthetic")
-    folder.checkpoint.write_bytes(pickle.dumps(Evil(tmp_path / "ran")))
-    with pytest.raises(ResultsError, match="not a checkpoint of this run"):
-        train.main(args)
-    assert not (tmp_path / "ran").exists()
 
 
 def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Tests of the effects of the giver's action on the recorded motion."""
+"""Tests of the effects of the giver's action on the recorded motion, of one giver and of several at once."""
 
 from dataclasses import replace
 
@@ -9,25 +9,21 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import GiverConfig
-from handover_marl.datasets.dataset import Scene
-from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import wrist_offset as carrying
-from handover_marl.episode.giver_motion import NO_DEVIATION, Playback, find_pick_up_frame, find_wrist_in_base
+from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.observations import MotionPreview
-from handover_marl.episode.wrist_offset import compute_wrist_positions
+from handover_marl.episode.wrist_offset import apply_wrist_offsets, compute_wrist_positions
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links
+from tests.episode.one_giver import CONFIG, COUNT, HIGH, ROWS, SCENES, OneGiver
 
-SCENE = SyntheticDataset().load_scene(209)
-CONFIG = GiverConfig()
-
-
-def playback(scene: Scene = SCENE) -> Playback:
-    return Playback(scene, CONFIG)
+SCENE = SCENES[0]
 
 
-def advance(played: Playback, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> ReferenceMotion:
+def playback() -> OneGiver:
+    return OneGiver(SCENE)
+
+
+def advance(played: OneGiver, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> ReferenceMotion:
     motion = played.plan(steps, wanted, **states)
     played.commit(steps)
     return motion
@@ -45,7 +41,7 @@ def wrist(motion: ReferenceMotion) -> np.ndarray:
     return compute_wrist_positions(motion.hand, find_wrist_in_base(SCENE))
 
 
-def held() -> Playback:
+def held() -> OneGiver:
     """Return a playback in which the object has been lifted and all motion has ended."""
     played = playback()
     advance(played, SCENE.n_frames)
@@ -63,7 +59,7 @@ def test_zero_is_the_recording_to_the_bit() -> None:
 
 
 def test_the_start_is_the_first_frame() -> None:
-    start = playback().read_first_frame()
+    start = GiverMotion(1, CONFIG).reset(0, SCENE)
     np.testing.assert_array_equal(start.objects, SCENE.object_dof[:1])
     np.testing.assert_array_equal(start.hand, SCENE.hand_dof[:1])
     assert start.hand_present.tolist() == [False]
@@ -151,24 +147,26 @@ def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
 
 
 def test_moving_by_nothing_is_nothing() -> None:
-    rows, still = SCENE.object_dof[::100, 0], np.zeros((len(SCENE.object_dof[::100]), 3))
-    for moved in carrying.apply_wrist_offset([rows, rows], np.ones(3), still, still, [rows[0], rows[0]]):
-        np.testing.assert_allclose(moved, rows, atol=1e-6)
+    rows = SCENE.object_dof[::100, 0]
+    still = np.zeros((len(rows), 2, 3))
+    both = np.stack([rows, rows])
+    (moved,) = apply_wrist_offsets([both], np.ones((1, 3)), [still], both[None, :, 0])
+    np.testing.assert_allclose(moved, both, atol=1e-6)
 
 
 def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
     rng = np.random.default_rng(0)
-    hand, item = (rng.uniform(-1.0, 1.0, (5, 6)).astype(np.float32) for _ in range(2))
-    shifts, turns = rng.uniform(-0.3, 0.3, (2, 5, 3))
+    bodies = rng.uniform(-1.0, 1.0, (2, 5, 6)).astype(np.float32)
+    offsets = rng.uniform(-0.3, 0.3, (5, 2, 3))
     place = np.array([0.05, 0.0, 0.1])
-    moved = carrying.apply_wrist_offset([hand, item], place, shifts, turns, [hand[0], item[0]])
+    (moved,) = apply_wrist_offsets([bodies], place[None], [offsets], bodies[None, :, 0])
 
     def beside(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
         return Rotation.from_euler("XYZ", first[:, 3:]).inv().apply(second[:, :3] - first[:, :3])
 
-    np.testing.assert_allclose(beside(*moved), beside(hand, item), atol=1e-5)
-    wrists = [compute_wrist_positions(one, place) for one in (hand, moved[0])]
-    np.testing.assert_allclose(wrists[1] - wrists[0], shifts, atol=1e-5)
+    np.testing.assert_allclose(beside(*moved), beside(*bodies), atol=1e-5)
+    wrists = [compute_wrist_positions(one, place) for one in (bodies[0], moved[0])]
+    np.testing.assert_allclose(wrists[1] - wrists[0], offsets[:, 0], atol=1e-5)
 
 
 def test_the_preview_shows_what_comes() -> None:
@@ -193,7 +191,7 @@ def test_the_preview_has_zeros_without_a_hand() -> None:
     assert (np.abs(objects).max(axis=1) > 0).all()
 
 
-def seen(played: Playback) -> tuple[object, ...]:
+def seen(played: OneGiver) -> tuple[object, ...]:
     return played.frame, played.holding, played.opening_progress, played.deviation.tolist()
 
 
@@ -207,11 +205,9 @@ def test_plans_change_nothing_until_they_are_committed() -> None:
     assert seen(played) == before
     played.commit(0)
     assert seen(played) == before
-    with pytest.raises(ValueError, match="no motion has been planned"):
-        played.commit(1)
 
 
-def apply_wrist_offset() -> Playback:
+def apply_wrist_offset() -> OneGiver:
     """Return a playback that is 100 frames past the frame in which the object is picked up."""
     played = playback()
     lift = find_pick_up_frame(SCENE)
@@ -349,3 +345,47 @@ def test_the_progress_of_opening_is_kept() -> None:
     assert played.opening_progress == pytest.approx(0.5)
     advance(played, 75, released=True, is_opening=True)
     assert played.opening_progress == pytest.approx(0.75)
+
+
+def start() -> GiverMotion:
+    motion = GiverMotion(COUNT, CONFIG)
+    for row, scene in enumerate(SCENES):
+        motion.reset(row, scene)
+    return motion
+
+
+def test_a_motion_does_not_depend_on_the_other_givers() -> None:
+    rng = np.random.default_rng(0)
+    together, alone = start(), start()
+    actions = np.zeros((COUNT, 8), dtype=np.float32)
+    for number in range(24):
+        if number % 3 == 0:
+            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
+            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
+        steps = int(rng.integers(1, 201))
+        released = rng.random(COUNT) < 0.3
+        opening = released & (rng.random(COUNT) < 0.5)
+        motion = together.plan(ROWS, steps, actions, released, opening)
+        taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
+        for row in range(COUNT):
+            one = slice(row, row + 1)
+            single = alone.plan(ROWS[one], steps, actions[one], released[one], opening[one])
+            np.testing.assert_array_equal(motion.references[row].hand, single.references[0].hand, strict=True)
+            np.testing.assert_array_equal(motion.references[row].objects, single.references[0].objects, strict=True)
+            alone.commit(single, taken[one])
+        together.commit(motion, taken)
+        np.testing.assert_array_equal(together.frame, alone.frame)
+        np.testing.assert_array_equal(together.deviation, alone.deviation)
+        np.testing.assert_array_equal(together.opening_progress, alone.opening_progress)
+
+
+def test_a_reset_forgets_the_deviation() -> None:
+    motion, held = start(), np.zeros(COUNT, dtype=bool)
+    actions = np.tile(HIGH, (COUNT, 1))
+    for _ in range(20):
+        motion.commit(motion.plan(ROWS, 200, actions, held, held), np.full(COUNT, 200))
+    assert motion.deviation[:, 1:4].all()
+    first = motion.reset(0, SCENES[0])
+    np.testing.assert_array_equal(first.hand, SCENES[0].hand_dof[:1])
+    assert not motion.deviation[0].any()
+    assert motion.deviation[1:].any(axis=1).all()

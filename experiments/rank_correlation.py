@@ -1,7 +1,7 @@
 """Compare the ranking of receivers in simulation with another ranking, e.g. of a real robot.
 
-    python experiments/analysis/rank_correlation.py --real study.csv
-    python experiments/analysis/rank_correlation.py --real study.csv --simulated results/yang results/omg results/mine
+    python experiments/rank_correlation.py --real study.csv
+    python experiments/rank_correlation.py --real study.csv --simulated results/yang results/omg results/mine
 
 `study.csv` has a line for each receiver: its name and its success rate, in percent or as a
 fraction. By default, simulated rates are HandoverSim's published ones (Table II, test split of

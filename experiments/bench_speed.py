@@ -1,0 +1,172 @@
+"""Measure the speed of environments with each physics engine, or with MuJoCo Warp.
+
+    python experiments/bench_speed.py --data-dir DIR
+    python experiments/bench_speed.py --warp --sizes 256 1024 4096
+
+The measured environments alternate every few steps in one process, so that drift of the machine's speed
+cancels; ratios are computed within one run. With `--warp`, steps of vector environments on a device are measured
+against their number. Their first step, which compiles kernels, is not measured.
+"""
+
+import time
+from dataclasses import dataclass
+from datetime import date
+
+import numpy as np
+import tyro
+from rich.progress import track
+
+import handover_marl
+from handover_marl.config import ARM_DOF, PandaConfig
+from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
+from handover_marl.episode.giver_motion import NO_DEVIATION
+from handover_marl.episode.spaces import STATE
+from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.execution.options import describe_machine
+from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
+from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.simulation.engines import CPU, CUDA, FAST, MUJOCO, WARP, list_available_physics
+
+MAX_TARGET_OFFSET = 0.05  # of joint targets from the start pose (rad)
+STEPS_PER_TURN = 5  # control steps for which an environment is measured before the next one
+
+
+@dataclass(frozen=True)
+class Args(SetupArgs):
+    """Options of the speed measurements.
+
+    Attributes:
+        scene: Scene number in s0 train that single environments simulate.
+        decisions: Number of control steps of one run; episodes must last that long.
+        control_period: Time for which an action is applied (s).
+        repetitions: Number of runs on the processor; the table gives median ratios and their range.
+        vector_envs: Number of environments in a MuJoCo batch on the processor; 0 skips batches.
+        warp: Whether to measure MuJoCo Warp instead.
+        sizes: Numbers of environments with MuJoCo Warp.
+        device: Device of MuJoCo Warp: cuda, or cpu.
+        obs_mode: Observation mode of the receiver with MuJoCo Warp: "state", or one with point clouds or images.
+    """
+
+    scene: int = 105
+    decisions: int = 60
+    control_period: float = 0.1
+    repetitions: int = 5
+    vector_envs: int = 256
+    warp: bool = False
+    sizes: tuple[int, ...] = (64, 256, 1024, 4096)
+    device: str = CUDA
+    obs_mode: str = STATE
+
+
+def measure_processor(args: Args) -> str:
+    """Return a table of the speed of small random motions in wall-clock time, by engine and size of the batch."""
+    where = {"data_dir": args.data_dir, "dataset": args.dataset, "control_period": args.control_period}
+    envs: dict[str, HandoverEnv | ParallelVectorEnv] = {
+        physics: HandoverEnv(physics=physics, **where) for physics in list_available_physics()
+    }
+    if args.vector_envs and MUJOCO in envs:
+        for split in ({"threads": 1}, {"threads": 2}, {"processes": 2}):
+            ((name, count),) = split.items()
+            label = f"mujoco, batch of {args.vector_envs}, {name}={count}"
+            envs[label] = handover_marl.vector_env(args.vector_envs, None, physics=MUJOCO, **split, **where)
+    seconds = np.zeros((args.repetitions, len(envs)))
+    for run in track(range(args.repetitions), "runs"):
+        generators = [np.random.default_rng(run) for _ in envs]
+        for env in envs.values():
+            env.reset(seed=0, options=None if isinstance(env, ParallelVectorEnv) else {"scene_id": args.scene})
+        for first in range(0, args.decisions, STEPS_PER_TURN):
+            for number, env in enumerate(envs.values()):
+                started = time.perf_counter()
+                step_randomly(env, min(STEPS_PER_TURN, args.decisions - first), generators[number])
+                seconds[run, number] += time.perf_counter() - started
+    counts = np.array([getattr(env, "num_envs", 1) for env in envs.values()])
+    rates = 1000.0 * args.control_period * args.decisions * counts / seconds
+    ratios = rates / rates[:, [list(envs).index(FAST)]]
+    for env in envs.values():
+        env.close()
+    rows = [
+        [label, f"{np.median(rate):.0f}", f"{np.median(ratio):.2f}", f"{ratio.min():.2f} to {ratio.max():.2f}"]
+        for label, rate, ratio in zip(envs, rates.T, ratios.T, strict=True)
+    ]
+    return format_table(("", "physics steps/s", "ratio to fast", "range"), rows)
+
+
+def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.random.Generator) -> None:
+    """Step environments with random joint targets near the start pose, which no cached rollout has."""
+    shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
+    start = np.array(PandaConfig().start_joints, dtype=np.float32)
+    for _ in range(decisions):
+        targets = np.tile(start, (*shape, 1))
+        targets[..., :ARM_DOF] += rng.uniform(-MAX_TARGET_OFFSET, MAX_TARGET_OFFSET, (*shape, ARM_DOF))
+        env.step({"giver": np.tile(NO_DEVIATION, (*shape, 1)), "receiver": targets})
+
+
+def measure_warp(args: Args, count: int) -> tuple[float, float]:
+    """Return the physics steps and the decisions per second of a number of environments with MuJoCo Warp."""
+    # Images are rendered only for observations that are returned.
+    is_encoded = args.obs_mode == STATE
+    envs = handover_marl.vector_env(
+        count,
+        "receiver",
+        "cooperative",
+        features="close" if is_encoded else None,
+        schemes="grasp_servo" if is_encoded else None,
+        obs_mode=args.obs_mode,
+        autoreset="same_step",
+        backend=WARP,
+        device=args.device,
+        setup=args.setup,
+        dataset=args.dataset,
+        data_dir=args.data_dir,
+        control_period=args.control_period,
+    )
+    observations, _ = envs.reset(seed=0)
+    # On the device from the start, as those of a network.
+    outputs = make_tensor_factory(args.device).asarray(
+        np.random.default_rng(0).uniform(-1.0, 1.0, (1 + args.decisions, count, *envs.single_action_space.shape)),
+        "float32",
+    )
+
+    def step(output: AnyArray) -> AnyArray:
+        """Step all environments, and return their numbers of simulated steps."""
+        nonlocal observations
+        actions = output if is_encoded else observations["robot_joint_position"] + 2 * MAX_TARGET_OFFSET * output
+        observations, _, _, _, infos = envs.step(actions)
+        return infos["steps"]
+
+    now = step(outputs[0])
+    simulated, started = now * 0, time.perf_counter()
+    for output in outputs[1:]:
+        before, now = now, step(output)
+        # Steps of an episode that starts again are not counted.
+        simulated += (now - before).clip(0)
+    total = int(simulated.sum())
+    seconds = time.perf_counter() - started
+    envs.close()
+    return total / seconds, args.decisions * count / seconds
+
+
+def describe_device(device: str) -> str:
+    """Return the name of a device, and state for the processor that the figures are not those of a GPU."""
+    if device == CPU:
+        return "Warp's CPU device, which is for tests; these are no figures of a GPU"
+    import warp
+
+    return str(warp.get_device(device).name)
+
+
+def main(args: Args) -> None:
+    """Measure and print a table, machine and date."""
+    if args.warp:
+        found = [(count, *measure_warp(args, count)) for count in args.sizes]
+        rows = [(count, f"{steps:,.0f}", f"{decisions:,.1f}") for count, steps, decisions in found]
+        print(format_table(("environments", "physics steps/s", "decisions/s"), rows))
+        print(f"\nObservation mode: {args.obs_mode}. Device: {describe_device(args.device)}.")
+    else:
+        print(measure_processor(args))
+    print(f"\n{describe_machine()}, {date.today().isoformat()}.")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
