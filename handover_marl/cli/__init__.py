@@ -8,7 +8,6 @@ from pathlib import Path
 
 from handover_marl.cli.streams import discard_output, prepare_streams, print_message, print_result
 from handover_marl.errors import HandoverError
-from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.version import __version__
 
 # Help texts in much fewer columns take minutes, or never end.
@@ -26,7 +25,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message, 130 after Ctrl-C, 141 if the reader of the output closed it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    open_missing_descriptors()
     prepare_streams()
     try:
         if list(arguments) == ["--version"]:
