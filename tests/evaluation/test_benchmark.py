@@ -10,9 +10,8 @@ import yaml
 
 import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig
-from handover_marl.config import OFFICIAL_CONFIG, ProtocolConfig, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import (
-    ActionError,
     DataNotFoundError,
     OptionError,
     PolicyError,
@@ -54,16 +53,6 @@ def test_the_official_rules_are_those_of_a_default_pair(fake_data: Path, tmp_pat
     assert again.n_resumed == 1
     assert untimed(again) == untimed(official)
     assert "official ones" not in str(again)
-
-
-def test_other_rules_are_reported(fake_data: Path, tmp_path: Path) -> None:
-    report = run(fake_data, tmp_path)
-    assert "World or rules are not the official ones" in str(report)
-    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
-        run(fake_data, tmp_path, world_config=OFFICIAL_CONFIG)
-    other = WorldConfig(protocol=ProtocolConfig(horizon_steps=HORIZON, goal_radius=0.2))
-    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
-        run(fake_data, tmp_path, world_config=other)
 
 
 def test_start_noise_is_recorded_and_verified(fake_data: Path, tmp_path: Path) -> None:
@@ -238,25 +227,6 @@ def test_errors_leave_no_output(
     assert not (tmp_path / "out").exists()
 
 
-class NotFinite(QuickReceiver):
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        return np.full(9, np.nan)
-
-
-class NeverHeld(QuickReceiver):
-    @property
-    def hold_time(self) -> float:
-        return 0.0
-
-
-def test_malformed_actions_of_receivers(fake_data: Path, tmp_path: Path) -> None:
-    with pytest.raises(ActionError, match=r"'quick' in scene 9: .*not finite"):
-        run(fake_data, tmp_path / "out", receiver=NotFinite)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
-    with pytest.raises(OptionError, match="'quick' in scene 9: hold_time"):
-        run(fake_data, receiver=NeverHeld)
-
-
 class FailsToAct(QuickReceiver):
     name = "fails_to_act"
 
@@ -334,21 +304,6 @@ def test_folders_of_the_original_code(tmp_path: Path) -> None:
 def test_impossible_results_are_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
     with pytest.raises(ResultsError, match=r"000\.npz"):
         evaluate(official_folder(tmp_path / "run", 3, **changes))
-
-
-def test_folders_that_are_no_result_folders(tmp_path: Path) -> None:
-    for make, message in (
-        (lambda path: None, "does not exist"),
-        (lambda path: path.mkdir(), "has no config.yaml"),
-        (lambda path: (path / "config.yaml").write_text("BENCHMARK: 3"), "not a readable configuration"),
-        (lambda path: (path / "config.yaml").write_text("!!python/object/apply:os.system [ls]"), "not a readable"),
-        (lambda path: (path / "config.yaml").write_text("BENCHMARK: {SETUP: s9, SPLIT: test}"), "unknown setup"),
-        (lambda path: (path / "config.yaml").write_text("BENCHMARK: {SETUP: s0, SPLIT: val}"), "no result files"),
-        (lambda path: (path / "036.npz").write_bytes(b""), "036"),
-    ):
-        make(tmp_path / "run")
-        with pytest.raises(ResultsError, match=message):
-            evaluate(tmp_path / "run")
 
 
 @pytest.mark.parametrize(

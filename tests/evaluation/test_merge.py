@@ -16,7 +16,6 @@ from handover_marl.episode import loop as play
 from handover_marl.errors import HandoverError, OptionError, ResultsError
 from handover_marl.evaluation import benchmark
 from handover_marl.evaluation.results.result_folder import read_results
-from tests.evaluation import quick
 from tests.evaluation.quick import SHORT, QuickReceiver
 
 #: Options of a small split with short episodes, which take little time.
@@ -144,16 +143,6 @@ def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_pat
     with pytest.raises(ResultsError, match="holds another evaluation"):
         handover_marl.merge(three, tmp_path / "other ['seed']")
     assert not out.exists()
-
-
-def test_malformed_shards(fake_data: Path, tmp_path: Path) -> None:
-    for shard, reported in (
-        ("4/3", "must be a number and a count"),
-        ("1/3", "needs 3 scenes or more, got 2; take fewer shards"),
-    ):
-        with pytest.raises(OptionError, match=reported):
-            quick.run(fake_data, tmp_path / "out", shard=shard)
-    assert not (tmp_path / "out").exists()
 
 
 def test_cross_play(tmp_path: Path) -> None:
