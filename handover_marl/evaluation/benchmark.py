@@ -130,7 +130,7 @@ class Evaluation:
             if execution.folder is None:
                 raise OptionError("replays need an output folder; pass out= (--out DIR)")
             require_replay_extra()
-        check_pool(execution.pool)
+        check_pool(execution)
         self.config, dataset = resolve_config(config, execution.trust)
         split_ids = dataset.list_scenes(self.config.setup, self.config.split)
         scenes, shard = self.config.scenes or (), execution.shard or ""
@@ -191,7 +191,7 @@ class Evaluation:
         return report
 
     def _open_pool(self) -> Pool:
-        return open_pool(self._execution.pool)
+        return open_pool(self._execution)
 
 
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
