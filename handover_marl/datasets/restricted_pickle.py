@@ -1,4 +1,4 @@
-"""Unpickling of arrays from untrusted files: grasp files of HandoverSim, hand models of MANO, saved observations.
+"""Unpickling of arrays from untrusted files: grasp files of HandoverSim and hand models of MANO.
 
 Such a pickle gets the functions and classes in `ARRAY_NAMES`, and those that the caller allows, no others.
 """
@@ -10,17 +10,16 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from handover_marl.errors import DataFormatError, UnsafeFileError
+from handover_marl.errors import UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
 #: What a pickle may call or create, by the module and name that it asks for.
 AllowedNames: TypeAlias = Mapping[tuple[str, str], Callable[..., object]]
 
 # NumPy's functions that make arrays; their modules have other names in other versions.
-_RECONSTRUCT = np.zeros(1).__reduce__()[0]
-_FROM_BUFFER = np.zeros(1).__reduce_ex__(5)[0]  # type: ignore[arg-type]
+_RECONSTRUCT: Any = np.zeros(1).__reduce__()[0]
+_FROM_BUFFER: Any = np.zeros(1).__reduce_ex__(5)[0]
 
 #: Names in pickles of arrays, and of dicts of arrays, by all versions of NumPy.
 ARRAY_NAMES: AllowedNames = {
@@ -64,20 +63,3 @@ def load_restricted(data: bytes, allowed: AllowedNames = ARRAY_NAMES) -> Any:
         Exception: The pickle is damaged; any type may be raised.
     """
     return _RestrictedUnpickler(data, allowed).load()
-
-
-def unpickle_arrays(data: bytes) -> dict[str, npt.NDArray[Any]] | npt.NDArray[Any]:
-    """Load a pickled array, or a pickled dict of arrays.
-
-    Raises:
-        DataFormatError: The pickle holds or uses something else, or is damaged.
-    """
-    try:
-        content = load_restricted(data)
-    except Exception as error:  # Damaged pickles raise exceptions of many types.
-        raise DataFormatError(f"no pickled dict of arrays ({shorten_text(error)})") from error
-    values = list(content.values()) if isinstance(content, dict) else [content]
-    if not all(isinstance(value, np.ndarray) for value in values):
-        raise DataFormatError("no pickled dict of arrays")
-    arrays: dict[str, npt.NDArray[Any]] | npt.NDArray[Any] = content
-    return arrays

@@ -181,7 +181,9 @@ def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: P
     write_object_assets(assets)
     write_table_assets(assets)
     # HandoverSim uses the parameters of the subject's first recording for both hands.
-    first = {subject: values for (subject, _), values in reversed(betas.items())}
+    first = dict[str, tuple[float, ...]]()
+    for (subject, _), values in betas.items():
+        first.setdefault(subject, values)
     return [
         write_hand_assets(assets, subject, models[side], first[subject]).name
         for subject in sorted(first)
