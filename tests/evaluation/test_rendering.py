@@ -1,5 +1,4 @@
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -177,20 +176,6 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert "do not apply to --plan" in capsys.readouterr().err
     assert main([*command, "--vertical-fov", "180"]) == 2
     assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
-
-
-def test_captions_are_in_the_corner(tmp_path: Path) -> None:
-    options: dict[str, Any] = {"key_frames": 2, "physics": "fast", "camera": replace(CAMERA, width=320, height=240)}
-    with Image.open(draw(tmp_path / "with.png", **options)) as first:
-        captioned = np.asarray(first)
-    with Image.open(draw(tmp_path / "without.png", **options, caption=False)) as second:
-        plain = np.asarray(second)
-    rows, columns = np.nonzero((captioned != plain).any(axis=2))
-    assert len(rows) > 100
-    assert rows.min() > 210
-    assert columns[columns < 320].max() < 100
-    with pytest.raises(OptionError, match="caption must be"):
-        draw(tmp_path / "x.png", caption="no")
 
 
 class AtStep:

@@ -51,14 +51,6 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     first, second = (scene["action"][::100] for scene in alone.values())
     assert len(np.unique(first, axis=0)) == len(first) == quick.HORIZON // 100
     assert not (first == second).any()
-    run(fake_data, 1, out=tmp_path / "other", **drawing, seed=1)
-    run(fake_data, 1, out=tmp_path / "still", **{**drawing, "giver": "replay"})
-    for scene, expected in alone.items():
-        other = files(tmp_path / "other")[scene]["action"]
-        common = min(len(other), len(expected["action"]))
-        assert not (other[:common] == expected["action"][:common]).any()
-        paths = [files(tmp_path / name)[scene]["fluency_giver_path"] for name in ("one", "other", "still")]
-        assert len(set(map(float, paths))) == 3
 
 
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:

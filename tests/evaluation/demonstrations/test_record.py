@@ -1,10 +1,5 @@
 """Tests of the folder of a recording: resuming, workers, selection of episodes and refused options."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -35,43 +30,6 @@ def test_data_do_not_depend_on_workers(tmp_path: Path) -> None:
         record(None, tmp_path / str(workers), workers=workers, **options)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert sorted(contents(tmp_path / "1")) == ["000.npz", "072.npz", "metadata.json"]
-
-
-KILLED = """
-import sys, time
-from pathlib import Path
-from handover_marl.evaluation.episode_runner import EpisodeRunner
-from tests.evaluation.demonstrations.recording import record
-
-simulate = EpisodeRunner.run
-
-def slowly(player, task):
-    if task.scene_id != 5:
-        time.sleep(100.0)
-    return simulate(player, task)
-
-EpisodeRunner.run = slowly
-record(Path(sys.argv[1]), Path(sys.argv[2]))
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_recording_resumes(
-    fake_data: Path, tmp_path: Path, whole: dict[str, bytes], played: list[int]
-) -> None:
-    out = tmp_path / "killed"
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(fake_data), str(out)], cwd=REPOSITORY)
-    until = time.monotonic() + 60.0
-    while not list(out.glob("*.npz")) and time.monotonic() < until:
-        time.sleep(0.05)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    assert [metadata.scene_id for metadata in Demonstrations(out).read_metadata()] == [5]
-    # A process that is killed while it writes leaves such a file.
-    (out / "demonstrations" / ".072.npz.abcd1234.part").write_bytes(b"half")
-    record(fake_data, out)
-    assert played == [105]
-    assert contents(out) == whole
 
 
 @pytest.mark.slow

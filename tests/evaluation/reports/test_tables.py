@@ -7,7 +7,6 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.episode.metrics.fluency import FluencyMetrics
-from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports.episode_tables import (
@@ -20,7 +19,6 @@ from handover_marl.evaluation.reports.tables import (
     TABLE_FORMATS,
     ReportTable,
     TabularResult,
-    format_table,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from tests.evaluation.quick import write_results
@@ -77,11 +75,6 @@ def test_every_result_has_every_format(result: TabularResult) -> None:
     assert latex.count("\\begin{tabular}") == len(tables)
     for text in texts:
         assert all(f"% {line}" in latex.splitlines() for line in text.splitlines())
-
-
-def test_unknown_formats_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="markdown, csv, latex"):
-        report(1).format("html")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("table_format", TABLE_FORMATS)
@@ -143,15 +136,6 @@ def test_cells_of_scenes() -> None:
     row = ["204", "003_cracker_box", "20200709-subject-01", "left", "contact+drop", "1234", "1000", "0.123"]
     assert format_scene_cells(one) == row
     assert format_scene_cells(EpisodeResult(0, one.status, 5, 0.0)) == ["-"] * 4 + ["contact+drop", "5", "-", "0.000"]
-
-
-def test_wide_tables_keep_the_order_of_columns() -> None:
-    header = ["key", *(f"title {number}" for number in range(12))]
-    parts = format_table(header, [[f"cell {number}" for number in range(13)]], max_width=40).split("\n\n")
-    titles = [[cell.strip() for cell in part.splitlines()[0].strip("|").split("|")] for part in parts]
-    assert [title for part in titles for title in part[1:]] == header[1:]
-    assert {part[0] for part in titles} == {"key"}
-    assert all(len(line) <= 40 for part in parts for line in part.splitlines())
 
 
 def test_numbers_of_the_fluency_table_have_three_digits() -> None:

@@ -226,7 +226,7 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
         (out / "strangers.json").write_text(json.dumps(content | {"partners": partners}))
         with pytest.raises(ResultsError, match=message):
             make_leaderboard([out], population)
-    for policies in ([5], [None], [["hold"]], "hold", 5):
+    for policies in ([5], "hold"):
         (out / "strangers.json").write_text(json.dumps(content | {"policies": policies}))
         with pytest.raises(ResultsError, match="not a readable evaluation"):
             make_leaderboard([out], population)
@@ -236,21 +236,6 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
         make_leaderboard([out], population)
     with pytest.raises(ResultsError, match="is not finished"):
         make_leaderboard([tmp_path], population)
-
-
-def test_command(
-    fake_data: Path, population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    shutil.copytree(evaluated, out)
-    command = ["strangers", "--receiver", "hold", "--population", str(population), "--split", "val", "--scenes", "9,14"]
-    command += ["--data-dir", str(fake_data), "--workers", "1", "--no-progress", "--format", "csv", "--out", str(out)]
-    assert main(command) == 0
-    output = capsys.readouterr()
-    assert "fast,timing," in output.out
-    assert "strangers.md" in output.err
-    assert main(["strangers-references", str(tmp_path / "nothing"), "--population", str(population)]) == 2
-    assert "must contain result folders" in capsys.readouterr().err
 
 
 def test_arguments(fake_data: Path, population: Path) -> None:
