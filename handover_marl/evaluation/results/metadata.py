@@ -241,7 +241,7 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
     if metadata.setup not in SETUPS and not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
         raise ResultsError(
-            f"{path}: unknown setup {shorten_text(metadata.setup)!r}; valid: {', '.join(SETUPS)}, or one of other data, "
+            f"{path}: unknown setup {shorten_text(metadata.setup)!r}; valid: {', '.join(SETUPS)}, or another one, "
             f"beside which n_split_scenes must be a number, got {metadata.n_split_scenes!r}"
         )
 
