@@ -5,9 +5,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handover_marl.cli.options import PopulationName, SceneNumbers
-from handover_marl.cli.printing import TableFormat, print_tables
-from handover_marl.cli.streams import print_result
+from handover_marl.cli.options import PopulationName, SceneNumbers, TableFormat
+from handover_marl.cli.streams import print_result, print_tables
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.streams import print_result
+from handover_marl.errors import OptionError
 
 _Folder = Annotated[str, tyro.conf.arg(metavar="DIR")]
 _Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
@@ -164,21 +165,17 @@ def preview(
 
 
 def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
-    from handover_marl.cli.options import ArgumentError
-
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise ArgumentError(f"{name} must be world, table or seven numbers, got {text!r}") from error
+        raise OptionError(f"{name} must be world, table or seven numbers, got {text!r}") from error
 
 
 def _parse_hand(text: str) -> int:
-    from handover_marl.cli.options import ArgumentError
-
     try:
         return int(text)
     except ValueError as error:
-        raise ArgumentError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
+        raise OptionError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
 
 
 def _parse_share(text: str) -> float | tuple[str, ...]:

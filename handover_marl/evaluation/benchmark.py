@@ -119,7 +119,7 @@ class Evaluation:
     def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str = "") -> None:
         if execution.replays != REPLAYS_NONE:
             check_replay_options(execution)
-        check_pool(execution.pool)
+        check_pool(execution)
         shard = None if execution.shard is None else Shard.parse(execution.shard)
         self.config, dataset = resolve_config(config, execution.trust)
         split_ids = dataset.list_scenes(self.config.setup, config.split)
@@ -176,7 +176,7 @@ class Evaluation:
         return report
 
     def _open_pool(self) -> Pool:
-        return open_pool(self._execution.pool)
+        return open_pool(self._execution)
 
     def _collect_writers(self, writers: Sequence[EpisodeWriter]) -> tuple[EpisodeWriter, ...]:
         """Return all writers, the result folder last: its files mark scenes as finished."""

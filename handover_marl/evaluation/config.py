@@ -20,7 +20,7 @@ from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.options import LOCAL, PoolConfig, check_boolean, check_path
+from handover_marl.execution.options import PoolConfig, check_boolean, check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 from handover_marl.simulation.camera.noise import CameraNoise
@@ -109,7 +109,7 @@ class EvaluationConfig:
 
 
 @dataclass(frozen=True)
-class ExecutionConfig:
+class ExecutionConfig(PoolConfig):
     """Configuration of the execution: workers and output; outcomes do not depend on it.
 
     Attributes:
@@ -128,9 +128,6 @@ class ExecutionConfig:
         OptionError: A switch is not a boolean, or the output folder not a path.
     """
 
-    workers: int | None = None
-    backend: str = LOCAL
-    ray_address: str | None = None
     shard: str | None = None
     out: str | None = None
     progress: bool = True
@@ -143,11 +140,6 @@ class ExecutionConfig:
             check_boolean(name, getattr(self, name))
         if self.out is not None:
             object.__setattr__(self, "out", str(check_path("out", self.out)))
-
-    @property
-    def pool(self) -> PoolConfig:
-        """Configuration of the worker pool that simulates the scenes."""
-        return PoolConfig(self.workers, self.backend, self.ray_address)
 
     @property
     def folder(self) -> Path | None:

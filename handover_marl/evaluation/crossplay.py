@@ -244,7 +244,7 @@ def crossplay(
             pair = giver.label, receiver.label
             pair_config = replace(config, giver=giver, receiver=receiver)
             evaluations[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair)))
-    with share_pool(execution.pool) as open_workers:
+    with share_pool(execution) as open_workers:
         reports = {pair: evaluation.run(open_workers=open_workers) for pair, evaluation in evaluations.items()}
     result = CrossPlay(
         tuple(giver.label for giver in resolved_givers),

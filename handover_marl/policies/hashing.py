@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl import __version__
+from handover_marl.version import __version__
 
 _LIBRARY = "handover_marl"
 _SITE_FOLDERS = {"site-packages", "dist-packages"}

@@ -13,14 +13,11 @@
 
 import functools
 import json
-import pickle
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
-
-import cloudpickle
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
@@ -34,6 +31,7 @@ from handover_marl.errors import (
     UnknownNameError,
 )
 from handover_marl.execution.options import check_boolean
+from handover_marl.execution.pool import pickle_by_value, unpickle
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.hashing import hash_object, hash_policy, is_library_class
 from handover_marl.policies.policy import (
@@ -217,7 +215,7 @@ class PolicyReference:
 
     def _load(self) -> Any:
         if self.pickled:
-            return pickle.loads(self.pickled)
+            return unpickle(self.pickled)
         if ":" in self.name:
             return import_reference(self.agent, self.name)
         return load_registered(self.agent, self.name)
@@ -318,7 +316,7 @@ def _parse_object(agent: str, policy: Any, extra: Mapping[str, Any], trust: bool
         raise OptionError(f"options must be passed with a class, got an instance of {name}; pass the class")
     check_policy_options(agent, policy_class, name, extra)
     try:
-        pickled = cloudpickle.dumps(policy)
+        pickled = pickle_by_value(policy)
     except Exception as error:  # pickling a user's object may raise anything
         raise OptionError(
             f"{agent} {name} cannot be sent to worker processes ({type(error).__name__}: {error}); "

@@ -34,7 +34,7 @@ TARGETS = (
     "handover_marl.evaluation.demonstrations.record.demonstrate",
     "handover_marl.evaluation.demonstrations.to_lerobot.convert_to_lerobot",
     "handover_marl.evaluation.demonstrations.to_minari.convert_to_minari",
-    "handover_marl.datasets.folder_check.examine_data_folder",
+    "handover_marl.cli.data_folders.check_data_folder",
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.plan.render_plan",
     "handover_marl.evaluation.rendering.scene.render_scene",

@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
 from handover_marl.givers.array_giver import make_giver_batch
-from handover_marl.learning.batch.network_policies import make_network_policy_batch
+from handover_marl.learning.network_policies import make_network_policy_batch
 from handover_marl.policies.batch import (
     Actions,
     HostPolicyBatch,

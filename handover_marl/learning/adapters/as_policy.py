@@ -10,12 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import cloudpickle
-
 from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
+from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy, TorchFunction
 from handover_marl.learning.encodings.choices import is_reference
@@ -157,7 +156,7 @@ def _adapt(
     keywords: dict[str, Any] = {"function": function, "encoding": encoding, "name": name or stem, "digest": digest}
     label = name or f"{stem}@{digest[:8]}"
     try:
-        pickled = cloudpickle.dumps(functools.partial(FunctionPolicy, **keywords, label=label))
+        pickled = pickle_by_value(functools.partial(FunctionPolicy, **keywords, label=label))
     except Exception as error:  # pickling a user's object may raise anything
         raise OptionError(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "

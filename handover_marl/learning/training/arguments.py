@@ -4,8 +4,7 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-from typing_extensions import Self
+from typing import TYPE_CHECKING
 
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import set_discount
@@ -14,6 +13,9 @@ from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.training.run_folder import select_training_scenes
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import MUJOCO
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,7 @@ class PairArgs(TrainingArgs):
             "receiver": (self.receiver_features, self.receiver_actions),
         }
 
-    def shrink_for_smoke_test(self) -> Self:
+    def shrink_for_smoke_test(self) -> "Self":
         """Return arguments with the smallest sizes if `smoke_test` is set, else the same arguments."""
         if not self.smoke_test:
             return self

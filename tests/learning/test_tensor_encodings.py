@@ -13,21 +13,18 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 import handover_marl
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
-from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
-from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
+from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.features import list_features
-from handover_marl.learning.receiver_schemes import JointDeltaScheme
-from handover_marl.learning.schemes import list_schemes
-from tests.learning.batch.test_encodings import AGENTS, CONTEXT, SELECTOR, choices, draw_observation, select
+from handover_marl.learning.features import make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.schemes import make_array_scheme
+from tests.learning.array_encodings import CONTEXT, FEATURES, SCHEMES, draw_observation, select
 from tests.tensors import make_device_tensors
 
 COUNT = 6
 STEPS = 35
 RANDOM_STATES = 8
 FLAGS = ("released", "holding", "hand_present")
-FEATURES = list(choices({agent: list_features(agent) for agent in AGENTS}))
-SCHEMES = list(choices({agent: list_schemes(agent) for agent in AGENTS}))
 
 
 @functools.cache
@@ -50,7 +47,7 @@ def record_observations() -> list[Observation]:
     for seed in range(RANDOM_STATES):
         found.append(select(draw_observation(seed), np.arange(COUNT)))
         if seed % 2:
-            grasps, _, exists = LowestCostGraspSelectorBatch(SELECTOR, COUNT).select(np.arange(COUNT), found[-1])
+            grasps, _, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(np.arange(COUNT), found[-1])
             found[-1]["gripper_pose"][exists] = grasps[exists] + rng.normal(scale=0.03, size=(exists.sum(), 7))
     return found
 
@@ -90,20 +87,16 @@ def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> N
 
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
-    host = make_feature_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
-    batch = make_feature_batch(
-        agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays), COUNT, arrays
-    )
+    host = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
+    batch = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT, arrays), COUNT, arrays)
     for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
         assert_equal(batch(own_rows, tensors), host(rows, observation))
 
 
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
-    host = make_scheme_batch(agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT), COUNT)
-    batch = make_scheme_batch(
-        agent, name, CONTEXT, LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays), COUNT, arrays
-    )
+    host = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
+    batch = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT, arrays), COUNT, arrays)
     rng, n_outputs = np.random.default_rng(2), 0
     for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
         needs, own_needs = host.needs_outputs(rows, observation), batch.needs_outputs(own_rows, tensors)
@@ -117,7 +110,7 @@ def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None
 
 
 def test_selections_of_tensors(arrays: ArrayFactory) -> None:
-    host, batch = LowestCostGraspSelectorBatch(SELECTOR, COUNT), LowestCostGraspSelectorBatch(SELECTOR, COUNT, arrays)
+    host, batch = LowestCostGraspSelector(CONTEXT, COUNT), LowestCostGraspSelector(CONTEXT, COUNT, arrays)
     n_grasps = 0
     for rows, observation, own_rows, tensors in iterate_steps(arrays):
         expected, found = host.select(rows, observation), batch.select(own_rows, tensors)
@@ -133,8 +126,10 @@ def compute_fingers(observation: Observation) -> np.ndarray:
     return observation["robot_joint_position"][7:]
 
 
-class PatientScheme(JointDeltaScheme):
+class PatientScheme(ActionScheme):
     """User-defined scheme that accepts NumPy arrays only and waits."""
+
+    name, agent, size = "patient", "receiver", 7
 
     def needs_outputs(self, observation: Observation) -> bool:
         assert all(type(values) is np.ndarray for values in observation.values())
@@ -143,6 +138,10 @@ class PatientScheme(JointDeltaScheme):
     def set_outputs(self, outputs: np.ndarray) -> None:
         assert type(outputs) is np.ndarray
         super().set_outputs(outputs)
+
+    def compute_action(self, observation: Observation) -> np.ndarray:
+        arm = observation["robot_joint_position"][:7] + 0.2 * self.outputs
+        return np.array([*arm, 0.04, 0.04], dtype=np.float32)
 
 
 def test_user_defined_features_get_arrays(arrays: ArrayFactory) -> None:

@@ -1,8 +1,7 @@
 """Policies that run one dense network in many episodes at once.
 
-For equal features, the outputs of the network equal those of a single policy to the bit. Features and action schemes
-of a batch differ from single ones by up to 1e-6, so that actions equal those of single policies to 1e-5. Actions do
-not depend on the other episodes of the batch. For PyTorch tensors, outputs equal those of a single policy to 1e-5.
+Actions equal those of single policies to the bit and do not depend on the other episodes of the batch. For PyTorch
+tensors, they equal those of single policies to 1e-5.
 """
 
 import functools
@@ -12,13 +11,13 @@ from typing import Any
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy
-from handover_marl.learning.batch.encodings import find_scheme_batch
-from handover_marl.learning.batch.features import FEATURE_BATCHES, FeatureBatch
-from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
-from handover_marl.learning.batch.schemes import SchemeBatch
-from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
+from handover_marl.learning.features import list_features, make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
+from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
 from handover_marl.policies.policy import Policy
 
@@ -77,8 +76,8 @@ class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
     def __init__(
         self,
         policy: FunctionPolicy,
-        features: FeatureBatch,
-        scheme: SchemeBatch,
+        features: ArrayFeatures,
+        scheme: ArrayScheme,
         count: int,
         check: Callable[[object], Actions],
         arrays: ArrayFactory = NUMPY_ARRAYS,
@@ -141,11 +140,11 @@ def make_network_policy_batch(
         return None
     if not isinstance(policy.function, DenseNetwork):
         return None
-    context = policy.scheme.context
-    selector = LowestCostGraspSelectorBatch(get_lowest_cost_grasp_selector(context), count, arrays)
-    scheme = find_scheme_batch(policy.scheme, selector, count, arrays)
-    known = FEATURE_BATCHES[policy.scheme.agent].get(policy.features) if isinstance(policy.features, str) else None
-    if known is None or scheme is None:
+    agent, context = policy.scheme.agent, policy.scheme.context
+    if not isinstance(policy.scheme, SingleScheme) or policy.features not in list_features(agent):
         return None
-    features = known(context, selector, count, arrays)
+    selector = LowestCostGraspSelector(context, count, arrays)
+    features = make_array_features(agent, policy.features, context, selector, count, arrays)
+    scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
+    scheme.wait = policy.scheme.wait
     return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)

@@ -1,43 +1,55 @@
-"""Base classes of action schemes of many episodes at once.
+"""Base classes of action schemes of many episodes at once, and the view of a single episode.
 
-Actions equal those of single episodes to 1e-6 after the rounding to float32, and do not depend on the
-batch.
+Actions do not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from typing import ClassVar
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
-from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
+from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.policies.policy import PolicyContext
+
+# The only episode of a single scheme.
+_ROW = np.array([0])
 
 
-class SchemeBatch(ABC):
+class ArrayScheme(ABC):
     """Decoder of network outputs into one agent's actions, in each of n episodes.
 
     Args:
-        scheme: Scheme of a single episode; its parameters apply to all episodes.
+        context: Robot, task and known grasps of the objects.
         selector: Selector of grasps.
         count: Number n of episodes.
         arrays: Creator of the arrays.
 
     Attributes:
+        name: Name of the scheme in policy files.
+        agent: Agent that acts, "giver" or "receiver".
         size: Number of outputs.
+        wait: Time at the start of an episode during which the agent does not act (s); may be changed only in schemes
+            in which it is not zero by default.
     """
+
+    name: ClassVar[str]
+    agent: ClassVar[str]
+    size: int
+    wait: float = 0.0
 
     def __init__(
         self,
-        scheme: ActionScheme,
-        selector: LowestCostGraspSelectorBatch,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
         count: int,
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        self.size, self.wait = scheme.size, scheme.wait
         self._selector, self._arrays = selector, arrays
-        self._outputs = arrays.zeros((count, scheme.size))
+        self._outputs = arrays.zeros((count, self.size))
 
     def reset(self, row: int) -> None:
         """Clear the state of the previous episode.
@@ -66,8 +78,8 @@ class SchemeBatch(ABC):
         """
 
 
-class RawSchemeBatch(SchemeBatch):
-    """Batch of `RawScheme`: the outputs are the actions."""
+class RawScheme(ArrayScheme):
+    """Identity scheme: the outputs are the actions in physical units and are not clipped."""
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size) without clipping."""
@@ -80,8 +92,8 @@ class RawSchemeBatch(SchemeBatch):
         return xp.astype(self._outputs[rows], xp.float32)
 
 
-class SequentialSchemeBatch(SchemeBatch):
-    """Batch of n user-defined schemes, one for each episode, that are called one after another with NumPy arrays.
+class SequentialScheme(ArrayScheme):
+    """User-defined schemes, one for each episode, that are called one after another with NumPy arrays.
 
     Args:
         schemes: Scheme of each episode.
@@ -115,3 +127,51 @@ class SequentialSchemeBatch(SchemeBatch):
         own = {key: to_numpy(values) for key, values in observation.items()}
         for number, row in enumerate(rows.tolist()):
             yield self._schemes[row], {key: values[number].copy() for key, values in own.items()}
+
+
+class SingleScheme(ActionScheme):
+    """Action scheme of one episode, without the leading axis.
+
+    Args:
+        scheme: Scheme of one episode.
+        context: Robot, task and known grasps of the objects.
+
+    Attributes:
+        scheme: Scheme of one episode.
+    """
+
+    def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:
+        self.name, self.agent, self.size = scheme.name, scheme.agent, scheme.size  # type: ignore[misc]
+        self.context, self.scheme = context, scheme
+        scheme.reset(0)
+
+    @property
+    def wait(self) -> float:
+        """Time at the start of an episode during which the agent does not act (s)."""
+        return self.scheme.wait
+
+    @wait.setter
+    def wait(self, wait: float) -> None:
+        self.scheme.wait = wait
+
+    def reset(self) -> None:
+        """Clear the state of the previous episode."""
+        self.scheme.reset(0)
+
+    def needs_outputs(self, observation: Observation) -> bool:
+        """Return whether the network must be evaluated now; else its previous outputs remain in use."""
+        return bool(self.scheme.needs_outputs(_ROW, add_axis(observation))[0])
+
+    def set_outputs(self, outputs: Outputs) -> None:
+        """Store new network outputs (size,)."""
+        self.scheme.set_outputs(_ROW, np.asarray(outputs)[None])
+
+    def compute_action(self, observation: Observation) -> Action:
+        """Return the agent's action for the current outputs, an element of its action space."""
+        action: Action = self.scheme.compute_actions(_ROW, add_axis(observation))[0]
+        return action
+
+
+def add_axis(observation: Observation) -> Observation:
+    """Return an observation as a batch of one."""
+    return {key: values[None] for key, values in observation.items()}

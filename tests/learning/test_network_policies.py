@@ -18,9 +18,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
-from handover_marl.learning.batch.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
 from handover_marl.learning.features import count_features, list_features
 from handover_marl.learning.learned_policy import LearnedPolicy
+from handover_marl.learning.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
     ACTIVATIONS,
@@ -32,7 +32,7 @@ from handover_marl.learning.policy_spec import (
 from handover_marl.learning.schemes import count_outputs, list_schemes
 from handover_marl.policies.batch import SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
-from tests.learning.batch.test_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
+from tests.learning.array_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
 from tests.tensors import make_device_tensors, make_observe_function
 
 PAIRS = [

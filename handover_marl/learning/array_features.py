@@ -1,17 +1,17 @@
-"""Features of many observations at once; see `handover_marl.learning.features` for their meaning.
+"""Feature vectors for small networks, computed from observations of many episodes at once.
 
-Values equal those of single observations to 1e-6 after the rounding to float32, and do not depend on
-the batch.
+Positions are scaled to decimetres and expressed in the frame of the planned handover or of the gripper, so that the
+components are of order one and independent of the world frame. Features do not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.observations import Observation, giver_observation_space, state_space
+from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     AnyArray,
@@ -31,13 +31,17 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
-from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
 from handover_marl.learning.encodings.custom_features import AgentFeatures
-from handover_marl.learning.features import GRASP_SCALE, N_STACKED, SCALE, GraspProximityFeatures, count_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
+#: Scale of positions, and of the translation to a grasp (1/m).
+SCALE, GRASP_SCALE = 10.0, 5.0
+#: Number of decisions in stacked features.
+N_STACKED = 4
 
-class FeatureBatch(ABC):
+
+class ArrayFeatures(ABC):
     """Function from observations of r episodes to feature vectors, float32.
 
     Attributes:
@@ -64,10 +68,11 @@ class FeatureBatch(ABC):
 
 
 def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
-    """Return the handover frames of r episodes; see `features.compute_handover_frame`.
+    """Return the frames at the objects' recorded positions 0.5 s later, with x towards the gripper.
 
     Returns:
-        Origins (r, 3) in the world (m), and axes as columns (r, 3, 3).
+        Origins (r, 3) in the world (m), and axes as columns (r, 3, 3) in the world: x points horizontally towards the
+        gripper, z up.
     """
     origins = widen(observation["replay_object_poses"][:, -1, :3])
     xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
@@ -91,8 +96,13 @@ def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
     return rotate_to_frame(axes.swapaxes(1, 2), vectors)
 
 
-class GiverFeatureBatch(FeatureBatch):
-    """Features of the givers of many episodes at once; see `features.compute_giver_features`.
+class GiverFeatures(ArrayFeatures):
+    """Features (39) from which a giver can choose a handover pose.
+
+    In the frame of `compute_handover_frames`: horizontal distance and height of the gripper; origin of the
+    frame relative to the goal (in the world frame); wrist position, mean finger position and object
+    orientation 0.5 s later in the recording; whether the object was released; and the YCB class
+    of the object (one-hot; zeros for another class).
 
     Args:
         context: Task, with the position of the goal.
@@ -125,8 +135,14 @@ class GiverFeatureBatch(FeatureBatch):
         return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
-class ReceiverFeatureBatch(FeatureBatch):
-    """Features of the receivers of many episodes at once; see `features.compute_receiver_features`.
+class ReceiverFeatures(ArrayFeatures):
+    """Features (56) from which a receiver can take an object to the goal.
+
+    In the gripper frame: positions of the object, the person's wrist, the mean of the person's
+    fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
+    finger joints and their velocities, its arm joints, whether the object was released, the elapsed
+    share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
+    zeros for another class).
 
     Args:
         context: Task, with the position of the goal and the longest duration.
@@ -162,8 +178,11 @@ class ReceiverFeatureBatch(FeatureBatch):
         return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
-class GraspFeatureBatch(FeatureBatch):
-    """Batch of `features.GraspFeatures`.
+class GraspFeatures(ArrayFeatures):
+    """Features (64): those of `ReceiverFeatures`, and of the known grasp of lowest cost (8).
+
+    In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
+    of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -172,9 +191,9 @@ class GraspFeatureBatch(FeatureBatch):
     """
 
     def __init__(
-        self, context: PolicyContext, selector: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
-        self._selector, self._receiver = selector, ReceiverFeatureBatch(context, arrays)
+        self._selector, self._receiver = selector, ReceiverFeatures(context, arrays)
         self._identity = arrays.asarray(IDENTITY.copy())
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -196,8 +215,17 @@ class GraspFeatureBatch(FeatureBatch):
         return xp.astype(xp.where(exists[:, None], parts, 0.0), xp.float32)
 
 
-class GraspProximityFeatureBatch(FeatureBatch):
-    """Batch of `features.GraspProximityFeatures`.
+class GraspProximityFeatures(ArrayFeatures):
+    """Features (12) that suffice to decide when to close the gripper.
+
+    In the gripper frame: translation (3) and rotation vector (3) to the known grasp of lowest cost. Then
+    follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
+    finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
+    few features a policy learns to close the gripper from few episodes.
+
+    Attributes:
+        position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).
+        angle_scale: Angle to the grasp at which the proximity of the orientation is 1/e (rad).
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -205,35 +233,40 @@ class GraspProximityFeatureBatch(FeatureBatch):
         arrays: Creator of the arrays.
     """
 
+    position_scale, angle_scale = 0.03, 0.2
+
     def __init__(
-        self, context: PolicyContext, selector: LowestCostGraspSelectorBatch, arrays: ArrayFactory = NUMPY_ARRAYS
+        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
     ) -> None:
-        self._grasp = GraspFeatureBatch(context, selector, arrays)
+        self._grasp = GraspFeatures(context, selector, arrays)
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of grasps and grippers."""
         grasp = self._grasp.compute_grasps(rows, observation)
-        xp, scales = get_namespace(grasp), GraspProximityFeatures
+        xp = get_namespace(grasp)
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
         distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
-        near = xp.exp(-distance / GRASP_SCALE / scales.position_scale)
-        aligned = xp.exp(-angle / scales.angle_scale)
+        near = xp.exp(-distance / GRASP_SCALE / self.position_scale)
+        aligned = xp.exp(-angle / self.angle_scale)
         fingers = 50.0 * observation["robot_joint_position"][:, 7:] - 1.0
         parts = [translation, rotation, near * exists, aligned * exists, fingers, observation["released"], exists]
         return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
-class StackedFeatureBatch(FeatureBatch):
-    """Batch of `features.StackedFeatures`.
+class StackedFeatures(ArrayFeatures):
+    """Features of the last decisions of each episode, those of the present decision first.
+
+    Zeros stand for decisions before the first. From a stack, a policy without memory can estimate velocities and how
+    its partner reacts.
 
     Args:
-        features: Batch of the features of one observation.
+        features: Features of one decision.
         size: Number of these features.
         count: Number of episodes.
         arrays: Creator of the arrays.
     """
 
-    def __init__(self, features: FeatureBatch, size: int, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+    def __init__(self, features: ArrayFeatures, size: int, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
         self._features = features
         self._stacks = arrays.zeros((count, N_STACKED, size), "float32")
         self._times = arrays.full(count, -1.0)
@@ -253,8 +286,8 @@ class StackedFeatureBatch(FeatureBatch):
         return self._stacks[rows].reshape(len(rows), -1)
 
 
-class FlatFeatureBatch(FeatureBatch):
-    """Batch of complete observations as vectors, in the order in which Gymnasium flattens them.
+class FlatFeatures(ArrayFeatures):
+    """Complete observations as vectors, in the order in which Gymnasium flattens them.
 
     Args:
         space: Observation space of the agent.
@@ -269,8 +302,8 @@ class FlatFeatureBatch(FeatureBatch):
         return get_namespace(*parts).concat(parts, axis=1)
 
 
-class SequentialFeatureBatch(FeatureBatch):
-    """Batch of n user-defined features, one for each episode, that are called one after another with NumPy arrays.
+class SequentialFeatures(ArrayFeatures):
+    """User-defined features, one for each episode, that are called one after another with NumPy arrays.
 
     Args:
         features: Features of each episode.
@@ -287,35 +320,13 @@ class SequentialFeatureBatch(FeatureBatch):
         self._features[row].reset()
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, m); see `FeatureBatch`."""
+        """Return the feature vectors (r, m); see `ArrayFeatures`."""
         own = {key: to_numpy(values) for key, values in observation.items()}
         vectors = [
             self._features[row]({key: values[number].copy() for key, values in own.items()})
             for number, row in enumerate(rows.tolist())
         ]
         return self._arrays.asarray(np.stack(vectors))
-
-
-#: Batches of features by agent and name: functions of context, selector of grasps, number of episodes and creator of
-#: the arrays.
-FEATURE_BATCHES: dict[
-    str, dict[str, Callable[[PolicyContext, LowestCostGraspSelectorBatch, int, ArrayFactory], FeatureBatch]]
-]
-FEATURE_BATCHES = {
-    "giver": {
-        "giver": lambda context, selector, count, arrays: GiverFeatureBatch(context, arrays),
-        "flat_giver": lambda *_: FlatFeatureBatch(giver_observation_space()),
-    },
-    "receiver": {
-        "receiver": lambda context, selector, count, arrays: ReceiverFeatureBatch(context, arrays),
-        "flat_receiver": lambda *_: FlatFeatureBatch(state_space()),
-        "grasp": lambda context, selector, count, arrays: GraspFeatureBatch(context, selector, arrays),
-        "close": lambda context, selector, count, arrays: GraspProximityFeatureBatch(context, selector, arrays),
-        "close_stack": lambda context, selector, count, arrays: StackedFeatureBatch(
-            GraspProximityFeatureBatch(context, selector, arrays), count_features("receiver", "close"), count, arrays
-        ),
-    },
-}
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
