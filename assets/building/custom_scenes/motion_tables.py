@@ -394,7 +394,7 @@ def make_trajectory(
         model: Hand of the person, or None without a hand.
         fingers: (n, 45) finger joint angles (rad) in the rows with the wrist, or None without a hand.
     """
-    times: Array = np.arange(int(np.floor(table.time[-1] / TIME_STEP + 1e-6)) + 1) * TIME_STEP
+    times = np.arange(np.floor(table.time[-1] / TIME_STEP + 1e-6) + 1.0) * TIME_STEP
     poses = [table.bodies[name] for name in (OBJECT, *others)]
     objects = [resample_poses(table.time, pose[:, :3], Rotation.from_quat(pose[:, 3:]), times) for pose in poses]
     hand, span = np.zeros((len(times), HAND_DOF), dtype=np.float32), (-1, -1)
@@ -405,7 +405,7 @@ def make_trajectory(
         rotations = Rotation.from_quat(table.wrist[:, 3:])
         # The axes of the hand's base are those of the wrist.
         base = table.wrist[:, :3] - rotations.apply(model.palm_offset)
-        shown = np.clip(times[frames], recorded[0], recorded[-1])
+        shown: Array = np.clip(times[frames], recorded[0], recorded[-1])
         hand[frames, :6] = resample_poses(recorded, base, rotations, shown)
         hand[frames, 6:] = resample_fingers(recorded, fingers, shown)
     return SceneTrajectory(np.stack(objects, axis=1), hand, span)

@@ -40,8 +40,8 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
         positions (T, 51) of the hand, and the first frame in which the hand is visible.
     """
     n, first = len(motion.object_position), motion.hand_first
-    key_times = np.arange(n) * KEYFRAME_PERIOD
-    times = np.arange((n - 1) * STRIDE + 1) * TIME_STEP
+    key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
+    times = np.arange((n - 1) * STRIDE + 1, dtype=np.float64) * TIME_STEP
     target = resample_poses(key_times, motion.object_position, motion.object_rotation, times)
     object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
     if clutter:

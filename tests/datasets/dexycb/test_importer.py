@@ -61,20 +61,6 @@ def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -
     assert files(tmp_path) == before
 
 
-def test_damaged_recording_does_not_stop_the_import(given: Path, tmp_path: Path) -> None:
-    raw = tmp_path / "dex-ycb"
-    shutil.copytree(given / "dex-ycb", raw)
-    (raw / SUBJECTS[3] / "20200903_100001" / "pose.npz").write_bytes(b"no archive")
-    (raw / SUBJECTS[3] / "20200903_100002" / "meta.yml").unlink()
-    found = import_dexycb(raw, given / "mano", tmp_path / "out", scenes=(300, 301, 302, 303), workers=1, progress=False)
-    assert found.scenes == (300, 303)
-    text = str(found)
-    assert "scene 301" in text
-    assert "20200903_100001/pose.npz" in text
-    assert "20200903_100002" in text
-    assert not (tmp_path / "out/dex-ycb-cache/meta_301.json").exists()
-
-
 def test_models_of_other_data_are_kept(given: Path, tmp_path: Path) -> None:
     options = {"scenes": (300,), "workers": 1, "progress": False}
     import_dexycb(given / "dex-ycb", given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
