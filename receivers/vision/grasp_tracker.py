@@ -11,8 +11,7 @@ from handover_marl.receivers.reactive.grasps import make_offset_pose
 from handover_marl.receivers.vision.config import GraspTrackerConfig
 from handover_marl.receivers.vision.finger_clearance import shift_to_avoid_collisions
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
-from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PositionFilter
-from handover_marl.receivers.vision.point_map import PointMap
+from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PointMap, PositionFilter
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.config import VisionConfig
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
-from handover_marl.receivers.vision.point_map import PointMap
+from handover_marl.receivers.vision.object_tracking import PointMap
 
 Array = npt.NDArray[np.float64]
 

@@ -1,5 +1,6 @@
 """Writers of HandoverSim's folder `assets/`: hands from MANO, objects' URDFs and the table."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -7,16 +8,52 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.object_models import find_bullet_data
-from handover_marl.datasets.dexycb.mano import N_JOINTS, ManoModel
-from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf
+from handover_marl.datasets.dexycb.mano import N_JOINTS, PARENTS, ManoModel
 from handover_marl.datasets.official_files import is_stand_in_file
 from handover_marl.errors import DataFormatError, ResultsError, check_name
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
 from handover_marl.geometry.model_files.obj_files import format_obj
+from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
+
+_PALM_MASS, _FINGER_MASS = 0.2, 0.02  # kg
+_MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
+
+
+def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
+    """Return the text of a hand's `mano.urdf`: 53 links, 16 of them with meshes.
+
+    Args:
+        joints: (16, 3) positions of MANO's joints of the hand at rest (m).
+    """
+    positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, len(joints)))]
+    return render_urdf(
+        __package__,
+        "hand.urdf",
+        positions=[format_numbers(*position) for position in positions],
+        parents=PARENTS,
+        palm_mass=format_numbers(_PALM_MASS),
+        finger_mass=format_numbers(_FINGER_MASS),
+        limits=[(format_numbers(-angle), format_numbers(angle)) for angle in _MAX_ANGLES],
+    )
+
+
+def build_object_urdf() -> str:
+    """Return the text of `model_normalized.urdf`, which is the same for all YCB classes."""
+    return render_urdf(__package__, "object.urdf")
+
+
+def format_numbers(*numbers: float) -> str:
+    """Return numbers as the text of a URDF attribute.
+
+    They are written as integers if all of them are integers, otherwise with 64 decimals each.
+    """
+    pattern = "%.0f" if all(float(number).is_integer() for number in numbers) else "%.64f"
+    return " ".join(pattern % float(number) for number in numbers)
+
 
 # Smallest skinning weight of the vertices of a link. The collision meshes at the roots of the
 # middle, little and ring finger are smaller, so that neighbouring fingers do not touch.

@@ -16,8 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from handover_marl.assets.hand_model import HANDS_FOLDER, Side, scale_hand
-from handover_marl.assets.hand_urdf import format_hand_urdf
+from handover_marl.assets.hand_model import HANDS_FOLDER, Side, format_hand_urdf, scale_hand
 from handover_marl.assets.object_models import (
     COLLISION_NAME,
     OBJECTS_ROOT,

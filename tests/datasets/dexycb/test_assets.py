@@ -7,14 +7,16 @@ import pytest
 
 from handover_marl.datasets.dexycb import assets as table_assets
 from handover_marl.datasets.dexycb.assets import (
+    build_hand_urdf,
+    build_object_urdf,
     build_table_urdf,
+    format_numbers,
     write_hand_assets,
     write_missing_files,
     write_object_assets,
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import ManoModel
-from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf, format_numbers
 from handover_marl.errors import DataFormatError, ResultsError, UnknownNameError
 from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
