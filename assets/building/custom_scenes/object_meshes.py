@@ -9,8 +9,16 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
-from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
+from handover_marl.assets.building.object_files import write_convex_parts, write_visual
+from handover_marl.assets.object_models import (
+    COLLISION_NAME,
+    FRICTION,
+    PALETTE,
+    URDF_NAME,
+    VISUAL_NAME,
+    copy_palette,
+    format_object_urdf,
+)
 from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
 from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
@@ -128,7 +136,7 @@ def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
     write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
     write_convex_parts(folder / COLLISION_NAME, list(item.parts))
-    write_palette(folder)
+    copy_palette(folder)
     (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
 
 

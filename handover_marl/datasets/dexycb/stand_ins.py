@@ -32,7 +32,8 @@ from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts as join_convex_parts
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -185,11 +186,8 @@ def format_convex_parts(model: Path) -> str:
     parts = decompose_convex(mesh.vertices, mesh.faces)
     if not parts:
         raise DataFormatError(f"{model}: CoACD finds no body in it; copy DexYCB's models again")
-    texts, first = [f"# {STAND_IN}: convex parts by CoACD\n"], 1
-    for number, corners in enumerate(parts):
-        texts.append(f"o convex_{number}\n{format_obj(corners, compute_convex_hull(corners)[1], first)}")
-        first += len(corners)
-    return "".join(texts)
+    hulls = ((corners, compute_convex_hull(corners)[1]) for corners in parts)
+    return f"# {STAND_IN}: convex parts by CoACD\n" + join_convex_parts(hulls)
 
 
 def _write_grasps(assets: Path) -> None:

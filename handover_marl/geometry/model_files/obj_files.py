@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,6 +109,15 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + first).tolist()]
     return "".join(lines)
+
+
+def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
+    """Return convex meshes (vertices and faces) as the objects of one OBJ file; PyBullet makes a hull of each."""
+    texts, first = [], 1
+    for number, (vertices, faces) in enumerate(parts):
+        texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
+        first += len(vertices)
+    return "".join(texts)
 
 
 def check_mesh(path: Path) -> None:
