@@ -136,12 +136,7 @@ class GaddpgReceiver(PhasedReceiver):
         self._start_approach()
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            PolicyError: The network did not return six numbers.
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         timing, self._now_ms = self.timing, round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - timing.wait_ms
         if elapsed < 0:

@@ -67,7 +67,6 @@ class OmgReceiver(PhasedReceiver):
         OptionError: The extra `planning` is not installed.
 
     Attributes:
-        config: Configuration of the planner.
         world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
     """
 
@@ -129,11 +128,7 @@ class OmgReceiver(PhasedReceiver):
         self._has_planned, self._plan = False, None
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self.timing.wait_ms
         if elapsed < 0:

@@ -276,9 +276,6 @@ class Yang2021Receiver(Receiver):
 
     Raises:
         OptionError: `wait` or an option is out of range, or an option is unknown.
-
-    Attributes:
-        config: Constants of the method.
     """
 
     name = "yang2021"
@@ -320,11 +317,7 @@ class Yang2021Receiver(Receiver):
         return float(self._controller.get_hold_times(_ROW)[0])
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         action: Action = self._controller.act(_ROW, {key: values[None] for key, values in observation.items()})[0]
         return action
 

@@ -29,11 +29,6 @@ class ArmInWorld:
         arm: Kinematics in the base frame.
         base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
         limits: Lower and upper joint limits, (7,) each (rad).
-
-    Attributes:
-        arm: Kinematics in the base frame.
-        base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
-        limits: Lower and upper joint limits, (7,) each (rad).
     """
 
     def __init__(self, arm: ArmKinematics, base: Array, limits: tuple[Array, Array]) -> None:
@@ -185,7 +180,6 @@ class ArmServo:
         time_step: Duration of a physics step (s).
 
     Attributes:
-        config: Joint speeds and accelerations.
         period: Control period (s), which may be changed before each command.
         max_speeds: (7,) joint speed limits (rad/s).
     """

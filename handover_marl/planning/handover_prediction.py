@@ -84,7 +84,6 @@ class HandoverPosePredictor:
         config: Constants of the motion model.
 
     Attributes:
-        config: Constants of the motion model.
         velocity: (3,) filtered velocity of the object in the world (m/s).
         angular_velocity: (3,) filtered angular velocity of the object in the world (rad/s).
         latest_velocity: (3,) velocity between the last two updates, not filtered (m/s).

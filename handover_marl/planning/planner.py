@@ -59,7 +59,6 @@ class Planner:
         DataFormatError: A mesh cannot be read.
 
     Attributes:
-        config: Configuration of the planner.
         arm: Kinematics of the arm in its base frame.
     """
 

@@ -205,7 +205,6 @@ class ControllerReceiver(Receiver):
         OptionError: `wait` is out of range.
 
     Attributes:
-        config: Configuration of grasp selection and motion.
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
         selector: Grasp selector.

@@ -39,11 +39,6 @@ class MotionController:
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
         scene: Estimate of the scene.
-
-    Attributes:
-        arm: Kinematics of the arm.
-        servo: Velocity control of the motors.
-        scene: Estimate of the scene.
     """
 
     def __init__(self, arm: ArmInWorld, servo: ArmServo, scene: SceneEstimate) -> None:

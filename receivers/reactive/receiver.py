@@ -69,11 +69,7 @@ class ReactiveReceiver(ControllerReceiver):
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         scene.update(observation)
         if scene.object_name != self._object_name:

@@ -36,10 +36,8 @@ class SceneEstimate(ABC):
         gripper_pose: (7,) world pose of the robot's hand link.
         object_pose: (7,) world pose of the object that is handed over.
         motion: Motion of the object and its predicted handover pose.
-        person: Tracker of the person's hand.
         obstacles: Spheres that approximate the other objects within reach, in the world, or None
             without any.
-        config: Configuration of the receiver.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:

@@ -67,9 +67,6 @@ class CustomSceneFolder:
         folder: The folder.
         name: Name of the data set in results; default: the name of the folder.
 
-    Attributes:
-        folder: The folder.
-
     Raises:
         OptionError: `folder` is not a path, or the folder has another name.
         ResultsError: The folder has other files.

@@ -78,7 +78,6 @@ class CustomDataset(Dataset):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        folder: The folder.
         content: Content of `scenes.json`.
 
     Raises:
@@ -143,13 +142,7 @@ class CustomDataset(Dataset):
         )
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: A file is missing.
-            DataFormatError: A file is damaged.
-        """
+        """Load a scene with its motion in the world frame."""
         info = self.load_info(scene_id)
         has_hand = self._get_scene(scene_id).hand is not None
         path = get_motion_path(self.folder, scene_id)
@@ -157,22 +150,13 @@ class CustomDataset(Dataset):
         return self.make_scene(info, self._find_scene_assets(scene_id), object_dof, hand_dof, span)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of an object class's URDF.
-
-        Raises:
-            DataNotFoundError: The file is missing.
-        """
+        """Return the path of an object class's URDF."""
         if object_name in CLASS_NAMES.values():
             return find_ycb_urdf(object_name)
         return _require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME)
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none.
-
-        Raises:
-            DataNotFoundError: The grasp file is missing.
-            DataFormatError: The grasp file is damaged.
-        """
+        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none."""
         if object_name in CLASS_NAMES.values():
             return load_object_grasps(object_name)
         return self._read_grasps(object_name)

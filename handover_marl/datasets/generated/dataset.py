@@ -153,12 +153,7 @@ class GeneratedDataset(Dataset):
         )
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a class's URDF; the URDF of a procedural object is written on first use.
-
-        Raises:
-            UnknownNameError: There is no such class.
-            DataNotFoundError: The user's cache folder cannot be written.
-        """
+        """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
         number = self._names.find_procedural(object_name)
         if number is None:
             return find_object_urdf(object_name)

@@ -73,11 +73,7 @@ class SyntheticDataset(Dataset):
         return load_object_grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that the library's object models can be read.
-
-        Raises:
-            DataNotFoundError, DataFormatError: A model is missing or damaged.
-        """
+        """Check that the library's object models can be read."""
         for name in CLASS_NAMES.values():
             compute_hull_corners(name)
 
