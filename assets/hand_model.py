@@ -110,9 +110,6 @@ class HandGeometry:
 
         The keypoints are the wrist, then three joints and the fingertip of index, middle, little and
         ring finger and thumb.
-
-        Args:
-            dof: (..., 51) base position (m), base angles and 45 finger joint angles.
         """
         positions, rotations = self.compute_link_poses(dof)
         ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], self.tips + self._compute_tip_offsets())

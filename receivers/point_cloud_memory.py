@@ -110,9 +110,6 @@ class PointCloudMemory:
     def make_network_input(self, base_from_hand: Array) -> Array:
         """Return the network's input: points of gripper and object in the hand link's frame.
 
-        Args:
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
-
         Returns:
             (4, 6 + n_points) float64 positions (m), and a row that is 1 for gripper points.
         """
@@ -123,11 +120,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether enough object points, drawn at random, are between the fingers.
-
-        Args:
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
-        """
+        """Return whether enough object points, drawn at random, are between the fingers."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)

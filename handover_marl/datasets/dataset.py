@@ -250,10 +250,6 @@ class Dataset(ABC):
     def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
         """Find the URDF files of a scene's bodies, with the library's table.
 
-        Args:
-            info: Description of the scene.
-            hand: URDF of the human hand.
-
         Raises:
             DataNotFoundError: A file is missing.
         """

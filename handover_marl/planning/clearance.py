@@ -157,12 +157,7 @@ def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the open gripper with its flange and a body.
-
-    Args:
-        hands: (n, 7) poses of the hand link in the frame of the spheres.
-        spheres: Body to keep clear of.
-    """
+    """Return the clearances (n,) in m between the open gripper with its flange and a body."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -252,12 +247,7 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
-    """Return the world z (n,) in m of the lowest point of forearm and gripper.
-
-    Args:
-        arm: Kinematics of the arm.
-        joints: (n, 7) configurations (rad).
-    """
+    """Return the world z (n,) in m of the lowest point of forearm and gripper."""
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
     heights: Array = np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1))

@@ -236,11 +236,6 @@ class PandaIkSolver(IkSolver):
         """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
 
         Seven arm joints (rad) are followed by two finger positions, which are zero.
-
-        Args:
-            joints: (9,) joints at which the search starts (rad, m).
-            position: (3,) world position of the hand link (m).
-            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
         """
         query = _as_row(joints), _as_row(position), None if orientation is None else _as_row(orientation)
         closest, _ = self._search(*query, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)

@@ -79,11 +79,7 @@ class MotionController:
         return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
 
     def carry(self, velocity: Array) -> Action:
-        """Return the action that carries the object away from the person with closed fingers.
-
-        Args:
-            velocity: (7,) wanted joint velocities (rad/s).
-        """
+        """Return the action that carries the object away from the person with closed fingers."""
         velocity = self.servo.limit_speed(velocity)
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 

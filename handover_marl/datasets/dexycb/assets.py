@@ -155,9 +155,6 @@ def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight
 def write_object_assets(assets: Path) -> None:
     """Write `<class>/model_normalized.urdf` of the 21 YCB classes.
 
-    Args:
-        assets: Folder `assets/` of the data folder.
-
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
     """
@@ -194,9 +191,6 @@ def find_table_folder() -> Path:
 
 def write_table_assets(assets: Path) -> None:
     """Write the folder `table/` with HandoverSim's URDF and copies of PyBullet's mesh and texture.
-
-    Args:
-        assets: Folder `assets/` of the data folder.
 
     Raises:
         OptionError: PyBullet is not installed.

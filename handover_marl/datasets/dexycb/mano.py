@@ -92,11 +92,7 @@ class ManoModel:
         return joints
 
     def locate_wrist(self, betas: Sequence[float] | Array) -> Array:
-        """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation.
-
-        Args:
-            betas: (10,) shape parameters of the subject.
-        """
+        """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation."""
         root: Array = self.regress_joints(self.shape_vertices(betas))[0]
         return root
 
