@@ -85,14 +85,10 @@ class HandGeometry:
     radii: FloatArray
 
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Compute the poses of the palm and the 15 phalanges by forward kinematics.
+        """Return positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges.
 
-        Args:
-            dof: (..., 51) base position (m), base angles and 45 finger joint angles.
-
-        Returns:
-            Positions (..., 16, 3) (m) and rotation matrices (..., 16, 3, 3) in the frame in which
-            `dof` gives the base position.
+        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses
+        are.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -227,14 +223,7 @@ _FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
 
 
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
-    """Return the URDF of a hand with HandoverSim's 53 links.
-
-    Args:
-        model: Geometry of the hand.
-        name: Name of the model.
-        color: Red, green and blue of the skin, 0 to 1.
-        folder: Folder of the meshes of the hand's side, absolute or relative to the file.
-    """
+    """Return the URDF of a hand with HandoverSim's 53 links, in a color (red, green, blue), with a folder of meshes."""
     return render_urdf(
         TEMPLATES_PACKAGE,
         "hand.urdf",

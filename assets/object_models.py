@@ -44,11 +44,7 @@ TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
 
 def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
-    """Return the path of an object's URDF.
-
-    Args:
-        name: YCB class name, e.g. "025_mug".
-        root: Folder of the object models.
+    """Return the path of the URDF of a YCB class, such as "025_mug".
 
     Raises:
         UnknownNameError: The class does not exist.
@@ -65,24 +61,16 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
 
 @cache
 def format_object_urdf(mass: float = MASS, friction: float = FRICTION) -> str:
-    """Return the URDF of an object: six base joints, then a link with the meshes of its folder.
-
-    Args:
-        mass: Mass (kg).
-        friction: Lateral friction coefficient.
-    """
+    """Return the URDF of an object (mass in kg): six base joints, then a link with the meshes of its folder."""
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction)
 
 
 def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
-    """Return colored meshes as one OBJ text, for a folder with the palette.
+    """Return meshes (color name, vertices in m, faces) as one OBJ text, for a folder with the palette.
 
-    PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are the
-    center of a color's cell in a small image.
-
-    Args:
-        colored: Name of a color, vertices (v, 3) in m and faces (f, 3) of each mesh.
+    PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are
+    the center of a color's cell in a small image.
     """
     names = sorted(PALETTE)
     lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
@@ -103,11 +91,7 @@ def copy_palette(folder: Path) -> None:
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files.
-
-    Args:
-        feature: Feature that needs the folder, for the error message.
-        advice: What to do without PyBullet, for the error message.
+    """Return PyBullet's folder of model files; errors name the feature that needs it, and what to do instead.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -45,19 +45,11 @@ def find_vision_weights(setup: str) -> Path:
 
 
 def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.float64] | None:
-    """Load the robot grasps of a YCB class.
-
-    Args:
-        name: YCB class name, e.g. "025_mug".
-        path: Grasp file.
-
-    Returns:
-        (100, 4, 4) gripper poses in the object's frame (m), or None for a class without grasps.
+    """Load the gripper poses (100, 4, 4) of a YCB class in the object's frame (m), None for a class without grasps.
 
     Raises:
         UnknownNameError: The class does not exist.
-        DataNotFoundError: The grasp file is missing.
-        DataFormatError: The grasp file is damaged or lacks the class.
+        DataNotFoundError, DataFormatError: The grasp file is missing or damaged.
     """
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
@@ -85,13 +77,7 @@ def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
 
 
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
-    """Return the record (n, 4) of an object's grasp validations, or None if there is no such record.
-
-    `ValidationRecord` describes the columns.
-
-    Args:
-        name: Name of the record.
-        path: File of the records.
+    """Return the `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is no such record.
 
     Raises:
         DataFormatError: The file is damaged.

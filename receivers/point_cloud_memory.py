@@ -89,11 +89,9 @@ class PointCloudMemory:
         self._rng = np.random.RandomState(self.config.seed)
 
     def update(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:
-        """Replace the cloud by the object's points in a new view; an empty view changes nothing.
+        """Replace the cloud by the object's points (n, 3) float32 in the hand's frame; none change nothing.
 
-        Args:
-            points: (n, 3) float32 points in the hand link's frame (m), in the camera's order.
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
+        `base_from_hand` is the pose (4, 4) of the hand link in the robot's base frame.
         """
         if len(points) == 0:
             return

@@ -264,13 +264,5 @@ class Dataset(ABC):
         hand_dof: npt.NDArray[np.float32],
         hand_span: tuple[int, int] | None,
     ) -> Scene:
-        """Make a scene of this data set; see `Scene`.
-
-        Args:
-            info: Description of the scene.
-            assets: URDF files of the bodies.
-            object_dof: (T, n, 6) motion of the objects.
-            hand_dof: (T, 51) motion of the hand.
-            hand_span: First and last frame in which the hand is visible, or None if it never is.
-        """
+        """Make a `Scene` of this data set, with the first and last frame of the hand, or None without one."""
         return Scene(info, self.name, assets, object_dof, hand_dof, *(hand_span or (None, None)))

@@ -199,12 +199,7 @@ class DataLocation:
 
 
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
-    """Check that a scene on this machine equals the scene on the main machine, which starts the evaluation.
-
-    Args:
-        scene_id: Number of the scene.
-        found: Fingerprint on this machine.
-        expected: Fingerprint on the main machine; "" accepts any.
+    """Check that a scene here equals the scene on the main machine; an expected fingerprint "" accepts any.
 
     Raises:
         DataFormatError: The fingerprints differ.

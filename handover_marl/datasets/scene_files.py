@@ -60,14 +60,7 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Read the pose file of a scene.
-
-    Args:
-        path: Pose file.
-        order: Indices of the objects in the file, as returned by `read_scene_info`.
-
-    Returns:
-        Motion of the objects (T, n, 6), in the given order, and of the hand (T, 51).
+    """Read the motion of the objects (T, n, 6), in the order from `read_scene_info`, and of the hand (T, 51).
 
     Raises:
         DataFormatError: The file is damaged or has another number of objects.
@@ -88,13 +81,7 @@ def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.floa
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check the objects and the hand of a scene's meta file.
-
-    Args:
-        path: Meta file, for error messages.
-        ids: YCB class numbers of the objects.
-        grasped: Index of the handed-over object in `ids`.
-        sides: Hands, ["right"] or ["left"].
+    """Check class numbers, index of the handed-over object and hand (["right"] or ["left"]) of a meta file.
 
     Raises:
         DataFormatError: A scene cannot have these objects or hands.

@@ -106,16 +106,10 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"]:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen scenes of a split in ascending order without repetitions.
-
-    Args:
-        split_ids: Scene numbers of the split.
-        scenes: Chosen scene numbers, or None for the whole split.
-        where: Name of the split in error messages.
+    """Return the chosen scenes (None: all) of a split in ascending order without repetitions.
 
     Raises:
-        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of
-            the split.
+        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of the split.
     """
     if scenes is None:
         return split_ids

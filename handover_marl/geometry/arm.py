@@ -168,15 +168,7 @@ def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Transform points on the links of a robot to its base frame for n configurations.
-
-    Args:
-        frames: Frames of L links.
-        on_links: (m, 3) points in the frame of each of these links (m).
-
-    Returns:
-        (3, L * m, n) points, link by link (m).
-    """
+    """Return points (3, L * m, n) in the base frame of (m, 3) points on each of L links in n configurations (m)."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
@@ -230,13 +222,9 @@ class ReachabilityBound:
     def is_unreachable(
         self, position: npt.ArrayLike, orientation: npt.ArrayLike | None, distance: float, angle: float
     ) -> npt.NDArray[np.bool_]:
-        """Return whether the robot's hand can certainly not reach poses within tolerances, (...).
+        """Return whether the hand can certainly not reach positions (..., 3) and quaternions (..., 4), or None for any.
 
-        Args:
-            position: (..., 3) world positions of the hand (m).
-            orientation: (..., 4) world orientations of the hand, quaternions xyzw; None for any orientation.
-            distance: Position tolerance (m).
-            angle: Orientation tolerance (rad).
+        The tolerances are those of position (m) and orientation (rad).
         """
         target = np.asarray(position, dtype=np.float64)
         is_too_far = np.asarray(compute_lengths(target - self._shoulder) > self._arm_length + distance)

@@ -190,14 +190,10 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
 
 
 def unwrap_euler(angles: Array, previous: Array) -> Array:
-    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row.
+    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row, from `previous` (3,) on.
 
-    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the
-    sum of absolute differences.
-
-    Args:
-        angles: (n, 3) XYZ Euler angles (rad).
-        previous: (3,) angles before the first row (rad).
+    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the sum of
+    absolute differences.
     """
     rows = np.empty(angles.shape)
     done = 0

@@ -27,12 +27,7 @@ UNCHECKED = 5
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps that OMG uses; for some objects, grasps that slip are excluded.
-
-    Args:
-        object_name: Object class.
-        grasps: (n, 7) poses of the hand link in the object's frame.
-    """
+    """Return a mask (n,) of the grasps (n, 7) that OMG uses; for some objects, grasps that slip are excluded."""
     rule = _RULES.get(object_name)
     if rule is None:
         return np.ones(len(grasps), dtype=bool)
@@ -113,15 +108,10 @@ class GoalSetBuilder:
         self._config, self._hand, self._unchecked_last = config.goals, config.hand, config.unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
-        """Return the goals at which the gripper can grasp an object.
+        """Return the goals at which the gripper can grasp an object by grasps (n, 7) in the base frame.
 
-        Goals are ordered by decreasing clearance to the person's hand. Goals with too little
-        clearance are excluded if other goals exist.
-
-        Args:
-            grasps: (n, 7) poses of the hand link at the grasps, in the base frame.
-            objects: Objects in the base frame.
-            person: The person's hand, or None to ignore it.
+        Goals are ordered by decreasing clearance to the person's hand. Goals with too little clearance are
+        excluded if other goals exist.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))
@@ -251,20 +241,11 @@ class GoalSelector:
         self._expert_weights = np.full(len(config.learning_rates), 1.0 / len(config.learning_rates))
 
     def select_first(self, trajectory: Array) -> int:
-        """Return the index of the goal that is cheapest to reach from a trajectory's first waypoint.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-        """
+        """Return the index of the goal that is cheapest to reach from the first waypoint of a trajectory (w, 7)."""
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the selection by the goals' present costs, and return the selected goal's index.
-
-        Args:
-            trajectory: (w, 7) present waypoints (rad).
-            round_number: Number of the round, counted from 1.
-        """
+        """Update the selection by the goals' present costs in a round, from 1, and return the selected goal's index."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(
@@ -291,12 +272,8 @@ class GoalSelector:
 def update_weights(weights: Array, losses: Array) -> Array:
     """Return weights (n,) after a step of mirror descent on the simplex with shifted entropy.
 
-    Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that
-    the new weights add up to one.
-
-    Args:
-        weights: (n,) present weights, which add up to one.
-        losses: (n,) loss of each weight, scaled by the learning rate.
+    Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that the new weights
+    add up to one. The losses (n,) are scaled by the learning rate.
     """
     shift = 1.0 / (4 * len(weights) + 1)
     scaled = (weights + shift) * np.exp(-losses)

@@ -134,12 +134,8 @@ class HandTracker:
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the present world pose (7,) of a frame that is fixed to the person's hand.
 
-        The pose follows from the frame's pose at an earlier time and the hand's motion since then.
-
-        Args:
-            points: (k, 3) value of `reference_points` at the earlier time (m).
-            pose: (7,) world pose of the frame at the earlier time.
-            ahead: Additional time for which the hand's present velocity is extrapolated (s).
+        The pose follows from the frame's pose (7,) and `reference_points` (k, 3) at an earlier time, and the
+        hand's motion since then; its present velocity is extrapolated for the time `ahead` (s).
         """
         if points.shape != self.points.shape or not len(points):
             return pose

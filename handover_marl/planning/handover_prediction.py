@@ -165,12 +165,7 @@ class HandoverPosePredictor:
         return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s), (3,) each, of a point on the object.
-
-        Args:
-            point: (3,) point fixed to the object, in the world (m).
-            ahead: Length of the coming control period (s); velocities are predicted for its middle.
-        """
+        """Predict linear (m/s) and angular velocity (rad/s) of a point on the object in the middle of a period."""
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration
         angular = self.latest_angular_velocity

@@ -83,11 +83,7 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
     """Return the errors (6, n) of hand poses: translation (m), then rotation vector (rad).
 
-    Args:
-        origins: (3, n) present positions of the hand link (m).
-        hand_rotations: (3, 3, n) present rotations of the hand link.
-        positions: (3, n) wanted positions (m).
-        rotations: (n, 3, 3) wanted rotations.
+    Present positions (3, n) and rotations (3, 3, n) are those of `LinkFrames`; wanted rotations are (n, 3, 3).
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(

@@ -84,13 +84,7 @@ class Planner:
         return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of several grasps; return None if no grasp can be reached.
-
-        Args:
-            grasps: (n, 7) poses of the hand link in the base frame.
-            objects: Objects to keep clear of, in the base frame.
-            hand: The person's hand in the base frame, or None to ignore it.
-        """
+        """Compute a trajectory to one of the grasps (n, 7) in the base frame; None if none can be reached."""
         config = self.config
         person = None if hand is None or config.hand is None else make_hand_obstacle(hand, config.hand)
         goals = self._builder.build(grasps, objects, person)
@@ -179,13 +173,7 @@ class Chomp:
         return gradient
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after one gradient step that ends on a given approach path.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            tail: (t, 7) required last waypoints, from standoff to grasp (rad).
-            number: Number of the step in the optimization, counted from 1.
-        """
+        """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""
         smooth = self.compute_smoothness_gradient(trajectory)
         near = self._costs.obstacle_weight * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
@@ -201,12 +189,9 @@ class Chomp:
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
 
     def is_finished(self, trajectory: Array, goal: Array, collision_distance: float) -> bool:
-        """Return whether the optimization of a trajectory may end early.
+        """Return whether the optimization of a trajectory (w, 7) to a grasp (7,) may end early.
 
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            goal: (7,) configuration at the grasp (rad).
-            collision_distance: Distance below which a body point collides with an obstacle (m).
+        A body point nearer than `collision_distance` (m) to an obstacle collides.
         """
         config = self._config
         return (

@@ -241,11 +241,7 @@ class ControllerReceiver(Receiver):
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and motor control, and create the controller of an episode.
-
-        Args:
-            scene: Estimate of the scene that the controller acts on.
-        """
+        """Reset selector and motor control, and create the controller of an episode that acts on an estimate."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

@@ -190,12 +190,8 @@ def perturb_grasps(
 ) -> ValidatedGrasps:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
-    Args:
-        grasps: Grasps in the object's frame.
-        points: (k, 3) points of the object's surface in its frame (m).
-        hand: The person's hand in the object's frame.
-        sweep: Length of the straight approach to a grasp (m).
-        offsets: Offsets of the copies, and required clearances.
+    All is in the object's frame: points (k, 3) of its surface, and the hand. `sweep` is the length of the straight
+    approach (m).
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -214,14 +210,7 @@ def perturb_grasps(
 
 
 def make_offset_pose(tilt: float, lateral: float, backward: float, pad_distance: float) -> Array:
-    """Return the pose (7,) of an offset grasp copy in the frame of the original grasp.
-
-    Args:
-        tilt: Rotation about the line between the pads (rad).
-        lateral: Translation across the line between the pads and the approach direction (m).
-        backward: Translation back along the approach direction (m).
-        pad_distance: Distance of the pads' middle from the hand's frame (m).
-    """
+    """Return the pose (7,) of a grasp copy, tilted about the line between the pads and moved."""
     middle = np.array([0.0, 0.0, pad_distance, 0.0, 0.0, 0.0, 1.0])
     moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])
     offset: Array = compose(compose(middle, moved), invert_pose(middle))

@@ -73,13 +73,7 @@ class RetreatController:
         self._started_at: float | None = None
 
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
-        """Return the joint velocities (7,) in rad/s that continue the retreat.
-
-        Args:
-            time: Time since the start of the episode (s).
-            joints: (7,) present configuration (rad).
-            gripper_pose: (7,) present world pose of the hand link.
-        """
+        """Return the joint velocities (7,) in rad/s that continue the retreat from joints and a hand pose (7,)."""
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:
                 self._rejected.append(self._end)

@@ -89,13 +89,10 @@ class GraspSelector:
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidates; the costs must include the costs of grasps that have failed.
+        """Replace the candidates (n, 7) in the object's frame; the last selected grasp has a new index, if any.
 
-        Args:
-            poses: (n, 7) poses of the hand link in the object's frame.
-            costs: (n,) costs of the grasps (s), higher the less likely a grasp holds the object.
-            surface: Spheres that approximate the object's surface, in the object's frame.
-            chosen: Index of the grasp that was selected last, or None to forget it.
+        The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
+        that failed.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -111,10 +108,7 @@ class GraspSelector:
     def select(self, scene: SceneEstimate, is_near: bool = False) -> GraspGoal | None:
         """Return the grasp to approach: the previous one unless another is clearly cheaper.
 
-        Args:
-            scene: Estimate of the present scene.
-            is_near: Whether the gripper is in front of the previous grasp already; the cost of
-                another grasp must then be lower by a larger margin.
+        Near the previous grasp, the cost of another one must be lower by a larger margin.
         """
         self._add_offset_grasps(scene)
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
@@ -146,12 +140,7 @@ class GraspSelector:
         return self.chosen
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
-        """Return the world pose (7,) of the hand link at a grasp of an object.
-
-        Args:
-            goal: Grasp of the object.
-            object_pose: (7,) world pose of the object.
-        """
+        """Return the world pose (7,) of the hand link at a grasp of an object at a world pose (7,)."""
         pose: Array = compose(object_pose, self.grasps[goal.number])
         return pose
 
@@ -160,13 +149,7 @@ class GraspSelector:
         return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in the frame of a grasp.
-
-        Args:
-            goal: Grasp of the object.
-            object_pose: (7,) world pose of the object.
-            gripper_pose: (7,) world pose of the hand link.
-        """
+        """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
         pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose)
         return pose
 

@@ -54,15 +54,10 @@ class GraspPredictorConfig(CheckedConfig):
 
 
 def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | None = None) -> tuple[GraspPredictor, str]:
-    """Load the grasp predictor in a weight file; return it with a short hash of its weights.
-
-    Args:
-        weights: Weight file of a `GraspNetwork`.
-        config: Numbers of points in the network's input.
+    """Load the grasp predictor in the weight file of a `GraspNetwork`; return it with a short hash of its weights.
 
     Raises:
-        DataNotFoundError: The file does not exist.
-        DataFormatError: The file is damaged or holds another network.
+        DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.
     """
     # Imported here since PyTorch is optional, and slow to import.
     import torch

@@ -79,30 +79,18 @@ class GraspTracker:
         return self.position.velocity if is_moving else np.zeros(3)
 
     def compute_unseen_time(self, time: float) -> float:
-        """Return the time (s) since the last view of the object, infinite before the first view.
-
-        Args:
-            time: Present time since the start of the episode (s).
-        """
+        """Return the time (s) at a time (s) since the last view of the object, infinite before the first view."""
         return time - self._seen_at
 
     def add_failed(self, grasp: Array, until: float) -> None:
-        """Increase the cost of a failed grasp and of its copy rotated by half a turn.
-
-        Args:
-            grasp: (7,) pose of the hand link relative to the object's center.
-            until: Time of the episode until which the cost is increased (s).
-        """
+        """Increase the cost of a failed grasp (7,) relative to the center, and of its half turn, until a time (s)."""
         self._failed += [(grasp, until), (compose(grasp, np.array(HALF_TURN)), until)]
 
     def update(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
-        """Update object, hand and grasp candidates from a view of the wrist camera.
+        """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
-        Args:
-            time: Time since the start of the episode (s).
-            gripper_pose: (7,) world pose of the hand link.
-            object_points: (n, 3) points of the object in the hand link's frame (m).
-            hand_points: (m, 3) points of the person's hand in the hand link's frame (m).
+        Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
+        world pose (7,).
         """
         config = self._config
         if len(object_points) < config.min_points:
@@ -131,10 +119,7 @@ class GraspTracker:
     ) -> tuple[Array, Array]:
         """Return candidates (n, 7) relative to the center and their costs (n,) from a prediction.
 
-        Args:
-            prediction: Predicted grasps.
-            points: (k, 3) object points for finger collisions, in the hand link's frame (m).
-            gripper_pose: (7,) world pose of the hand link.
+        Points (k, 3) of the object, for finger collisions, are in the hand link's frame (m).
         """
         config, quality = self._config, prediction.quality
         order = np.argsort(-quality, kind="stable")

@@ -29,13 +29,7 @@ class PointMap:
         self._times = np.zeros(0)
 
     def update(self, time: float, points: Array, forget: bool) -> None:
-        """Add points to the map, and remove old ones.
-
-        Args:
-            time: Present time (s).
-            points: (k, 3) points relative to the object's center (m).
-            forget: Whether old points are removed, provided that there are new ones.
-        """
+        """Add points (k, 3) relative to the object's center (m), and remove old ones if wanted."""
         if forget and len(points):
             kept = self._times > time - self._memory
             self.points, self._times = self.points[kept], self._times[kept]
@@ -131,14 +125,10 @@ class Keyframe:
         self._normals: Array = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
     def register(self, points: Array, max_distance: float) -> tuple[Array, float]:
-        """Return the translation (3,) in m from the keyframe to points, and the share of matches.
+        """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of matches.
 
-        Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the
-        surface does not constrain, such as along a plane, are zero.
-
-        Args:
-            points: (k, 3) points relative to the predicted center of the object (m).
-            max_distance: Maximum distance of two matched points (m).
+        Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the surface does
+        not constrain, such as along a plane, are zero. Matches are at most `max_distance` apart (m).
         """
         translation, share = np.zeros(3), 0.0
         sampled = points[:: max(1, len(points) // _N_MATCHED)]

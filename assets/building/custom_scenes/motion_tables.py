@@ -386,13 +386,9 @@ class SceneTrajectory:
 def make_trajectory(
     table: MotionTable, others: Sequence[str], model: HandGeometry | None, fingers: Array | None
 ) -> SceneTrajectory:
-    """Resample recorded poses to 1 kHz.
+    """Resample recorded poses of the object and others to 1 kHz.
 
-    Args:
-        table: Recorded poses.
-        others: Class names of the other objects, in the order of the scene.
-        model: Hand of the person, or None without a hand.
-        fingers: (n, 45) finger joint angles (rad) in the rows with the wrist, or None without a hand.
+    Fingers are angles (n, 45) in rad in the rows with the wrist; `model` and `fingers` are None without a hand.
     """
     times = np.arange(np.floor(table.time[-1] / TIME_STEP + 1e-6) + 1.0) * TIME_STEP
     poses = [table.bodies[name] for name in (OBJECT, *others)]

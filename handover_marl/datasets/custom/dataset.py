@@ -39,12 +39,7 @@ _MAX_BYTES = 500_000_000
 
 
 def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes in a folder.
-
-    Args:
-        argument: Text after "own:": the folder, or the name of the data set if `data_dir` is given.
-        data_dir: The folder, or None.
-        robot: Variant of the Panda.
+    """Open the custom scenes in the folder `data_dir`, where `argument` is their name, or in the folder `argument`.
 
     Raises:
         OptionError: The data set in the folder has another name than `argument`.

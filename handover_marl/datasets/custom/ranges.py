@@ -34,14 +34,12 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def check_objects(objects: npt.NDArray[np.floating], bodies: Mapping[str, Array]) -> None:
-    """Check the motion of the objects of a scene.
+    """Check the motion (T, n, 6) of the objects of a scene at 1 kHz in the world frame (m, rad).
 
-    Args:
-        objects: (T, n, 6) positions (m) and intrinsic XYZ Euler angles (rad) at 1 kHz in the world frame.
-        bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
+    `bodies` are the vertices (v, 3) of the objects in their frames (m) by name, the handed-over one first.
 
     Raises:
-        ValueError: An object is below the table, out of reach, far away, or jumps; or the motion is too long or short.
+        ValueError: An object is below the table or out of reach, or the motion is too long or short.
     """
     low, high = DURATION
     if not low <= (len(objects) - 1) / 1000.0 <= high + 1e-3:
@@ -60,14 +58,10 @@ def check_objects(objects: npt.NDArray[np.floating], bodies: Mapping[str, Array]
 
 
 def check_hand(hand: npt.NDArray[np.floating], objects: npt.NDArray[np.floating]) -> None:
-    """Check the motion of a hand in the frames with the hand.
-
-    Args:
-        hand: (t, 51) base position (m) and Euler angles, then finger joint angles (rad), in the world frame.
-        objects: (t, n, 6) motion of the objects in these frames, the handed-over one first.
+    """Check the motion (t, 51) of a hand near objects (t, n, 6), the handed-over one first, in the world frame.
 
     Raises:
-        ValueError: The hand is far away, jumps, is never near the object, or a finger angle is out of range.
+        ValueError: The hand is never near the object.
     """
     base = _check_body("the hand", hand[:, :6])
     fingers = float(np.abs(hand[:, 6:]).max())

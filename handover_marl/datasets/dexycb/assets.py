@@ -24,11 +24,7 @@ _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
 
 
 def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
-    """Return the text of a hand's `mano.urdf`: 53 links, 16 of them with meshes.
-
-    Args:
-        joints: (16, 3) positions of MANO's joints of the hand at rest (m).
-    """
+    """Return the text of a `mano.urdf`, 53 links, 16 with meshes, for MANO's joints (16, 3) of a hand at rest (m)."""
     positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, len(joints)))]
     return render_urdf(
         __package__,
@@ -75,12 +71,7 @@ _COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
 
 
 def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
-    """Write files that do not exist yet; existing files must have the same content.
-
-    Args:
-        folder: Target folder; created if it is missing.
-        files: Content by path relative to the folder.
-        replace_stand_ins: Whether to replace existing stand-in files.
+    """Write files, given by relative path, that do not exist yet; existing ones must have the same content.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -104,15 +95,7 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
 
 
 def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[str, bytes]:
-    """Build the contents of the 33 files (URDF and meshes) of a subject's hand model.
-
-    Args:
-        model: MANO's model of one side.
-        betas: (10,) shape parameters of the subject.
-
-    Returns:
-        Contents by relative path: `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`.
-    """
+    """Build the 33 files of a hand of shape (10,): `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`."""
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
     files = {"mano.urdf": build_hand_urdf(joints).encode()}
@@ -125,17 +108,11 @@ def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[s
 
 
 def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
-    """Write the files of a hand model to the folder `<subject>_<side>/` and return its path.
+    """Write the files of a subject's hand to the folder `<subject>_<side>/` in `assets/` and return its path.
 
-    Args:
-        assets: Folder `assets/` of the data folder.
-        subject: Name of the subject, e.g. "20200709-subject-01".
-        model: MANO's model of one side.
-        betas: (10,) shape parameters; HandoverSim uses the parameters of the subject's first scene for
-            both sides.
+    HandoverSim uses the shape parameters (10,) of the subject's first scene for both sides.
 
     Raises:
-        UnknownNameError: The subject is not in DexYCB.
         ResultsError: A file exists with other content, or cannot be written.
     """
     check_name("subject", subject, SUBJECTS)

@@ -169,15 +169,10 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
 
 
 def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of a hand.
-
-    Args:
-        calibration: DexYCB's folder `calibration/`.
-        mano: Name of the shape calibration, e.g. "20200709_140042_subject-01_right".
+    """Read MANO's ten shape parameters of a hand by the name of its calibration.
 
     Raises:
-        DataNotFoundError: The calibration file is missing.
-        DataFormatError: The calibration file has no ten numbers.
+        DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
     """
     path = calibration / f"mano_{mano}" / "mano.yml"
     return tuple(_check_numbers(path, _get(path, _read_mapping(path), "betas"), N_BETAS).tolist())

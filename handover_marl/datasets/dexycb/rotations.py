@@ -32,16 +32,11 @@ _MIN_COSINE = 4.0 * sys.float_info.epsilon
 
 
 def fused_multiply_add(a: Float32, b: Float32, c: Float32) -> Float32:
-    """Return `a * b + c` with a single rounding, as the machine instruction does.
+    """Return `a * b + c` of float32 with a single rounding, as the machine instruction does.
 
-    The product of two float32 is exact in float64. Rounding the float64 sum to float32 would be
-    wrong if the sum had been rounded to a value half-way between two float32. Therefore an inexact
-    sum is rounded to odd: its last bit is set, which keeps it off the half-way points.
-
-    Args:
-        a: First factor, of any shape.
-        b: Second factor, broadcast against `a`.
-        c: Summand, broadcast against `a * b`.
+    The product of two float32 is exact in float64. Rounding the float64 sum to float32 would be wrong if the sum
+    had been rounded to a value half-way between two float32. Therefore an inexact sum is rounded to odd: its last
+    bit is set, which keeps it off the half-way points.
     """
     product = a.astype(np.float64) * b.astype(np.float64)
     addend = c.astype(np.float64)
@@ -239,11 +234,7 @@ class KeyframeSpan:
         return np.stack(axes, axis=1).astype(np.float32)
 
     def interpolate_rotations(self, keyframes: Float32) -> Rotation:
-        """Return rotations at 1 kHz by slerp between keyframes, rounded to float32 quaternions.
-
-        Args:
-            keyframes: (n_keyframes, 4) quaternions of any length but zero.
-        """
+        """Return float32 quaternions at 1 kHz by slerp between keyframes (n_keyframes, 4) of any length but zero."""
         rotations = Slerp(self._key_times(), Rotation.from_quat(keyframes))(self._times())
         return Rotation.from_quat(rotations.as_quat().astype(np.float32))
 

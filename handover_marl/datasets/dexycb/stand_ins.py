@@ -47,15 +47,10 @@ _PANDA_MESH_FOLDER = "stand_in"
 
 
 def install_third_party(source: Path, assets: Path) -> list[str]:
-    """Install third-party files; an archive is unpacked and checked before a file is written.
+    """Install third-party files from HandoverSim's archive, or the folder that it was unpacked into.
 
-    Args:
-        source: HandoverSim's archive, or the folder that it was unpacked into. The files may be at
-            any depth, but in one tree.
-        assets: Folder `assets/` of the data folder.
-
-    Returns:
-        Warnings about files whose content has another checksum than the official one.
+    The files may be at any depth, but in one tree; an archive is unpacked and checked before a file is written.
+    Returns warnings about files whose content has another checksum than the official one.
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
@@ -108,16 +103,7 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for missing third-party files if DexYCB's object models exist.
-
-    Args:
-        models: DexYCB's folder of object models.
-        assets: Folder `assets/` of the data folder.
-        workers: Number of worker processes.
-        progress: Whether to show a progress bar on stderr.
-
-    Returns:
-        Error messages on stand-ins that could not be made.
+    """Write stand-ins for missing third-party files if DexYCB's folder of object models exists; return faults.
 
     Raises:
         ResultsError: A file cannot be written.

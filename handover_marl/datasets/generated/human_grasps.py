@@ -80,14 +80,8 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
-    Args:
-        random: Random stream of the scene's human grasps.
-        solid: Object.
-        up_axes: Weights of the axes that point up on a table: +x, -x, +y, -y, +z, -z; in every grasp the
-            hand is clear of the table for one of them.
-        size: Size of the hand.
-        side: Side of the hand.
-        config: Parameters of the search.
+    In every grasp the hand is clear of the table for one of the axes that point up on a table: `up_axes` are the
+    weights of +x, -x, +y, -y, +z, -z.
     """
     config = config or HumanGraspConfig()
     templates = make_hand_templates(size)

@@ -40,11 +40,7 @@ _n_written = 0
 
 
 def write_object_model(name: str, item: ProceduralObject) -> Path:
-    """Write the model of an object unless it exists, and return the path of its URDF.
-
-    Args:
-        name: Class name, also the name of the folder.
-        item: Object.
+    """Write the model of an object unless it exists, and return the path of its URDF in a folder of its name.
 
     Raises:
         DataNotFoundError: The user's cache folder cannot be written.

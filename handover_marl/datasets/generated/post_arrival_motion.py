@@ -78,15 +78,7 @@ def add_post_arrival_motion(
     grasp: int,
     config: PostArrivalMotionConfig = POST_ARRIVAL_MOTION,
 ) -> KeyframeMotion:
-    """Return a motion continued by a smooth curve of the held object until a fixed duration.
-
-    Args:
-        random: Random stream of the curve.
-        motion: Motion until the object is held out.
-        held: Object and the subject's grasps of it.
-        grasp: Index of the grasp.
-        config: Parameters of the curve.
-    """
+    """Return a motion continued by a smooth curve of the object, held in a grasp, until a fixed duration."""
     count = round(config.duration / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
     offsets, vectors = _draw_curve(random, count, config)
     start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]

@@ -91,15 +91,9 @@ def _make_gripper_points() -> Array:
 
 
 def draw_robot_grasps(random: RandomStream, solid: GraspableSolid, config: RobotGraspConfig | None = None) -> Array:
-    """Draw robot grasps of an object that are likely to hold it; they are not tried in simulation.
+    """Draw robot grasps (n, 4, 4) `object_from_gripper` (m) that are likely to hold an object, not tried in simulation.
 
-    Args:
-        random: Random stream of the object's robot grasps.
-        solid: Object.
-        config: Parameters of the grasps.
-
-    Returns:
-        (n, 4, 4) transforms `object_from_gripper` (m), rounded to float32; n can be 0.
+    They are rounded to float32; n can be 0.
     """
     config = config or RobotGraspConfig()
     first, second, cosines = solid.sample_opposite_points(random, config.n_points, config.max_width, config.tilt)

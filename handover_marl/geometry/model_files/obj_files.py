@@ -99,13 +99,7 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
-    """Return a mesh as Wavefront OBJ text with 6 decimals, as in HandoverSim's files.
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex indices, from 0.
-        first: Number of the mesh's first vertex in the file; other meshes may precede it.
-    """
+    """Return a mesh as OBJ text with 6 decimals, as in HandoverSim's files; vertices count from `first`."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + first).tolist()]
     return "".join(lines)
