@@ -1,10 +1,9 @@
 """Procedural model of the human hand: dimensions, kinematics and model files.
 
-The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y,
-z), a palm that is fixed to the base at an offset, and 15 finger joints with three revolute axes (x,
-y, z) each. At zero angles all link frames are parallel to the base: fingers along -x, back of the
-hand along +y, thumb towards +z. A left hand is a right hand mirrored in x. Joint angles are
-intrinsic XYZ Euler angles (rad).
+The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y, z), a palm that is
+fixed to the base at an offset, and 15 finger joints with three revolute axes (x, y, z) each. At zero angles all link
+frames are parallel to the base: fingers along -x, back of the hand along +y, thumb towards +z. A left hand is a right
+hand mirrored in x. Joint angles are intrinsic XYZ Euler angles (rad).
 """
 
 from collections.abc import Iterable, Mapping
@@ -69,8 +68,7 @@ class HandGeometry:
         size: Length and breadth.
         scale: (3,) scale factors of the reference hand along x, y and z.
         palm_offset: (3,) position of the palm in the base's frame.
-        joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the
-            previous joint).
+        joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the previous joint).
         tips: (15, 3) ends of the phalanges' axes in their own frame; the end of a last phalanx is
             the center of the fingertip's sphere.
         radii: (15, 2) capsule radii of the phalanges at the joint and at the end.
@@ -87,8 +85,7 @@ class HandGeometry:
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges.
 
-        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses
-        are.
+        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses are.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))

@@ -1,8 +1,7 @@
 """Robot grasps, grasp validations and network weights that are part of the library.
 
-Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the
-hand approaches along z, and the Panda's hand link is the gripper frame rotated by -90 degrees
-about z.
+Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along
+z, and the Panda's hand link is the gripper frame rotated by -90 degrees about z.
 """
 
 import functools

@@ -35,10 +35,8 @@ class PointCloudMemoryConfig(CheckedConfig):
             make more decisions (m).
         extra_steps: Number of decisions that are added after a motion above `motion_threshold`, up
             to `max_steps` in total.
-        cage_lower: Lower corner of the region between the fingers in the hand link's frame (m),
-            exclusive.
-        cage_upper: Upper corner of the region between the fingers in the hand link's frame (m),
-            exclusive.
+        cage_lower: Lower corner of the region between the fingers in the hand link's frame (m), exclusive.
+        cage_upper: Upper corner of the region between the fingers in the hand link's frame (m), exclusive.
         cage_points: Number of points between the fingers that must be exceeded to end the approach.
         seed: Seed of the random selection of points, the same in every episode.
     """
@@ -69,8 +67,7 @@ class PointCloudMemory:
     Attributes:
         config: Configuration of the memory.
         remaining: Number of decisions that remain for the approach.
-        cloud: (3, n) float64 points in the robot's base frame (m), without columns before the first
-            view of the object.
+        cloud: (3, n) float64 points in the robot's base frame (m), without columns before the first view of the object.
     """
 
     config: PointCloudMemoryConfig = field(default_factory=PointCloudMemoryConfig)

@@ -1,9 +1,8 @@
 """Reactive handovers by grasp selection (Yang et al., ICRA 2021), as in HandoverSim.
 
-Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses
-from the pose selected last and from a preferred pose. It moves to the best reachable standoff, from
-there straight to the grasp, closes the fingers and carries the object to the goal. It uses the
-object's true pose and ignores the person's hand.
+Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses from the pose selected
+last and from a preferred pose. It moves to the best reachable standoff, from there straight to the grasp, closes the
+fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,8 +1,7 @@
 """Build the hand models: `python -m handover_marl.assets.building.build_hands [--out DIR]`.
 
-The meshes are made for the reference hand, a rounded palm and phalanges as tapered capsules; every
-subject's URDF scales them. A left hand has its own mirrored meshes. Building the models again gives
-the same files, byte by byte.
+The meshes are made for the reference hand, a rounded palm and phalanges as tapered capsules; every subject's URDF
+scales them. A left hand has its own mirrored meshes. Building the models again gives the same files, byte by byte.
 """
 
 from collections.abc import Callable

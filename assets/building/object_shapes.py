@@ -1,9 +1,8 @@
 """Shapes of the object models in millimetres, with the dimensions of the scanned YCB objects.
 
-Source: scans of the YCB set (Calli et al., 2015) as used by DexYCB; the profiles in
-`object_profiles.json` were measured on them and rounded. Boxes, cans and blocks are made upright at
-the origin and then placed by center and rotation vector (degrees); bottles, tools and clamps are
-made in the scan's frame.
+Source: scans of the YCB set (Calli et al., 2015) as used by DexYCB; the profiles in `object_profiles.json` were
+measured on them and rounded. Boxes, cans and blocks are made upright at the origin and then placed by center and
+rotation vector (degrees); bottles, tools and clamps are made in the scan's frame.
 """
 
 import json

@@ -37,8 +37,7 @@ class DatasetKind:
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
         usage: Form of the name, for help and errors; "KIND:..." if the name has an argument.
-        open_dataset: Function from argument ("" without one), data folder (None without one) and robot to
-            the data set.
+        open_dataset: Function from argument ("" without one), data folder (None without one) and robot to the data set.
         note: Sentence below the tables of reports; "" for none.
     """
 

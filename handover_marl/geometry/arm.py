@@ -194,10 +194,9 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: flo
 class ReachabilityBound:
     """Test for hand poses that the Panda cannot reach, by two necessary conditions.
 
-    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long.
-    For a given orientation, the wrist (origin of the last joint but one) can only be on a circle
-    around the last joint's axis, and the distance of a point of that circle from the shoulder must be
-    at most the length of the arm without the hand.
+    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
+    orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis, and
+    the distance of a point of that circle from the shoulder must be at most the length of the arm without the hand.
 
     Args:
         tree: Kinematic tree of the arm.

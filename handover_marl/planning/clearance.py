@@ -1,8 +1,7 @@
 """Clearances of the Panda's gripper and forearm, for many configurations at once.
 
-The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres.
-Lengths are in metres, poses are position and quaternion xyzw, and a negative clearance is the
-penetration depth.
+The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in metres,
+poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
 """
 
 import itertools

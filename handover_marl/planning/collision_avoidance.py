@@ -68,8 +68,7 @@ class SeparationConfig(CheckedConfig):
             is below the minimum (m/s).
         lookahead: Time for which clearances are predicted (s), because the clearance to a body that
             passes by quickly may shrink abruptly.
-        slack: Amount by which a predicted clearance may fall below the minimum before the robot
-            slows down (m).
+        slack: Amount by which a predicted clearance may fall below the minimum before the robot slows down (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)

@@ -21,8 +21,7 @@ Limits = tuple[Array, Array]
 
 _N_FINGERS = 2
 _LAST_JOINT = 6
-#: Number of last goals that the original never checks for collisions; see
-#: `PlannerConfig.unchecked_last`.
+#: Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
 UNCHECKED = 5
 
 

@@ -25,17 +25,15 @@ class HandoverPosePredictorConfig(CheckedConfig):
         velocity_horizon * v
         + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
 
-    The second term moves the prediction of a moving object towards the mean handover position; it
-    is zero for an object at rest. An object that was lifted and then stays within a small region
-    counts as held still. Its velocity is extrapolated for a shorter time, without the second term.
-    The constants were fitted on recordings of s0 train.
+    The second term moves the prediction of a moving object towards the mean handover position; it is zero for an object
+    at rest. An object that was lifted and then stays within a small region counts as held still. Its velocity is
+    extrapolated for a shorter time, without the second term. The constants were fitted on recordings of s0 train.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
         attraction: Predicted translation of a fast object towards `mean_handover_position`, as a
             share of its distance from there.
-        attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower
-            objects.
+        attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower objects.
         mean_handover_position: Mean position of objects when they are held out, world frame (m).
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).
@@ -87,8 +85,7 @@ class HandoverPosePredictor:
         velocity: (3,) filtered velocity of the object in the world (m/s).
         angular_velocity: (3,) filtered angular velocity of the object in the world (rad/s).
         latest_velocity: (3,) velocity between the last two updates, not filtered (m/s).
-        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered
-            (rad/s).
+        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered (rad/s).
         acceleration: (3,) rate of change of `latest_velocity` (m/s^2).
         rest_time: Time for which the object has been at rest (s).
         start: (3,) position of the object at the first update (m), None before that update.

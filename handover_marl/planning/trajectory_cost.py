@@ -110,8 +110,7 @@ class ObstacleCost:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
-        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with
-            `in_tail` have a cost.
+        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with `in_tail` have a cost.
         config: Time step, padding and weights of the costs.
     """
 

@@ -34,8 +34,7 @@ class GraspableObject:
 
     Attributes:
         grasps: Grasps that keep the flange behind the robot's hand clear of the object.
-        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger
-            pads (m).
+        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger pads (m).
         surface: Few spheres that approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).

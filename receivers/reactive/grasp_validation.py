@@ -1,12 +1,11 @@
 """Validation of known grasps and their tilted copies in a simulation of the gripper alone.
 
-A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is
-moved along its approach axis towards the object, as far as the open gripper does not collide. The
-gripper closes there on an object that a person holds, and the person releases the object.
-Validation records of DexYCB's objects and of the library's objects ship with the library. Records of
-other objects are stored in the user's cache folder. A hash of the object's files, its known grasps,
-the robot's model and the physics engine (if it is not PyBullet) identifies a record.
-Poses are position (m) and quaternion xyzw.
+A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is moved along its
+approach axis towards the object, as far as the open gripper does not collide. The gripper closes there on an object
+that a person holds, and the person releases the object. Validation records of DexYCB's objects and of the library's
+objects ship with the library. Records of other objects are stored in the user's cache folder. A hash of the object's
+files, its known grasps, the robot's model and the physics engine (if it is not PyBullet) identifies a record. Poses are
+position (m) and quaternion xyzw.
 """
 
 import contextlib

@@ -41,15 +41,13 @@ class GraspPreparationConfig(CheckedConfig):
             of a stable grasp is repeated (m).
         advances: Distances by which a grasp may be moved along its approach axis towards the object
             (m), the preferred one first.
-        min_advance_clearance: Further distance along the approach axis in which the open gripper
-            must not collide with the object (m). A grasp is advanced since an object that is held
-            by the fingertips slips away on release, before the fingers press as hard as in a
-            validation.
+        min_advance_clearance: Further distance along the approach axis in which the open gripper must not collide with
+            the object (m). A grasp is advanced since an object that is held by the fingertips slips away on release,
+            before the fingers press as hard as in a validation.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
-        release_offsets: Offsets in the hand link's frame at which the simulated release is repeated
-            (m).
+        release_offsets: Offsets in the hand link's frame at which the simulated release is repeated (m).
         validation: Configuration of closing the gripper and shaking it.
     """
 
@@ -141,8 +139,7 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
     """Return the grasps that a validation record (n, 4) describes.
 
     Raises:
-        ValueError: The record belongs to other grasps than `known` (k, 7), or to another
-            configuration.
+        ValueError: The record belongs to other grasps than `known` (k, 7), or to another configuration.
     """
     n, copies = len(known), tilt_grasps(known, config)
     copy, stable, advance, kept = np.asarray(record, dtype=np.int64).reshape(-1, 4).T

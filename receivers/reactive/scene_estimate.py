@@ -36,8 +36,7 @@ class SceneEstimate(ABC):
         gripper_pose: (7,) world pose of the robot's hand link.
         object_pose: (7,) world pose of the object that is handed over.
         motion: Motion of the object and its predicted handover pose.
-        obstacles: Spheres that approximate the other objects within reach, in the world, or None
-            without any.
+        obstacles: Spheres that approximate the other objects within reach, in the world, or None without any.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
@@ -146,8 +145,7 @@ class PoseSceneEstimate(SceneEstimate):
     Args:
         arm: Kinematics of the arm.
         config: Configuration of the receiver.
-        load_obstacle: Function that returns spheres at the surface of an object class, in the
-            object's frame.
+        load_obstacle: Function that returns spheres at the surface of an object class, in the object's frame.
         object_names: Class name of each class number in observations.
 
     Attributes:

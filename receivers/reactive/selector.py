@@ -38,8 +38,7 @@ class GraspGoal:
         number: Index of the grasp among the candidates.
         standoff_joints: (7,) configuration of the arm at the standoff (rad).
         grasp_joints: (7,) configuration of the arm at the grasp (rad).
-        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or
-            None.
+        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or None.
     """
 
     number: int
@@ -61,8 +60,7 @@ class GraspSelector:
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last, or None.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
-        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of
-            the grasp.
+        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:

@@ -30,12 +30,10 @@ class GraspTracker:
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
-        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is
-            visible.
+        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None.
         use_all: Whether the candidates are all predicted grasps and tilted copies of them.
-        lost_timeout: Time without a view of the object after which the tracker is reset at the next
-            view (s).
+        lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
 
     def __init__(self, predict: GraspPredictor, config: GraspTrackerConfig, seed: int | None) -> None:

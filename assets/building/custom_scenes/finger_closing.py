@@ -62,8 +62,7 @@ class HandGrasp:
 def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
 
-    Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the
-    object.
+    Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
 
     Raises:
         DataFormatError: The wrist is not beside the object when it is picked up, or inside of it.

@@ -135,8 +135,7 @@ class RawSequence:
         meta: Content of meta.yml.
         world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
         betas: MANO's ten shape parameters of the hand.
-        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of
-            `meta.ycb_ids`.
+        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `meta.ycb_ids`.
         hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
             (m); zero in frames without a hand.
     """

@@ -1,10 +1,9 @@
 """Rotations, frames and resampling with the rounding of HandoverSim's conversion of DexYCB.
 
-The float32 result of a matrix product depends on whether the processor fuses multiplication and
-addition, and on the kernel of the library. HandoverSim's files were made with fused sums in one
-place and plain sums in another, so both are written out here. Some results also depend on versions
-of SciPy; the formulas of the version that made the official files are written out too.
-Quaternions are xyzw; Euler angles are intrinsic XYZ, R = Rx(x) Ry(y) Rz(z), in rad.
+The float32 result of a matrix product depends on whether the processor fuses multiplication and addition, and on the
+kernel of the library. HandoverSim's files were made with fused sums in one place and plain sums in another, so both are
+written out here. Some results also depend on versions of SciPy; the formulas of the version that made the official
+files are written out too. Quaternions are xyzw; Euler angles are intrinsic XYZ, R = Rx(x) Ry(y) Rz(z), in rad.
 """
 
 import math
@@ -100,9 +99,8 @@ def matrices_from_rotation_vectors(vectors: Float32) -> Float64:
 def scipy_euler_from_rotations(rotations: Rotation) -> Float64:
     """Return Euler angles (n, 3) as SciPy computed them up to version 1.10.
 
-    x and z are in [-pi, pi], y in [-pi/2, pi/2]. At y = +-pi/2, which may be exceeded by 5e-8, z is
-    zero. Later versions choose other signs where x or z is +-pi, which would shift a whole column
-    of unwrapped angles by 2 pi.
+    x and z are in [-pi, pi], y in [-pi/2, pi/2]. At y = +-pi/2, which may be exceeded by 5e-8, z is zero. Later
+    versions choose other signs where x or z is +-pi, which would shift a whole column of unwrapped angles by 2 pi.
     """
     m = rotations.as_matrix() + 0.0  # atan2 distinguishes -0.0 from 0.0
     tilt = _map_libm(math.acos, np.clip(m[:, 0, 2], -1.0, 1.0))  # y = pi / 2 - tilt
@@ -172,8 +170,7 @@ class TagFrame:
     def transform_rotations(self, rotations: Rotation) -> Float32:
         """Return rotations in the tag's frame as float32 quaternions (n, 4).
 
-        As in HandoverSim, matrices are rounded to float32 before and after the product and not
-        made orthogonal again.
+        As in HandoverSim, matrices are rounded to float32 before and after the product and not made orthogonal again.
         """
         matrices = rotate_fused(self.rotation, rotations.as_matrix().astype(np.float32))
         return quaternions_from_matrices(matrices).astype(np.float32)

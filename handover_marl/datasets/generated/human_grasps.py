@@ -49,8 +49,7 @@ class HumanGraspConfig:
         palm_yield: Largest penetration of the object into the palm (m).
         forearm_clearance: Smallest distance of the forearm to the object (m).
         touch_distance: Largest distance of a digit in contact (m).
-        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the
-            object lies (m).
+        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the object lies (m).
         n_distal_steps: Number of steps in which end joints close on after a root joint has stopped.
         relaxed_step: Step of closing at which a digit that misses the object stays.
     """

@@ -1,8 +1,7 @@
 """URDF and mesh files of procedural objects and hands, in the user's cache folder.
 
-A folder's name has a hash of its content, so that equal models of different data sets share files.
-Folders are written under a temporary name and renamed; the oldest ones are removed when there are
-too many.
+A folder's name has a hash of its content, so that equal models of different data sets share files. Folders are written
+under a temporary name and renamed; the oldest ones are removed when there are too many.
 """
 
 import hashlib

@@ -1,8 +1,7 @@
 """Motions in scenes of the family `hard`: handovers at the edge of the robot's reach, objects that keep moving.
 
-After the object has arrived at the handover pose, hand and object follow a smooth curve together
-until 8 s have passed, as in the set t0 of GenH2R (Wang et al., CVPR 2024), and then rest. All poses
-are in the table's frame.
+After the object has arrived at the handover pose, hand and object follow a smooth curve together until 8 s have passed,
+as in the set t0 of GenH2R (Wang et al., CVPR 2024), and then rest. All poses are in the table's frame.
 """
 
 from dataclasses import dataclass

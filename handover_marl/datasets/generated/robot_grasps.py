@@ -2,8 +2,7 @@
 
 Collisions are excluded by signed distances.
 
-A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand
-approaches along z.
+A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along z.
 """
 
 from dataclasses import dataclass

@@ -34,8 +34,7 @@ class Part:
 
     Attributes:
         kind: "box"; "cone", a truncated cone about z; or "superellipsoid".
-        size: Half lengths along x, y and z (m); of a cone the radii at the lower and the upper end and
-            half its length.
+        size: Half lengths along x, y and z (m); of a cone the radii at the lower and the upper end and half its length.
         color: Name of a color in the palette of the object models.
         rounding: Radius (m) of the edges of a box or cone.
         exponents: Exponents along z and in the xy plane of a superellipsoid: 1 is round, 0 angular.
@@ -67,8 +66,7 @@ class Part:
     def compute_column_distances(self, columns: Columns) -> Array:
         """Return signed distances (...) of points with coordinates x, y and z (...), as `compute_distances` (m).
 
-        Arrays of one coordinate are several times as fast as one array of points, whose last dimension is
-        short.
+        Arrays of one coordinate are several times as fast as one array of points, whose last dimension is short.
         """
         order = ((self.axis + 1) % 3, (self.axis + 2) % 3, self.axis)
         x, y, z = (columns[axis] - self.position[axis] for axis in order)

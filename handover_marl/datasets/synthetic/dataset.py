@@ -27,9 +27,8 @@ from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 # Numbers of other objects on the table.
 _CLUTTER_COUNTS = range(2, 5)
-# Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in
-# splits. With the prescribed trials they give the 449 / 91 / 360 scenes of setup S2 (HandoverSim,
-# Table I).
+# Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in splits. With the
+# prescribed trials they give the 449 / 91 / 360 scenes of setup S2 (HandoverSim, Table I).
 _N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
 

@@ -21,8 +21,7 @@ from handover_marl.geometry.poses import compose, compute_pose_distances, poses_
 
 Array = npt.NDArray[np.float64]
 
-#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm
-#: inside of the surface.
+#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
 CLEARANCE = 0.02
 
 

@@ -1,7 +1,6 @@
 """Poses of the object on the table and at the handover, and the human grasp between them.
 
-All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the
-table's surface.
+All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the table's surface.
 """
 
 from collections.abc import Callable, Sequence

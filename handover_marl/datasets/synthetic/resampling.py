@@ -22,9 +22,8 @@ Float32 = npt.NDArray[np.float32]
 #: Frames of 1 ms between two keyframes.
 STRIDE = 40
 
-# Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and
-# splines, which differ between machines and versions of NumPy. A power of two, since decimal
-# constants in the inputs would give ties.
+# Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and splines, which differ
+# between machines and versions of NumPy. A power of two, since decimal constants in the inputs would give ties.
 _GRID = 2.0**-23
 
 
