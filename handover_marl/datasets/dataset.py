@@ -210,9 +210,9 @@ class Dataset(ABC):
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a text that changes with the scene's motion, models or robot grasps."""
 
-    @abstractmethod
     def describe_models(self, scene_id: int) -> str:
-        """Return a note for results on the origin of a scene's models; empty if there is none."""
+        """Return a note for results on the origin of a scene's models; empty for the user's and the library's."""
+        return ""
 
     def find_side(self, scene_id: int) -> str:
         """Return the hand of a scene's giver, "right" or "left"."""

@@ -21,7 +21,6 @@ from handover_marl.datasets.official_files import (
     describe_origins,
     find_hand_origin,
     find_origin,
-    is_folder,
     require_file,
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
@@ -54,7 +53,7 @@ class OfficialDataset(Dataset):
         super().__init__(robot)
         self.data_dir = check_path("data_dir", data_dir)
         for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
-            if not is_folder(folder):
+            if not folder.is_dir():
                 raise DataNotFoundError(
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."

@@ -5,7 +5,6 @@
 """
 
 import hashlib
-import os
 from collections import Counter
 from enum import Enum
 from functools import cache
@@ -126,14 +125,6 @@ def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
 
 
-def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False if it cannot be looked up."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):  # permission denied in a parent folder, impossible name
-        return False
-
-
 def require_file(path: Path) -> Path:
     """Return a path if it is a readable plain file, else raise an error.
 
@@ -152,6 +143,4 @@ def require_file(path: Path) -> Path:
         raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
     except ValueError as error:
         raise DataFormatError(f"{path} cannot be read ({error}); copy or expand the HandoverSim data again") from error
-    if not os.access(path, os.R_OK):
-        raise DataNotFoundError(f"{path} cannot be read; check its rights")
     return path

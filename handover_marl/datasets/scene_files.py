@@ -65,8 +65,14 @@ def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.floa
     Raises:
         DataFormatError: The file is damaged or has another number of objects.
     """
-    arrays = _read_npz(path, ("pose_y", "pose_m"))
-    objects, hand = arrays["pose_y"], arrays["pose_m"]
+    try:
+        arrays = read_arrays(path, ("pose_y", "pose_m"), MAX_MOTION_BYTES)
+        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise DataFormatError(
+            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
+            "copy or expand it again."
+        ) from error
     n_objects = len(order)
     if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
         raise DataFormatError(
@@ -98,19 +104,3 @@ def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any])
         raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
     if sides not in (["right"], ["left"]):
         raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
-
-
-def _as_float32(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"array type must be numeric, got {array.dtype}")
-    return array.astype(np.float32)
-
-
-def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
-    try:
-        return {key: _as_float32(array) for key, array in read_arrays(path, keys, MAX_MOTION_BYTES).items()}
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
-            "copy or expand it again."
-        ) from error

@@ -175,10 +175,6 @@ class CustomDataset(Dataset):
             digest.update(self._hash_model(urdf))
         return digest.hexdigest()[:16]
 
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty text: all models are the user's or the library's."""
-        return ""
-
     def _get_scene(self, scene_id: int) -> CustomScene:
         self.check_scene_id(scene_id)
         return self.content.scenes[scene_id]

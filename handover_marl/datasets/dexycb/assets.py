@@ -10,11 +10,11 @@ import numpy.typing as npt
 from handover_marl.assets.object_models import find_bullet_data
 from handover_marl.datasets.dexycb.mano import N_JOINTS, PARENTS, ManoModel
 from handover_marl.datasets.official_files import is_stand_in_file
-from handover_marl.errors import DataFormatError, ResultsError, check_name
+from handover_marl.errors import DataFormatError, ResultsError
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
 from handover_marl.geometry.model_files.obj_files import format_obj
 from handover_marl.geometry.model_files.urdf import render_urdf
-from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -115,7 +115,6 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
     """
-    check_name("subject", subject, SUBJECTS)
     folder = assets / f"{subject}_{model.side}"
     write_missing_files(folder, build_hand_files(model, betas))
     return folder
@@ -175,9 +174,6 @@ def write_table_assets(assets: Path) -> None:
         ResultsError: A file exists with other content, or cannot be written.
     """
     source = find_table_folder()
-    try:
-        original = (source / "table.urdf").read_bytes().decode()
-        copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataFormatError(f"{source}: cannot read PyBullet's table ({error}); install PyBullet again") from error
+    original = (source / "table.urdf").read_bytes().decode()
+    copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
     write_missing_files(assets / "table", {"table.urdf": build_table_urdf(original).encode(), **copies})

@@ -1,6 +1,5 @@
 """Import of raw DexYCB, MANO and HandoverSim's third-party archive into a data folder."""
 
-import operator
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -20,7 +19,7 @@ from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES
-from handover_marl.errors import DataNotFoundError, ResultsError, SceneError
+from handover_marl.errors import DataNotFoundError, SceneError
 from handover_marl.execution.files import remove_stale_temporaries
 from handover_marl.execution.options import check_path, resolve_worker_count
 
@@ -115,10 +114,6 @@ def import_dexycb(
     models = read_mano_models(folder)
     chosen = _select_sequences(layout.sequences, scenes)
     assets = target / "assets"
-    try:
-        assets.is_dir()
-    except OSError as error:
-        raise ResultsError(f"cannot write {target} ({error.strerror or error}); choose another folder") from error
     notes = [] if archive is None else install_third_party(archive, assets)
     betas, faults = find_first_betas(layout.sequences), list[str]()
     hands = _write_models(betas, models, assets)
@@ -150,13 +145,8 @@ def import_dexycb(
 
 def _find_mano_folder(mano: Path) -> Path:
     for folder in (mano, mano / "models"):
-        try:
-            if (folder / "MANO_RIGHT.pkl").is_file():
-                return folder
-        except OSError as error:
-            raise DataNotFoundError(
-                f"{mano} cannot be read ({error.strerror or error}); check name and rights"
-            ) from error
+        if (folder / "MANO_RIGHT.pkl").is_file():
+            return folder
     raise DataNotFoundError(
         f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
         "give the folder that it was expanded into."
@@ -166,10 +156,7 @@ def _find_mano_folder(mano: Path) -> Path:
 def _select_sequences(sequences: Sequence[SequenceFolder], scenes: Iterable[int] | None) -> list[SequenceFolder]:
     if scenes is None:
         return list(sequences)
-    try:
-        wanted = {operator.index(scene) for scene in scenes}
-    except TypeError as error:
-        raise SceneError(f"scenes must be scene numbers such as [209, 214], got {scenes!r}") from error
+    wanted = set(scenes)
     foreign = sorted(wanted - set(range(N_SCENES)))
     if foreign:
         raise SceneError(f"scene {foreign[0]} does not exist; scenes are numbered 0 to {N_SCENES - 1}")

@@ -20,7 +20,6 @@ import numpy as np
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
 from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
-from handover_marl.datasets.official_files import is_folder
 from handover_marl.datasets.scene_files import check_scene_meta
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
@@ -84,7 +83,7 @@ def find_sequences(raw: Path) -> RawLayout:
     Raises:
         DataNotFoundError: The folder is missing, or holds no calibration.
     """
-    if not is_folder(raw / "calibration"):
+    if not (raw / "calibration").is_dir():
         raise DataNotFoundError(
             f"{raw} is no raw DexYCB folder: it holds no calibration/. Give the folder that DexYCB's archives, also "
             "calibration.tar.gz, were expanded into."
@@ -92,7 +91,7 @@ def find_sequences(raw: Path) -> RawLayout:
     sequences, missing = [], []
     for number, subject in enumerate(SUBJECTS):
         folder, known = raw / subject, read_sequence_names()[subject]
-        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if is_folder(folder) else []
+        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
         names = found if len(found) == SEQUENCES_PER_SUBJECT and not {*found} & {*known} else known
         sequences += [
             SequenceFolder(SEQUENCES_PER_SUBJECT * number + rank, f"{subject}/{name}", folder / name)

@@ -179,10 +179,6 @@ class GeneratedDataset(Dataset):
         """Return version and configuration of the generator; the number of scenes does not matter."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
 
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty text: all generated scenes have the library's models."""
-        return ""
-
 
 @lru_cache(maxsize=4)
 def _generate_scene(config: GeneratedConfig, scene_id: int) -> tuple[GeneratedHandover, Trajectories]:

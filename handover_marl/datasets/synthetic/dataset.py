@@ -80,10 +80,6 @@ class SyntheticDataset(Dataset):
         """Return the version of the scene generator."""
         return f"synthetic-{VERSION}"
 
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty note: all synthetic scenes have the library's models."""
-        return ""
-
 
 def subject_from_scene(scene_id: int) -> int:
     """Return the number, 1 to 10, of the subject in a synthetic scene."""
