@@ -58,8 +58,7 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
         raise DataFormatError(
             f"{path}: no grasps for {name}; rebuild with `python -m handover_marl.assets.building.build_grasps`"
         )
-    own_copy: npt.NDArray[np.float64] = grasps[name].copy()
-    return own_copy
+    return np.array(grasps[name])
 
 
 @functools.cache

@@ -62,5 +62,4 @@ class DisplacedGiver(ArrayGiver):
 
 def _draw_direction(rng: np.random.Generator) -> npt.NDArray[np.float64]:
     """Return a random unit vector (3,)."""
-    direction: npt.NDArray[np.float64] = Rotation.random(random_state=rng).as_matrix()[:, 0]
-    return direction
+    return np.asarray(Rotation.random(random_state=rng).as_matrix()[:, 0])

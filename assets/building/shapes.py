@@ -66,8 +66,7 @@ def make_span(low: Sequence[float], high: Sequence[float], corner: float = 0.0, 
     lower, upper = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     x, y = (upper - lower).tolist()
     outline = make_ellipse(x / 2, y / 2, exponent=exponent) if exponent else make_rectangle(x, y, corner)
-    centerd: Array = outline + (lower + upper) / 2
-    return centerd
+    return np.asarray(outline + (lower + upper) / 2)
 
 
 def stack_outlines(outlines: Iterable[Array], heights: Iterable[float]) -> Array:

@@ -105,8 +105,7 @@ class ArmKinematics:
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]
         columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
-        jacobian: Array = columns.transpose(1, 0, 2)
-        return jacobian
+        return np.asarray(columns.transpose(1, 0, 2))
 
     def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute Jacobians and rotations of the robot's hand for arm joints (n, 7) in rad.

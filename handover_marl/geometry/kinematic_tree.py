@@ -294,5 +294,4 @@ def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
 
 def matrix_from_rpy(rpy: str) -> Array:
     """Convert a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
-    matrix: Array = Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix()
-    return matrix
+    return np.asarray(Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix())

@@ -94,8 +94,7 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    product: Array = stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    return product
+    return np.asarray(stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]))
 
 
 def quaternion_from_matrix(matrix: AnyArray) -> AnyArray:

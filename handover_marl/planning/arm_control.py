@@ -56,8 +56,7 @@ class ArmInWorld:
 
     def compute_hand_pose(self, joints: Array) -> Array:
         """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""
-        pose: Array = self.compute_hand_poses(joints[None])[0]
-        return pose
+        return np.asarray(self.compute_hand_poses(joints[None])[0])
 
     def compute_link_frames(self, joints: Array) -> tuple[Array, Array]:
         """Return the world frames of the seven moving links at configurations (n, 7) (rad).
@@ -74,8 +73,7 @@ class ArmInWorld:
         """Return the Jacobian (6, 7) of the hand's origin at joints (7,), linear rows first."""
         local = self.arm.compute_jacobian(self.arm.compute_chain_frames(joints[None]))[..., 0]
         rotation = self._world_from_base_rotation
-        jacobian: Array = np.concatenate([rotation @ local[:3], rotation @ local[3:]])
-        return jacobian
+        return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
         """Return the (3, 7) Jacobian of a world point (3,) that is fixed to a moving link, counted from 0."""
@@ -85,8 +83,7 @@ class ArmInWorld:
         origins = chain.origins[:-1, :, 0] @ rotation.T + self.base[:3]
         columns = np.cross(axes, point - origins)
         columns[link + 1 :] = 0.0
-        jacobian: Array = columns.T
-        return jacobian
+        return np.asarray(columns.T)
 
     def solve(
         self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
@@ -198,8 +195,7 @@ class ArmServo:
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
         most = (acceleration or self.config.max_acceleration) * self.period
-        reached: Array = self._velocity + np.clip(velocity - self._velocity, -most, most)
-        return reached
+        return np.asarray(self._velocity + np.clip(velocity - self._velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """Return motor position targets (7,) in rad that make the joints move at a velocity (7,) in rad/s.
@@ -208,5 +204,4 @@ class ArmServo:
         """
         self._velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
-        target: Array = joints + lead * self.period * self._velocity
-        return target
+        return np.asarray(joints + lead * self.period * self._velocity)

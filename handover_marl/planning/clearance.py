@@ -122,15 +122,13 @@ def compute_gripper_corners(hands: Array) -> Array:
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
-    corners: Array = local @ rotations.transpose(0, 2, 1) + hands[:, None, :3]
-    return corners
+    return np.asarray(local @ rotations.transpose(0, 2, 1) + hands[:, None, :3])
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
     """Return the clearances (n,) in m between the flange behind the hand, at poses (n, 7), and a body."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
-    clearances: Array = (_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1)
-    return clearances
+    return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
@@ -138,8 +136,7 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
-    clearances: Array = np.min(by_box, axis=0)
-    return clearances
+    return np.min(by_box, axis=0)
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
@@ -154,15 +151,13 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
     for box in _APPROACH_BOXES if flange else _APPROACH_BOXES[:1]:
         swept = _box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
         distances = np.minimum(distances, swept)
-    clearances: Array = (distances - spheres.radii).min(axis=1)
-    return clearances
+    return np.asarray((distances - spheres.radii).min(axis=1))
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
     """Return the number (n,) of points (k, 3) between the finger pads of the open gripper at hand poses (n, 7)."""
     local = _points_in_hands(hands, points)
-    counts: npt.NDArray[np.int_] = (np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1)
-    return counts
+    return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 
 
 def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
@@ -198,16 +193,14 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
     share = np.clip(along / np.maximum(squared, _MIN_LENGTH), 0.0, 1.0)
     from_start = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points.T) + (points.T**2).sum(axis=0)
     distances = np.sqrt(np.maximum(from_start - share * (2.0 * along - share * squared), 0.0))
-    clearances: Array = (distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2))
-    return clearances
+    return np.asarray((distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2)))
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
     """Return the world z (n,) in m of the lowest point of forearm and gripper."""
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
-    heights: Array = np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1))
-    return heights
+    return np.asarray(np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1)))
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
@@ -236,8 +229,7 @@ def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
 
 def _points_in_hands(hands: Array, points: Array) -> Array:
     """Return points (k, 3) in the frame of each hand (n, 7), shape (n, k, 3)."""
-    local: Array = (points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix()
-    return local
+    return np.asarray((points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix())
 
 
 def _box_distances(points: Array, half_size: Array) -> Array:
@@ -247,5 +239,4 @@ def _box_distances(points: Array, half_size: Array) -> Array:
     # One coordinate at a time and in place: NumPy reduces short axes slowly.
     inside = np.minimum(np.maximum(np.maximum(beyond[..., 0], beyond[..., 1]), beyond[..., 2]), 0.0)
     outside = np.maximum(beyond, 0.0, out=beyond)
-    distances: Array = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside
-    return distances
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside)

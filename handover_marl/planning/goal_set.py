@@ -36,8 +36,7 @@ def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
 
 def _is_usable_on_scissors(positions: Array, tilts: Array) -> npt.NDArray[np.bool_]:
     x, y, z = np.abs(positions).T
-    kept: npt.NDArray[np.bool_] = (z > 0.09) & (y > 0.02) & (x < 0.05) & (tilts > 0.06)
-    return kept
+    return np.asarray((z > 0.09) & (y > 0.02) & (x < 0.05) & (tilts > 0.06))
 
 
 # Rules on positions (n, 3) in m and absolute middle Euler angles (n,) in rad, static xyz axes.
@@ -129,8 +128,7 @@ class GoalSetBuilder:
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
         distances = person.compute_distances(points.reshape(3, -1).astype(np.float32))
         by_point = distances.reshape(points.shape[1], *tails.shape[:2])
-        clearances: Array = by_point.min(axis=(0, 2)).astype(np.float64)
-        return clearances
+        return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
         """Return the tails from all IK seeds to all grasps for which IK converges."""
@@ -181,8 +179,7 @@ class GoalSetBuilder:
         first = self._arm.compute_chain_frames(self._start[None]).rotations[-1][..., 0]
         cosine = (np.einsum("ij,ijn->n", first, rotations) - 1.0) / 2.0
         is_allowed = (cosine >= np.cos(config.max_rotation)) & (rotations[2, 0] >= config.min_hand_x_z)
-        by_goal: npt.NDArray[np.bool_] = is_allowed.reshape(len(shares), -1).all(axis=0)
-        return by_goal
+        return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
         """Return whether (g,) arm and hand, without fingers, are collision-free at standoffs."""
@@ -264,8 +261,7 @@ class GoalSelector:
         obstacle_costs = self._cost.evaluate_lines(here, self._goals, count, tails)
         smoothness = self._config.smoothness_weight * ((self._goals - here) ** 2).sum(axis=1)
         costs = obstacle_costs + smoothness + self._goal_costs
-        scaled: Array = costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny)
-        return scaled
+        return np.asarray(costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny))
 
 
 def update_weights(weights: Array, losses: Array) -> Array:
@@ -281,5 +277,4 @@ def update_weights(weights: Array, losses: Array) -> Array:
     levels = (1.0 + shift * np.arange(1, len(weights) + 1)) / np.cumsum(descending)
     n_positive = int(np.flatnonzero(descending * levels > shift)[-1])
     moved = np.maximum(0.0, scaled * levels[n_positive] - shift)
-    distribution: Array = moved / moved.sum()
-    return distribution
+    return np.asarray(moved / moved.sum())

@@ -170,5 +170,4 @@ class HandoverPosePredictor:
 
     def _rotated(self, rotation: Array) -> Array:
         """Return the present orientation, quaternion xyzw, after a world rotation vector."""
-        rotated: Array = (Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat()
-        return rotated
+        return np.asarray((Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat())

@@ -105,5 +105,4 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
-    change: Array = (rows.transpose(0, 2, 1) @ weights)[..., 0]
-    return change
+    return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])

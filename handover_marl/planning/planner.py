@@ -133,8 +133,7 @@ def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
 def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
     """Return the waypoints (w, d) on a cubic between two configurations (d,) at rest."""
     spline = CubicSpline([0.0, 1.0], np.stack([start, goal]), bc_type="clamped")
-    points: Array = spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1])
-    return points
+    return np.asarray(spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1]))
 
 
 class Chomp:
@@ -169,8 +168,7 @@ class Chomp:
 
     def compute_smoothness_gradient(self, trajectory: Array) -> Array:
         """Return the gradient (w, 7) of the smoothness cost of a trajectory (w, 7)."""
-        gradient: Array = self._metric @ trajectory + self._start_gradient[:, None] * self._start
-        return gradient
+        return np.asarray(self._metric @ trajectory + self._start_gradient[:, None] * self._start)
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
         """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""

@@ -131,8 +131,7 @@ class ObstacleCost:
         points = self._points(line.reshape(-1, 7)).reshape(3, -1, count + 1, len(goals))
         speed = np.linalg.norm(np.diff(points, axis=2), axis=0) / self.config.time_step
         costs = self._costs(points[:, :, 1:], tails.T)
-        total: Array = (costs * speed).sum(axis=(0, 1), dtype=np.float64)
-        return total
+        return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
         """Return the number of pairs of robot point and obstacle closer than `distance` (m).
@@ -172,12 +171,10 @@ class ObstacleCost:
         squared = (velocity**2).sum(axis=0) + _EPSILON
 
         def project(vector: npt.NDArray[np.floating]) -> Array:
-            orthogonal: Array = vector - velocity * ((velocity * vector).sum(axis=0) / squared)
-            return orthogonal
+            return np.asarray(vector - velocity * ((velocity * vector).sum(axis=0) / squared))
 
         curvature = project(acceleration) / squared
-        force: Array = np.sqrt(squared) * (project(gradients) - costs * curvature)
-        return force
+        return np.asarray(np.sqrt(squared) * (project(gradients) - costs * curvature))
 
     def _joint_torques(self, frames: LinkFrames, points: Array, force: Array) -> Array:
         """Return the joint torques (w, 7) of forces at points on links, both (3, l, w)."""
@@ -186,8 +183,7 @@ class ObstacleCost:
         levers = points[None] - origins[:, :, None]
         torques = (axes[:, :, None] * np.cross(levers, force[None], axis=1)).sum(axis=1)
         is_moved = np.arange(joints)[:, None] <= np.arange(points.shape[1])
-        total: Array = (torques * is_moved[..., None]).sum(axis=1).T
-        return total
+        return np.asarray((torques * is_moved[..., None]).sum(axis=1).T)
 
     def _points(self, joints: Array) -> Floats:
         """Return the body points (3, p, n) at configurations (n, 7)."""

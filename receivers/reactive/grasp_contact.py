@@ -102,8 +102,7 @@ def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: i
     corners = vertices[faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     chosen = corners[rng.choice(len(faces), count, p=areas / areas.sum())]
-    points: Array = np.concatenate([vertices, np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)])
-    return points
+    return np.concatenate([vertices, np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)])
 
 
 def compute_pad_margins(poses: Array, points: Array) -> Array:

@@ -157,8 +157,7 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
 
 def advance_grasp(pose: Array, distance: float) -> Array:
     """Return a grasp pose (7,) moved along its own z axis by a distance (m)."""
-    moved: Array = compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0]))
-    return moved
+    return np.asarray(compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0])))
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
@@ -178,8 +177,7 @@ def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float) -
     """
     translations = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-    distances: Array = translations + 2.0 * rotation_weight * np.arccos(cosines)
-    return distances
+    return np.asarray(translations + 2.0 * rotation_weight * np.arccos(cosines))
 
 
 def perturb_grasps(
@@ -210,5 +208,4 @@ def make_offset_pose(tilt: float, lateral: float, backward: float, pad_distance:
     """Return the pose (7,) of a grasp copy, tilted about the line between the pads and moved."""
     middle = np.array([0.0, 0.0, pad_distance, 0.0, 0.0, 0.0, 1.0])
     moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])
-    offset: Array = compose(compose(middle, moved), invert_pose(middle))
-    return offset
+    return np.asarray(compose(compose(middle, moved), invert_pose(middle)))

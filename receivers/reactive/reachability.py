@@ -78,20 +78,17 @@ class GraspReachability:
 
     def compute_travel_times(self, standoffs: Array, joints: Array) -> Array:
         """Return the travel times (n,) in s of the arm from joints (7,) to standoff configurations (n, 7)."""
-        times: Array = (np.abs(standoffs - joints) / self._speeds).max(axis=1)
-        return times
+        return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
 
     def compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
         """Return the costs (n,) in s of grasps whose configurations (n, 7) are close to joint limits."""
         low, high = self._arm.limits
         margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
         missing = np.maximum(0.0, self._config.desired_limit_margin - margins)
-        costs: Array = self._config.limit_margin_cost * missing
-        return costs
+        return np.asarray(self._config.limit_margin_cost * missing)
 
     def is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
         """Return whether (n,) forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
         is_clear = compute_arm_clearances(self._arm, goals, bodies) > self._config.arm_clearance
         lowest = compute_lowest_heights(self._arm, goals)
-        both: npt.NDArray[np.bool_] = is_clear & (lowest > TABLE_HEIGHT + self._config.table_clearance)
-        return both
+        return np.asarray(is_clear & (lowest > TABLE_HEIGHT + self._config.table_clearance))

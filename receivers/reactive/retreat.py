@@ -90,8 +90,7 @@ class RetreatController:
         rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(gripper_pose[3:]).inv()).as_rotvec()
         linear, angular = self._speed * self._back, config.rotation_gain * rotation
         out = self._arm.compute_joint_velocity(joints, linear, angular, config.rotation_weight, period)
-        blended: Array = (1.0 - self._blend) * out + self._blend * to_end
-        return blended
+        return np.asarray((1.0 - self._blend) * out + self._blend * to_end)
 
     def _is_stalled(self, time: float, remaining: float) -> bool:
         if remaining < self._config.progress_ratio * self._remaining or remaining < self._config.joint_tolerance:

@@ -139,8 +139,7 @@ class GraspSelector:
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
         """Return the world pose (7,) of the hand link at a grasp of an object at a world pose (7,)."""
-        pose: Array = compose(object_pose, self.grasps[goal.number])
-        return pose
+        return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
@@ -148,8 +147,7 @@ class GraspSelector:
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
         """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
-        pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose)
-        return pose
+        return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
         """Add candidates and their copies rotated by half a turn, with an additional cost (s)."""
@@ -212,8 +210,7 @@ class GraspSelector:
             return 0.0
         clearances = compute_grasp_clearances(world, near, self._receiver_config.approach.standoff)
         missing = np.maximum(0.0, self._config.desired_obstacle_clearance - clearances)
-        costs: Array = self._config.obstacle_cost * missing
-        return costs
+        return np.asarray(self._config.obstacle_cost * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
         """Return the cheapest grasps, the next ones while none is reachable, and the selected."""

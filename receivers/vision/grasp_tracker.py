@@ -227,5 +227,4 @@ class GraspTracker:
         offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
         cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
         weight = 2.0 * self._config.rotation_weight
-        distances: Array = np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines)
-        return distances
+        return np.asarray(np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines))

@@ -73,8 +73,7 @@ class ManoModel:
         displacements = self.shapedirs[:, :, 0] * betas[0]
         for number in range(1, N_BETAS):
             displacements += self.shapedirs[:, :, number] * betas[number]
-        vertices: Array = self.v_template + displacements
-        return vertices
+        return np.asarray(self.v_template + displacements)
 
     def regress_joints(self, vertices: Array) -> Array:
         """Return the joints (16, 3) in m of a hand at rest with vertices (778, 3) from `shape_vertices`."""
@@ -85,8 +84,7 @@ class ManoModel:
 
     def locate_wrist(self, betas: Sequence[float] | Array) -> Array:
         """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation."""
-        root: Array = self.regress_joints(self.shape_vertices(betas))[0]
-        return root
+        return np.asarray(self.regress_joints(self.shape_vertices(betas))[0])
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:

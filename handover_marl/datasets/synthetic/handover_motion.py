@@ -222,8 +222,7 @@ def _compute_reach_progress(timing: HandoverTiming, frames: npt.NDArray[np.int64
     """Return the progress (0 to 1) along the visible part of the reach in some frames."""
     time = timing.onset_share + (1.0 - timing.onset_share) * (frames - timing.onset) / (timing.grasp - timing.onset)
     start = float(minimum_jerk(timing.onset_share))
-    progress: Array = (minimum_jerk(time) - start) / (1.0 - start)
-    return progress
+    return np.asarray((minimum_jerk(time) - start) / (1.0 - start))
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:

@@ -49,8 +49,7 @@ _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.
 def compute_hull_corners(object_name: str) -> npt.NDArray[np.float64]:
     """Return the corners (n, 3) (m) of the hull of an object's collision mesh, in its frame."""
     corners, _ = read_collision_mesh(find_object_urdf(object_name))
-    hull: npt.NDArray[np.float64] = corners[np.sort(ConvexHull(corners).vertices)]
-    return hull
+    return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
 
 
 @dataclass(frozen=True, eq=False)

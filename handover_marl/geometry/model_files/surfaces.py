@@ -50,8 +50,7 @@ class Surface:
         place = corners[:, 0] + np.einsum("nk,nkj->nj", weights, corners[:, 1:] - corners[:, :1])
         size = np.stack(size, axis=-1)
         column, row = np.minimum(((place - np.floor(place)) * size).astype(np.int64), size - 1).T
-        colors: Texture = self.texels[first + row * size[:, 0] + column]
-        return colors
+        return np.asarray(self.texels[first + row * size[:, 0] + column])
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
