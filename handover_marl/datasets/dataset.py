@@ -27,7 +27,6 @@ class SceneInfo:
     Attributes:
         scene_id: Number of the scene; for official scenes it is 100 * subject + 5 * object + trial.
         name: `<subject>/<sequence>` as in the data set.
-        subject: Name of the human giver, e.g. `20200709-subject-01`.
         side: Hand of the giver, "right" or "left".
         object_ids: Class numbers of the objects on the table, the handed-over one first: 1-21 for YCB
             classes, from 22 on for other classes of the data set.
@@ -36,10 +35,14 @@ class SceneInfo:
 
     scene_id: int
     name: str
-    subject: str
     side: str
     object_ids: tuple[int, ...]
     object_names: tuple[str, ...]
+
+    @property
+    def subject(self) -> str:
+        """Name of the human giver, e.g. `20200709-subject-01`."""
+        return self.name.partition("/")[0]
 
     @property
     def target_name(self) -> str:

@@ -38,7 +38,6 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
         check_scene_meta(path, ids, grasped, sides)
-        subject = name.split("/")[0]
     except DataFormatError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -48,15 +47,8 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         ) from error
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
-    info = SceneInfo(
-        scene_id=scene_id,
-        name=name,
-        subject=subject,
-        side=sides[0],
-        object_ids=tuple(ids),
-        object_names=tuple(CLASS_NAMES[number] for number in ids),
-    )
-    return info, order
+    names = tuple(CLASS_NAMES[number] for number in ids)
+    return SceneInfo(scene_id, name, sides[0], tuple(ids), names), order
 
 
 def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:

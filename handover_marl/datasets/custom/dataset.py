@@ -127,14 +127,8 @@ class CustomDataset(Dataset):
     def load_info(self, scene_id: int) -> SceneInfo:
         """Return the description of a scene; raises `SceneError`."""
         scene = self._get_scene(scene_id)
-        return SceneInfo(
-            scene_id=scene_id,
-            name=scene.name,
-            subject=scene.subject,
-            side=scene.side,
-            object_ids=tuple(self._numbers[name] for name in scene.objects),
-            object_names=scene.objects,
-        )
+        ids = tuple(self._numbers[name] for name in scene.objects)
+        return SceneInfo(scene_id, scene.name, scene.side, ids, scene.objects)
 
     def load_scene(self, scene_id: int) -> Scene:
         """Load a scene with its motion in the world frame."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
-from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
+from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
 from handover_marl.datasets.scene_files import check_scene_meta
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
@@ -151,7 +151,7 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
 
     Raises:
         DataNotFoundError: A file is missing.
-        DataFormatError: A file is damaged, or has a motion that HandoverSim cannot resample.
+        DataFormatError: A file is damaged, or has hardly any frames with a hand.
     """
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
@@ -235,11 +235,8 @@ def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
         raise _damaged_file_error(path, f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
     if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
         raise _damaged_file_error(path, "a pose is not finite")
-    if not can_original_resample(n) or np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
-        raise DataFormatError(
-            f"{path}: {n} frames, or few with a hand, for which HandoverSim's conversion fails; DexYCB's recordings "
-            "have 66 to 76"
-        )
+    if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+        raise _damaged_file_error(path, f"{n} frames, of which few have a hand")
     return objects, hand[:, 0]
 
 

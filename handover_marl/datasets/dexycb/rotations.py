@@ -188,16 +188,6 @@ def quaternions_from_matrices(matrices: npt.ArrayLike) -> Float64:
     return np.asarray(q / norm[..., None])
 
 
-def can_original_resample(n_keyframes: int) -> bool:
-    """Return whether HandoverSim can resample a recording of `n_keyframes` keyframes.
-
-    Its times are `arange(0, n * 0.04, 0.04)`. For n = 7, 14, 28, 56, 57, 111 to 115, ... rounding
-    adds one time too many and the conversion fails. DexYCB's recordings have 66 to 76 keyframes.
-    """
-    n_times = math.ceil(n_keyframes * _KEYFRAME_PERIOD_S / _KEYFRAME_PERIOD_S)
-    return n_keyframes >= MIN_KEYFRAMES and n_times == n_keyframes
-
-
 def count_frames(n_keyframes: int) -> int:
     """Return the number of frames of 1 ms of a recording of `n_keyframes` keyframes."""
     return STRIDE * (n_keyframes - 1) + 1

@@ -133,14 +133,8 @@ class GeneratedDataset(Dataset):
         handover, _ = _generate_scene(self.config, scene_id)
         giver = handover.giver
         ids = (giver.class_id, *(item.class_id for item in handover.clutter))
-        return SceneInfo(
-            scene_id=scene_id,
-            name=f"{giver.subject}/scene-{scene_id:08d}",
-            subject=giver.subject,
-            side=giver.side,
-            object_ids=ids,
-            object_names=tuple(self._names[number] for number in ids),
-        )
+        name, names = f"{giver.subject}/scene-{scene_id:08d}", tuple(self._names[number] for number in ids)
+        return SceneInfo(scene_id, name, giver.side, ids, names)
 
     def load_scene(self, scene_id: int) -> Scene:
         """Generate a scene with its motion in the world frame; raises `SceneError`."""

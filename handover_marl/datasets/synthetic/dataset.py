@@ -141,13 +141,6 @@ def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], 
     clutter = draw_clutter(open_stream(seed, "clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
     object_dof, hand_dof, hand_first = compute_trajectories(motion, clutter)
     ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
-    subject = f"synthetic-subject-{subject_id:02d}"
-    info = SceneInfo(
-        scene_id=scene_id,
-        name=f"{subject}/scene-{scene_id:03d}",
-        subject=subject,
-        side=side,
-        object_ids=ids,
-        object_names=tuple(CLASS_NAMES[number] for number in ids),
-    )
+    name = f"synthetic-subject-{subject_id:02d}/scene-{scene_id:03d}"
+    info = SceneInfo(scene_id, name, side, ids, tuple(CLASS_NAMES[number] for number in ids))
     return info, object_dof, hand_dof, hand_first

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.dexycb.rotations import (
     KeyframeSpan,
-    can_original_resample,
     compute_norms,
     count_frames,
     fused_multiply_add,
@@ -138,14 +137,6 @@ def test_angles_at_gimbal_lock(x: float, y: float, z: float) -> None:
     assert scipy_euler_from_rotations(rotation)[0, 2] == 0.0
     exact = np.round(Rotation.from_euler("XYZ", [[0.0, y, 0.0]]).as_matrix())
     np.testing.assert_allclose(transforms3d_euler_from_matrices(exact), [[0.0, y, 0.0]], atol=1e-12)
-
-
-def test_lengths_that_the_original_cannot_resample() -> None:
-    cannot = [n for n in range(4, 200) if not can_original_resample(n)]
-    assert cannot == [7, 14, 28, 56, 57, 111, 112, 113, 114, 115]
-    assert [n for n in range(4) if can_original_resample(n)] == []
-    for n in range(4, 2000):
-        assert can_original_resample(n) == (len(np.arange(0, n * 0.04, 0.04)) == n)
 
 
 @pytest.mark.parametrize("n_keyframes", [4, 66, 68, 70, 72, 74, 76])
