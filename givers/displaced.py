@@ -34,10 +34,6 @@ class DisplacedGiver(ArrayGiver):
 
     Displacements are uniformly distributed in a ball, rotations have a random axis and a uniform angle. The hand
     moves to the displaced motion once it has picked up the object.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `DisplacedConfig`.
     """
 
     name = "displaced"
