@@ -77,12 +77,7 @@ class HumanGrasps:
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of an object by one of the ten subjects.
-
-    Args:
-        object_name: YCB class name, e.g. "025_mug".
-        subject: Number of the subject, 1 to 10.
-        side: Side of the hand, "left" or "right".
+    """Load the grasps of an object, such as "025_mug", by the "left" or "right" hand of a subject, 1 to 10.
 
     Raises:
         UnknownNameError: The object, the subject or the side does not exist.

@@ -5,6 +5,7 @@ z, and the Panda's hand link is the gripper frame rotated by -90 degrees about z
 """
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -53,25 +54,7 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
-    grasps = _load_grasps(path)
-    if name not in grasps:
-        raise DataFormatError(
-            f"{path}: no grasps for {name}; rebuild with `python -m handover_marl.assets.building.build_grasps`"
-        )
-    return np.array(grasps[name])
-
-
-@functools.cache
-def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; make it with `python -m handover_marl.assets.building.build_grasps`"
-        )
-    grasps = {name: array.astype(np.float64) for name, array in _load_npz(path, "grasp file").items()}
-    for name, transforms in grasps.items():
-        if transforms.ndim != 3 or transforms.shape[1:] != (4, 4) or not np.isfinite(transforms).all():
-            raise DataFormatError(f"{path}: {name} must be finite numbers of shape (n, 4, 4)")
-    return MappingProxyType(grasps)
+    return np.asarray(_load_npz(path)[name].astype(np.float64))
 
 
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
@@ -84,25 +67,21 @@ def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> Validatio
     return None if record is None else record.copy()
 
 
-@functools.cache
-def load_validation_records(path: Path) -> MappingProxyType[str, ValidationRecord]:
+def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
     """Load all grasp validation records of a file by name; return no records if the file is missing.
 
     Raises:
         DataFormatError: The file is damaged.
     """
-    if not path.is_file():
-        return MappingProxyType({})
-    records = _load_npz(path, "file of grasp validations")
-    for name, record in records.items():
-        if record.dtype != np.int16 or record.ndim != 2 or record.shape[1] != 4:
-            raise DataFormatError(f"{path}: {name} must be integers of shape (n, 4); install the library again")
-    return MappingProxyType(records)
+    return _load_npz(path) if path.is_file() else {}
 
 
-def _load_npz(path: Path, kind: str) -> dict[str, npt.NDArray[Any]]:
+@functools.cache
+def _load_npz(path: Path) -> Mapping[str, npt.NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            return MappingProxyType({name: archive[name] for name in archive.files})
+    except FileNotFoundError as error:
+        raise DataNotFoundError(f"{path} is missing; install the library again") from error
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(f"{path}: not a readable {kind} ({error}); install the library again") from error
+        raise DataFormatError(f"{path}: not a readable file of arrays ({error}); install the library again") from error

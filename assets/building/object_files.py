@@ -8,11 +8,7 @@ import numpy.typing as npt
 import trimesh
 
 from handover_marl.assets.object_models import (
-    COLLISION_NAME,
-    OBJECTS_ROOT,
     PALETTE,
-    VISUAL_NAME,
-    find_object_urdf,
     format_visual,
 )
 from handover_marl.geometry.model_files.meshes import concatenate_meshes
@@ -56,27 +52,6 @@ def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.N
     faces = faces[whole]
     turned = np.stack([np.roll(face, -int(np.argmin(face))) for face in faces])
     return vertices, turned[np.lexsort(turned.T[::-1])]
-
-
-def load_visual_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
-    """Load the visual mesh (m) of an object in its frame, without colors.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    (mesh,) = read_parts(find_object_urdf(name, root).with_name(VISUAL_NAME))
-    return mesh
-
-
-def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> list[trimesh.Trimesh]:
-    """Load the convex collision meshes (m) of an object in its frame.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    return read_parts(find_object_urdf(name, root).with_name(COLLISION_NAME))
 
 
 def read_parts(path: Path) -> list[trimesh.Trimesh]:

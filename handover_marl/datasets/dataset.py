@@ -233,11 +233,7 @@ class Dataset(ABC):
         return setup
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split in ascending order.
-
-        Args:
-            setup: One of `setups`; None is the default.
-            split: "train", "val" or "test".
+        """Return the scene numbers of a split ("train", "val" or "test") of a setup in ascending order.
 
         Raises:
             UnknownNameError: The setup or the split does not exist.

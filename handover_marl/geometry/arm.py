@@ -38,13 +38,12 @@ class LinkFrames:
 
 
 class ArmKinematics:
-    """Forward kinematics and Jacobians of a Panda with a fixed finger opening.
+    """Forward kinematics and Jacobians of a Panda with open fingers.
 
     Links are numbered along the chain: 0-6 are the arm's, 7 is the hand, 8 and 9 are the fingers.
 
     Args:
         tree: Kinematic tree of the Panda.
-        opening: Position of both finger joints (m).
 
     Attributes:
         link_names: Names of the ten links in the order of their numbers.
@@ -54,7 +53,7 @@ class ArmKinematics:
         SimulationError: A Panda link is missing, or a joint's axis is not z.
     """
 
-    def __init__(self, tree: KinematicTree, opening: float = OPEN) -> None:
+    def __init__(self, tree: KinematicTree) -> None:
         names = [joint.link for joint in tree.joints]
         missing = {HAND_LINK, *FINGER_LINKS} - set(names)
         if missing:
@@ -67,11 +66,10 @@ class ArmKinematics:
             if not np.allclose(tree.joints[link].axis, (0.0, 0.0, 1.0)):
                 raise SimulationError(f"the joint of {names[link]} must turn about its z axis; check the URDF")
         self._segments = [
-            _fixed_transform(tree, link, before, opening)
-            for link, before in zip(revolute, [-1, *revolute], strict=False)
+            _fixed_transform(tree, link, before) for link, before in zip(revolute, [-1, *revolute], strict=False)
         ]
-        self._hand = _fixed_transform(tree, hand, revolute[-1], opening)
-        self._fingers = [_fixed_transform(tree, names.index(finger), hand, opening) for finger in FINGER_LINKS]
+        self._hand = _fixed_transform(tree, hand, revolute[-1])
+        self._fingers = [_fixed_transform(tree, names.index(finger), hand) for finger in FINGER_LINKS]
 
     def compute_chain_frames(self, joints: Array) -> LinkFrames:
         """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
@@ -142,8 +140,8 @@ class IndependentArmKinematics(ArmKinematics):
     same.
     """
 
-    def __init__(self, tree: KinematicTree, opening: float = OPEN) -> None:
-        super().__init__(tree, opening)
+    def __init__(self, tree: KinematicTree) -> None:
+        super().__init__(tree)
         # Homogeneous transforms (8, 4, 4) of the arm links and the hand from the link before, with joints at zero.
         self._fixed = np.zeros((self.n_joints + 1, 4, 4))
         for matrix, (offset, turn) in zip(self._fixed, [*self._segments, self._hand], strict=True):
@@ -175,15 +173,15 @@ def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Arra
     return np.concatenate(moved, axis=1)
 
 
-def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: float) -> tuple[Array, Array]:
+def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Array, Array]:
     """Return offset (3,) and rotation (3, 3) of a link in an ancestor link's frame.
 
-    Revolute joints are at zero, prismatic joints at the position `opening` (m).
+    Revolute joints are at zero, prismatic joints at the position of open fingers (m).
     """
     offset, turn = np.zeros(3), np.eye(3)
     while link != ancestor:
         joint = tree.joints[link]
-        slide = opening * joint.axis if joint.kind == "prismatic" else np.zeros(3)
+        slide = OPEN * joint.axis if joint.kind == "prismatic" else np.zeros(3)
         offset = joint.offset + joint.rotation @ (slide + offset)
         turn = joint.rotation @ turn
         link = joint.parent

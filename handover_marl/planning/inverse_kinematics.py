@@ -24,26 +24,14 @@ def solve_ik(
     min_step: float = 0.0,
     max_step: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method.
+    """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method from seeds (n, 7).
 
-    Every iteration solves the linearized problem with the smallest joint motion and clamps the
-    result to the joint limits.
-
-    Args:
-        arm: Kinematics of the arm.
-        positions: (n, 3) wanted positions of the hand link's origin (m).
-        rotations: (n, 3, 3) wanted rotations of the hand link; None leaves the rotation free.
-        seeds: (n, 7) configuration at which each search starts (rad).
-        limits: Lower and upper joint limits, (7,) each (rad).
-        tolerance: Maximum error of each component of position (m) and rotation vector (rad), or
-            two values for the norms of position and rotation vector.
-        iterations: Maximum number of iterations.
-        damping: Damping of the steps (m^2); more takes shorter steps that stay nearer to the seed.
-        min_step: Joint change in one step below which a search ends without solution (rad).
-        max_step: Maximum joint change in one step (rad); longer steps are scaled down.
-
-    Returns:
-        Configurations (n, 7) in rad, and whether each one reaches its pose (n,).
+    Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
+    limits. Positions (n, 3) are in m; without rotations (n, 3, 3), any serves. The tolerance is the maximum error
+    of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
+    takes shorter steps that stay nearer to the seed. A search ends without solution where a step is below
+    `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and whether each
+    one reaches its pose (n,).
     """
     joints = np.clip(seeds, *limits)
     solved = np.zeros(len(joints), dtype=bool)

@@ -308,11 +308,9 @@ class ReactiveConfig(CheckedConfig):
 
 
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
-    """Return a copy of a configuration for another trade-off of success rate and speed.
+    """Return a copy of a configuration, which is for a risk of 0.5, for another trade-off of success rate and speed.
 
-    Args:
-        config: Configuration for a risk of 0.5.
-        risk: Number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
+    The risk is a number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
 
     Raises:
         OptionError: `risk` is not a number from 0 to 1.

@@ -162,12 +162,8 @@ def advance_grasp(pose: Array, distance: float) -> Array:
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
     """Return (m, 7) copies of grasps (n, 7), tilted about the line between the pads."""
-    pads = np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0])
-    copies = []
-    for tilt in config.tilts:
-        rotation = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
-        copies.append(compose(compose(compose(known, pads), rotation), invert_pose(pads)))
-    return np.concatenate(copies) if copies else np.zeros((0, 7))
+    offsets = (make_offset_pose(tilt, 0.0, 0.0, config.pad_distance) for tilt in config.tilts)
+    return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
 
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float) -> Array:

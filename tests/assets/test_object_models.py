@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.building.object_files import load_collision_parts, load_visual_mesh, merge_meshes
+from handover_marl.assets.building.object_files import merge_meshes
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.client import BulletClient, connect
-from tests.assets.ycb_bounds import YCB_BOUNDS
+from tests.assets.ycb_bounds import YCB_BOUNDS, load_collision_parts, load_visual_mesh
 
 NAMES = tuple(CLASS_NAMES.values())
 

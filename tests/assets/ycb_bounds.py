@@ -27,3 +27,19 @@ YCB_BOUNDS = MappingProxyType(
         "061_foam_brick": ((-0.0261, -0.0389, -0.0172), (0.0266, 0.0388, 0.0339)),
     }
 )
+
+
+def load_visual_mesh(name: str) -> trimesh.Trimesh:
+    """L
+    import trimesh
+
+    from handover_marl.assets.building.object_files import read_parts
+    from handover_marl.assets.object_models import COLLISION_NAME, VISUAL_NAME, find_object_urdf
+    oad the visual mesh (m) of an object."""
+    (mesh,) = read_parts(find_object_urdf(name).with_name(VISUAL_NAME))
+    return mesh
+
+
+def load_collision_parts(name: str) -> list[trimesh.Trimesh]:
+    """Load the convex collision meshes (m) of an object."""
+    return read_parts(find_object_urdf(name).with_name(COLLISION_NAME))

@@ -104,11 +104,7 @@ class ObjectMesh:
 
 
 def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
-    """Read a mesh, repair it, and divide it into convex parts.
-
-    Args:
-        source: Mesh file of any format that trimesh reads, or a mesh.
-        config: Units, mass and limits.
+    """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts.
 
     Raises:
         DataFormatError: The mesh has no solid body, or not the size of an object.

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from handover_marl.assets.shipped import (
     VALIDATION_PATH,
     load_validation_record,
-    load_validation_records,
 )
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -147,11 +146,7 @@ def test_shipped_record_equals_a_simulation(monkeypatch: pytest.MonkeyPatch) -> 
 def test_damaged_records_file(tmp_path: Path) -> None:
     path = tmp_path / "grasp_validations.npz"
     assert load_validation_record("mug", path) is None
-    load_validation_records.cache_clear()
     shutil.copy(VALIDATION_PATH, path)
     path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(DataFormatError, match=r"not a readable file of grasp validations .* install the library again"):
-        load_validation_record("mug", path)
-    np.savez(path, mug=np.zeros((3, 4)))
-    with pytest.raises(DataFormatError, match=r"mug must be integers of shape \(n, 4\)"):
+    with pytest.raises(DataFormatError, match=r"not a readable file of arrays .* install the library again"):
         load_validation_record("mug", path)
