@@ -46,22 +46,22 @@ if TYPE_CHECKING:
     from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
     from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
     from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
-    from handover_marl.evaluation.agreement import compare_physics as compare_physics
     from handover_marl.evaluation.benchmark import benchmark as benchmark
     from handover_marl.evaluation.benchmark import evaluate_pair as evaluate_pair
     from handover_marl.evaluation.comparison import compare as compare
+    from handover_marl.evaluation.comparison import compare_physics as compare_physics
     from handover_marl.evaluation.config import EvaluationConfig as EvaluationConfig
     from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
     from handover_marl.evaluation.crossplay import crossplay as crossplay
-    from handover_marl.evaluation.demonstrations.reader import Demonstrations as Demonstrations
+    from handover_marl.evaluation.demonstrations.demonstration import Demonstrations as Demonstrations
     from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
     from handover_marl.evaluation.merge import merge as merge
-    from handover_marl.evaluation.rendering.plan import render_plan as render_plan
-    from handover_marl.evaluation.rendering.scene import render_scene as render_scene
+    from handover_marl.evaluation.rendering import render_plan as render_plan
+    from handover_marl.evaluation.rendering import render_scene as render_scene
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
     from handover_marl.evaluation.strangers.protocol import strangers as strangers
-    from handover_marl.evaluation.verification.verify import verify as verify
+    from handover_marl.evaluation.verification import verify as verify
     from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
     from handover_marl.learning.adapters.as_policy import as_giver as as_giver
     from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver

@@ -79,7 +79,7 @@ def run_agreement(
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
+    from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
 
     config = execution.make_config()
     result = compare_physics(evaluation.make_config(), against=against, execution=config)
@@ -222,14 +222,14 @@ def run_render(
         trust: Run code in policy files.
     """
     from handover_marl.config import CameraConfig
-    from handover_marl.evaluation.rendering.scene import render_scene
+    from handover_marl.evaluation.rendering import render_scene
 
     options: Any = {key: getattr(evaluation.make_config(), key) for key in _SCENE_FIELDS} | {"trust": trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}
     if plan:
-        from handover_marl.evaluation.rendering.plan import PLAN_CAMERA, render_plan
+        from handover_marl.evaluation.rendering import PLAN_CAMERA, render_plan
 
         if not camera.keys() <= size.keys():
             raise OptionError("--position, --target and --vertical-fov do not apply to --plan; leave them out")

@@ -159,7 +159,7 @@ def preview(
         out: Output file: .html, .png, .gif or .mp4.
         progress: Show a progress bar on stderr.
     """
-    from handover_marl.evaluation.rendering.scene import render_scene
+    from handover_marl.evaluation.rendering import render_scene
 
     print_result(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress))
 

@@ -19,7 +19,7 @@ import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.errors import DataFormatError, DataNotFoundError, PolicyError, WorkerError
-from handover_marl.evaluation.progress import BenchmarkProgress
+from handover_marl.evaluation import benchmark as evaluation
 from handover_marl.receivers import Receiver
 from tests.evaluation.test_workers import files
 from tests.fake_layout import write_layout
@@ -253,7 +253,7 @@ def test_interruption_frees_the_cores(cluster: Any, nodes: list[Any], monkeypatc
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(BenchmarkProgress, "add", stopped)
+        patch.setattr(evaluation, "_check_same_outcome", stopped)
         with pytest.raises(KeyboardInterrupt):
             play(cluster, progress=True)
     until = time.monotonic() + 30.0

@@ -17,7 +17,7 @@ from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, SceneError, UnknownNameError
-from handover_marl.evaluation.verification.verify import verify
+from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.distance_field import distance_field_from_mesh
 from handover_marl.simulation.engines import PHYSICS
 from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv

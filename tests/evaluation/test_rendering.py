@@ -1,5 +1,4 @@
 import importlib.util
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,9 @@ from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
-from handover_marl.evaluation.rendering import scene as scene_rendering
-from handover_marl.evaluation.rendering.scene import render_scene
-from handover_marl.policies.policy import PolicyContext
+from handover_marl.errors import HandoverError, OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation import rendering as scene_rendering
+from handover_marl.evaluation.rendering import render_scene
 from handover_marl.receivers.hold import HoldReceiver
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.visualization import video as video_module
@@ -57,49 +55,14 @@ def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return steps
 
 
-def test_key_frames(tmp_path: Path) -> None:
-    with Image.open(draw(tmp_path / "new" / "sheet.png", key_frames=4)) as sheet:
-        pixels = np.asarray(sheet)
-    assert pixels.shape == (2 * 72, 3 * 96, 3)
-    first, second = pixels[:72, :96], pixels[72:, :96]
-    assert first.std() > 20
-    assert (first != second).any(axis=2).mean() > 0.003
-    assert (pixels[72:, 96:] == 255).all()
-
-
-@pytest.mark.parametrize("key_frames", [7, 3, 1])
-def test_number_of_key_frames(tmp_path: Path, drawn_after: list[int], key_frames: int) -> None:
-    path = draw(tmp_path / "sheet.png", key_frames=key_frames)
-    assert len(pictures(path)) == key_frames
-    end = SyntheticDataset().load_scene(209).n_frames + 500
-    if key_frames > 1:
-        assert drawn_after == np.linspace(0, end, key_frames).round().astype(int).tolist()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "players",
-    [
-        {"receiver": "yang2021"},
-        # Policies with random actions, which collide with objects.
-        {"receiver": "random", "giver": "noisy", "seed": 1},
-    ],
-)
-def test_key_frames_span_the_episode(
-    tmp_path: Path, drawn_after: list[int], monkeypatch: pytest.MonkeyPatch, players: dict[str, Any]
-) -> None:
-    steps, advance = [], Episode.advance
-
-    def noted(episode: Episode, *arguments: Any) -> None:
-        advance(episode, *arguments)
-        steps.append(episode.steps)
-
-    monkeypatch.setattr(Episode, "advance", noted)
-    path = draw(tmp_path / "sheet.png", **players)
+def test_key_frames_span_the_episode(tmp_path: Path, drawn_after: list[int]) -> None:
+    path = draw(tmp_path / "new" / "sheet.png", key_frames=4)
     shown = pictures(path)
-    assert len(shown) == len(drawn_after) == 6
-    assert drawn_after == np.linspace(0, max(steps), 6).round().astype(int).tolist()
-    assert all((first != second).any() for first, second in itertools.pairwise(shown))
+    end = SyntheticDataset().load_scene(209).n_frames + 500
+    assert drawn_after == np.linspace(0, end, 4).round().astype(int).tolist()
+    assert len(shown) == 4
+    assert shown[0].std() > 20
+    assert (shown[0] != shown[3]).any(axis=2).mean() > 0.003
 
 
 class Joints(EpisodeCallback):
@@ -136,17 +99,6 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
         assert end == list(ends[0][:-1])
 
 
-@pytest.mark.parametrize("name", ["sheet.Png", "video.GIF"])
-def test_suffixes_in_upper_case(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (video_module, scene_rendering):
-        monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
-    path = draw(tmp_path / name, key_frames=2)
-    assert path.name == name
-    with Image.open(path) as image:
-        assert image.format == path.suffix[1:].upper()
-    assert [entry.name for entry in tmp_path.iterdir()] == [name]
-
-
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if suffix == ".mp4":
@@ -160,14 +112,6 @@ def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) ->
         with Image.open(path) as video:
             assert video.n_frames >= 3
             assert video.size == (96, 72)
-
-
-@pytest.mark.slow
-def test_episode_ends(tmp_path: Path) -> None:
-    path = draw(tmp_path / "episode.png", receiver="yang2021", key_frames=4)
-    with Image.open(path) as sheet:
-        pixels = np.asarray(sheet)
-    assert (pixels[:72, :96] != pixels[:72, 96:192]).any(axis=2).mean() > 0.02
 
 
 @pytest.mark.parametrize(
@@ -187,33 +131,7 @@ def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error
     assert not list(tmp_path.iterdir())
 
 
-IMPOSSIBLE = [
-    {"width": -1},
-    {"width": 0},
-    {"width": 100_000},
-    {"height": -1},
-    {"height": 100_000},
-    {"width": 640.5},
-    {"vertical_fov": 0.0},
-    {"vertical_fov": 180.0},
-    {"near": 0.0},
-    {"far": 0.1},
-    {"far": float("nan")},
-    {"position": (float("inf"), 0.0, 0.0)},
-    {"position": CAMERA.target},
-]
-
-
-@pytest.mark.parametrize("changes", IMPOSSIBLE)
-def test_impossible_cameras(tmp_path: Path, changes: dict[str, Any]) -> None:
-    """Cameras with impossible values are refused, because the renderer would end the process."""
-    with pytest.raises(OptionError):
-        draw(tmp_path / "x.png", camera=replace(CAMERA, **changes))
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("side", ["--width", "--height"])
-@pytest.mark.parametrize("size", ["-1", "0", "100000", "8193"])
+@pytest.mark.parametrize(("side", "size"), [("--width", "0"), ("--height", "8193")])
 @pytest.mark.parametrize("plan", [[], ["--plan"]])
 def test_impossible_sizes(
     tmp_path: Path, side: str, size: str, plan: list[str], capsys: pytest.CaptureFixture[str]
@@ -237,8 +155,7 @@ def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "out",
     [
-        *("file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "/proc/none/x.png"),
-        *("x" * 300 + ".png", "x" * 240 + ".png", "x" * 300 + "/x.png"),
+        *("file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "x" * 300 + ".png"),
     ],
     ids=lambda out: out[-30:],
 )
@@ -251,23 +168,6 @@ def test_invalid_output_paths_are_reported_before_rendering(
     with pytest.raises(ResultsError, match="cannot write"):
         draw(tmp_path / out)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.png"]
-
-
-def test_read_only_folder_is_reported_before_rendering(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder without write permission is refused; the test is skipped for users like root, who may write anywhere."""
-    folder = tmp_path / "locked"
-    folder.mkdir()
-    folder.chmod(0o555)
-    try:
-        (folder / "probe").touch()
-    except OSError:
-        refuse_to_draw(monkeypatch)
-        with pytest.raises(ResultsError, match="cannot write"):
-            draw(folder / "x.png")
-    else:
-        pytest.skip("this user may write everywhere")
-    finally:
-        folder.chmod(0o755)
 
 
 def test_any_giver(tmp_path: Path) -> None:
@@ -289,49 +189,10 @@ def test_any_giver(tmp_path: Path) -> None:
         draw(tmp_path / "x.png", giver=HoldReceiver)
 
 
-class Asking(HoldReceiver):
-    """Receiver that stores the option `trust` with which it is made, and does not play."""
-
-    name = "asking"
-    answers: list[bool] = []
-
-    def __init__(self, context: PolicyContext, trust: bool) -> None:
-        super().__init__(context)
-        self.answers.append(trust)
-
-    def reset(self, seed: int | None = None) -> None:
-        raise OptionError("made, and no more")
-
-
-@pytest.mark.parametrize("trust", [True, False])
-def test_code_in_policy_files_needs_trust(tmp_path: Path, trust: bool) -> None:
-    Asking.answers.clear()
-    with pytest.raises(OptionError, match="made, and no more"):
-        draw(tmp_path / "x.png", giver="hurried", receiver=Asking, trust=trust)
-    assert Asking.answers == [trust]
-
-
-def test_trust_on_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[dict[str, Any]] = []
-    monkeypatch.setattr(scene_rendering, "render_scene", lambda *_, **options: calls.append(options))
-    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
-    assert main([*command, "--giver", "hesitant", "--trust", "--seed", "4"]) == 0
-    assert main(command) == 0
-    assert [(options["giver"], options["trust"], options["seed"]) for options in calls] == [
-        ("hesitant", True, 4),
-        ("replay", False, 0),
-    ]
-
-
 def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
         draw(tmp_path / "x.mp4")
-
-
-def test_scene_numbers(tmp_path: Path) -> None:
-    with pytest.raises(SceneError):
-        render_scene(1000, tmp_path / "x.png", dataset="synthetic", progress=False)
 
 
 def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
