@@ -136,7 +136,7 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
-    return np.min(by_box, axis=0)
+    return np.asarray(np.min(by_box, axis=0))
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
