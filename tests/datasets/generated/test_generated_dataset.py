@@ -28,7 +28,8 @@ def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPa
 
 
 def digest(scene: Scene) -> str:
-    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + repr(scene.info).encode()
+    info = repr(scene.info).replace(", side=", f", subject={scene.info.subject!r}, side=")
+    content = scene.object_dof.tobytes() + scene.hand_dof.tobytes() + info.encode()
     return hashlib.sha256(content).hexdigest()[:16]
 
 
