@@ -1,6 +1,6 @@
 """Train the network of the receiver `gaddpg` by imitation.
 
-The script needs the extras `train`, `plot`, `planning` and `vision`.
+The script needs the extras `train`, `planning` and `vision`.
 
     python experiments/training/train_gaddpg.py --data-dir DIR --out runs/gaddpg
 
@@ -8,8 +8,8 @@ The training follows Wang et al. (CoRL 2021): objects are at rest without a hand
 `omg`, and the network is trained by behavior cloning with an auxiliary loss of goals. In later rounds the
 network acts and the expert labels the states (DAgger). Only the evaluation on the validation split simulates physics.
 The folder gets `policy.npz`, the best network (`--receiver gaddpg:weights=runs/gaddpg/policy.npz
---robot panda_camera`), `last.npz`, a learning curve, TensorBoard logs, `plans/`, `states/`, and a
-checkpoint, from which `--resume` continues.
+--robot panda_camera`), `last.npz`, TensorBoard logs, `plans/`, `states/`, and a checkpoint, from which `--resume`
+continues.
 """
 
 import time
@@ -53,11 +53,14 @@ from handover_marl.learning.imitation.gaddpg.states import (
 )
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.learning_curve import UPDATES, CurvePoint
 from handover_marl.learning.training.run_folder import (
-    RunFolder,
+    CHECKPOINT,
+    OUTCOMES,
+    POLICY,
     describe_origin,
+    open_run_folder,
     read_checkpoint,
+    summarize_evaluation,
     write_checkpoint,
 )
 from handover_marl.learning.training.scene_arguments import DatasetArgs
@@ -150,7 +153,7 @@ class Training:
         data = open_dataset(args.dataset, args.data_dir, PANDA_CAMERA)
         scenes = list_shared_scenes(data, args.setups)
         self._args, self._card = args, {"made by": describe_origin("train_gaddpg", args)}
-        self._folder = RunFolder(Path(args.out), args, args.resume, data.name, FREE, UPDATES)
+        self._folder = open_run_folder(Path(args.out), args, args.resume, data.name, FREE)
         self._generator = DataGeneratorConfig(
             scenes, data.name, args.data_dir, args.seed, args.scenario, args.costs, args.expert, args.rollout
         )
@@ -161,18 +164,16 @@ class Training:
             args.updates, args.seed, torch.device(device), args.learner, args.approach, args.max_steps
         )
         self._round, self._best, self._started = 0, -1.0, time.monotonic()
-        if args.resume and self._folder.checkpoint.exists():
-            read_checkpoint(self._folder.checkpoint, self._restore)
-            self._folder.discard_points_after(self._learner.done)
-        self._earlier = self._folder.seconds
+        if args.resume and (self._folder / CHECKPOINT).exists():
+            read_checkpoint(self._folder / CHECKPOINT, self._restore)
 
     def run(self) -> Path:
         """Train until all rounds are done or time is up; return the path of the best network."""
         args, pool = self._args, self._execution.pool
-        with Progress() as bar, SummaryWriter(str(self._folder.path / "tensorboard")) as writer:
+        with Progress() as bar, SummaryWriter(str(self._folder / "tensorboard")) as writer:
             task = bar.add_task("plans", total=args.scenarios)
             plans = make_plans(
-                self._folder.path / "plans", self._generator, args.scenarios, pool, lambda n: bar.advance(task, n)
+                self._folder / "plans", self._generator, args.scenarios, pool, lambda n: bar.advance(task, n)
             )
             if not plans:
                 raise OptionError("the expert can reach no grasp in any scenario")
@@ -184,7 +185,7 @@ class Training:
                     break
                 self._round += 1
                 self._evaluate(writer)
-        return self._folder.policy
+        return self._folder / POLICY
 
     def is_out_of_time(self) -> bool:
         """Return whether the time limit of the training is reached."""
@@ -205,7 +206,7 @@ class Training:
         if not path.exists():
             weights = None
             if number > 0:
-                last = self._folder.path / LAST
+                last = self._folder / LAST
                 write_network_weights(last, self._learner.averaged, self._card)
                 # Workers may be on machines that do not share the folder.
                 weights = last.read_bytes()
@@ -257,7 +258,7 @@ class Training:
 
     def _evaluate(self, writer: SummaryWriter) -> None:
         """Evaluate on the validation split, and keep the network if it is the best so far."""
-        args, path, steps = self._args, self._folder.path / LAST, self._learner.done
+        args, path, steps = self._args, self._folder / LAST, self._learner.done
         write_network_weights(path, self._learner.averaged, self._card)
         successes = []
         for wait in args.waits:
@@ -272,27 +273,25 @@ class Training:
                 robot=PANDA_CAMERA,
             )
             report = evaluate_pair(config, execution=self._execution)
-            seconds = self._earlier + time.monotonic() - self._started
-            point = CurvePoint.from_report(report, steps, seconds, f"replay, wait {wait:g} s")
-            self._folder.add(point)
-            successes.append(point.success)
-            for name in ("success", "contact", "drop", "timeout"):
-                writer.add_scalar(f"evaluation/{name} wait {wait:g}", getattr(point, name), steps)
+            print(summarize_evaluation(report, f"{steps} gradient updates, wait {wait:g} s"), flush=True)
+            successes.append(report.success_rate)
+            for name in OUTCOMES:
+                writer.add_scalar(f"evaluation/{name} wait {wait:g}", getattr(report, f"{name}_rate"), steps)
         if float(np.mean(successes)) > self._best:
             self._best = float(np.mean(successes))
-            write_network_weights(self._folder.policy, self._learner.averaged, self._card)
+            write_network_weights(self._folder / POLICY, self._learner.averaged, self._card)
         self._save()
 
     def _save(self) -> None:
         state = {"learner": self._learner.get_state(), "round": self._round, "best": self._best}
-        write_checkpoint(self._folder.checkpoint, state)
+        write_checkpoint(self._folder / CHECKPOINT, state)
 
     def _restore(self, state: dict[str, Any]) -> None:
         self._learner.restore(state["learner"])
         self._round, self._best = int(state["round"]), float(state["best"])
 
     def _states_path(self, name: str) -> Path:
-        path = self._folder.path / "states" / f"{name}.npz"
+        path = self._folder / "states" / f"{name}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 

@@ -1,6 +1,6 @@
 """Train the grasp network of the receiver `vision`.
 
-The script needs the extras `train`, `plot`, `planning` and `vision`.
+The script needs the extras `train`, `planning` and `vision`.
 
     python experiments/training/train_vision.py --data-dir DIR --out runs/vision
 
@@ -10,16 +10,15 @@ grasps in simulation if that was not done yet, and trains the network to predict
 later rounds, views recorded while the receiver uses the trained network are added (DAgger). After
 every round the receiver is evaluated on the validation split in fast physics. The folder gets
 `vision.npz`, the best network (`--receiver vision:weights=runs/vision/vision.npz`),
-`learning_curve.csv` and `.png`, TensorBoard logs, the views, and a checkpoint, from which
-`--resume` continues.
+TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
 import os
 import re
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -41,13 +40,14 @@ from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
 from handover_marl.learning.networks.weights import write_network_weights
-from handover_marl.learning.training.learning_curve import UPDATES, CurvePoint
 from handover_marl.learning.training.run_folder import (
-    RunFolder,
+    CHECKPOINT,
     describe_origin,
+    open_run_folder,
     read_checkpoint,
     select_held_out_scenes,
     select_training_scenes,
+    summarize_evaluation,
     write_checkpoint,
 )
 from handover_marl.learning.training.scene_arguments import SetupArgs
@@ -129,18 +129,17 @@ class Training:
             extra = open_dataset(name, robot=args.robot)
             self._scenes[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
         self._val_scenes = select_scenes_evenly(self._data.list_scenes(args.setup, "val"), args.val_scenes)
-        self._folder = RunFolder(Path(args.out), args, args.resume, self._data.name, ("updates",), UPDATES)
+        self._folder = open_run_folder(Path(args.out), args, args.resume, self._data.name, ("updates",))
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(args.seed)
         config = GraspTrainingConfig(center_loss_weight=2.0 * args.auxiliary, motion_loss_weight=args.auxiliary)
         group_sizes = GraspNetworkConfig.group_sizes if args.use_groups else ()
         network = GraspNetwork(GraspNetworkConfig(uses_hand_points=args.use_hand_points, group_sizes=group_sizes))
         self._trainer = GraspTrainer(network, config, args.updates, args.seed, self._device)
-        self._seconds = 0.0
-        if args.resume and self._folder.checkpoint.exists():
-            read_checkpoint(self._folder.checkpoint, self._restore)
-        self._folder.discard_points_after(self._trainer.done)
-        self._writer = SummaryWriter(str(self._folder.path / "logs"), purge_step=self._trainer.done)
+        self._best = -1.0
+        if args.resume and (self._folder / CHECKPOINT).exists():
+            read_checkpoint(self._folder / CHECKPOINT, self._restore)
+        self._writer = SummaryWriter(str(self._folder / "logs"), purge_step=self._trainer.done)
 
     def run(self) -> Path:
         """Run all rounds of training; return the path of the best network's weights."""
@@ -157,7 +156,7 @@ class Training:
             self._train(ViewBatches(joined, self._device), held_out, end)
             self._evaluate()
             self._save()
-        return self._folder.path / WEIGHTS
+        return self._folder / WEIGHTS
 
     def _select_scenes(self, number: int) -> list[tuple[str, Sequence[int]]]:
         """Return the training scenes of a round by the names of the data sets."""
@@ -171,14 +170,14 @@ class Training:
         """Return the views of scenes of a data set in a round; generate missing ones."""
         args, name = self._args, f"round_{number}"
         shared = args.shared_views if number == 0 else None
-        folder = self._folder.path / "views" / name if shared is None else Path(shared)
+        folder = self._folder / "views" / name if shared is None else Path(shared)
         data_dir = args.data_dir
         if dataset != args.dataset:
             folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
         seed = args.seed if args.views_seed is None or number else args.views_seed
         config = ViewDatasetConfig(dataset, data_dir, args.robot, args.views, seed)
         if number:
-            weights = self._folder.path / f"{name}.npz"
+            weights = self._folder / f"{name}.npz"
             config = replace(config, count=args.round_views, weights=str(weights))
             if not weights.exists():
                 write_network_weights(weights, self._trainer.network, {})
@@ -186,7 +185,7 @@ class Training:
         return read_views(scenes, folder)
 
     def _train(self, views: ViewBatches, held_out: ViewBatches, end: int) -> None:
-        trainer, started = self._trainer, time.perf_counter()
+        trainer = self._trainer
         columns = (TextColumn("training"), BarColumn(), TextColumn("{task.completed}/{task.total} {task.fields[note]}"))
         with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
             task = bar.add_task("", total=end, completed=trainer.done, note="")
@@ -204,13 +203,12 @@ class Training:
                     self._writer.add_scalar(f"held out/{name}", value, trainer.done)
                 shares = f"within 1 cm {metrics.within_1cm:.0%}, 2 cm {metrics.within_2cm:.0%}"
                 bar.update(task, note=f"held out: {shares}, {metrics.grasp_loss:.4f} m")
-                self._seconds, started = self._seconds + time.perf_counter() - started, time.perf_counter()
                 self._save()
 
     def _evaluate(self) -> None:
         """Evaluate on the validation split, and keep the network if it is the best so far."""
-        args, started = self._args, time.perf_counter()
-        latest = self._folder.path / "latest.npz"
+        args = self._args
+        latest = self._folder / "latest.npz"
         card = {
             "made by": describe_origin("train_vision", args),
             "steps": self._trainer.done,
@@ -229,19 +227,18 @@ class Training:
             workers=self._workers,
             progress=False,
         )
-        self._seconds += time.perf_counter() - started
-        point = CurvePoint.from_report(report, self._trainer.done, self._seconds, "replay")
-        if not any(other.success > point.success for other in self._folder.points):
-            latest.replace(self._folder.path / WEIGHTS)
-        self._folder.add(point)
-        self._writer.add_scalar("val/success", point.success, point.steps)
+        print(summarize_evaluation(report, f"{self._trainer.done} gradient updates"), flush=True)
+        self._writer.add_scalar("val/success", report.success_rate, self._trainer.done)
+        if report.success_rate >= self._best:
+            self._best = report.success_rate
+            latest.replace(self._folder / WEIGHTS)
 
     def _save(self) -> None:
-        write_checkpoint(self._folder.checkpoint, {**self._trainer.get_state(), "seconds": self._seconds})
+        write_checkpoint(self._folder / CHECKPOINT, {**self._trainer.get_state(), "best": self._best})
 
-    def _restore(self, state: dict[str, object]) -> None:
+    def _restore(self, state: dict[str, Any]) -> None:
         self._trainer.restore(state)
-        self._seconds = float(state["seconds"])  # type: ignore[arg-type]
+        self._best = float(state["best"])
 
 
 def main(args: Args) -> Path:

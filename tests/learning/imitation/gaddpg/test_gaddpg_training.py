@@ -23,7 +23,7 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.receivers import make
-from tests.learning.training.scripts import script, steps_of
+from tests.learning.training.scripts import script
 from tests.short_episodes import shorten_episodes
 
 # The validation of grasps and the planner are off, because they take minutes at first use.
@@ -46,7 +46,9 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_gaddpg", monkeypatch)
 
 
-def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_run_is_resumed(
+    tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     args = {**QUICK, "out": str(tmp_path / "run")}
     shorten_episodes(monkeypatch, 4000)
     # Few scenes, because each one is generated when it is loaded.
@@ -54,11 +56,13 @@ def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypat
     with monkeypatch.context() as patched:
         patched.setattr(train.Training, "is_out_of_time", lambda training: training._round == 1)
         train.main(train.Args(**args))
-    assert steps_of(tmp_path / "run") == ["steps", "2"]
+    assert "2 gradient updates, wait 3 s: success" in capsys.readouterr().out
     with pytest.raises(ResultsError, match="holds a run; pass --resume"):
         train.main(train.Args(**args))
     policy = train.main(train.Args(**args, resume=True))
-    assert steps_of(tmp_path / "run") == ["steps", "2", "4"]
+    printed = capsys.readouterr().out
+    assert "4 gradient updates, wait 3 s: success" in printed
+    assert "\n2 gradient updates" not in printed
     receiver = make(("gaddpg", {"weights": str(policy)}), SyntheticDataset(robot="panda_camera"))
     assert receiver.label.startswith("gaddpg@own weights ")
 
