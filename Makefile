@@ -86,12 +86,14 @@ lerobot: $(LEROBOT)/.installed
 	LD_LIBRARY_PATH="$(abspath $(LEROBOT))/ffmpeg" HF_HUB_OFFLINE=1 HF_HOME="$(abspath $(LEROBOT))/cache" \
 		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/test_to_lerobot.py
 
-# LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps.
-$(LEROBOT)/.installed: setup.cfg constraints-lerobot.txt
+# LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps. Its data
+# sets work with these. For Python 3.11.
+LEROBOT_PACKAGES := accelerate==1.15.0 av==15.1.0 datasets==4.8.5 numpy==2.2.6 packaging==25.0 torch==2.13.0 \
+	torchcodec==0.13.0 torchvision==0.28.0
+$(LEROBOT)/.installed: setup.cfg Makefile
 	$(PYTHON) -m venv $(LEROBOT)
-	$(LEROBOT)/bin/python $(INSTALL) -c constraints-lerobot.txt \
-		-e ".[vision]" accelerate av datasets torch torchcodec torchvision hypothesis pytest pytest-timeout
-	$(LEROBOT)/bin/python $(INSTALL) --no-deps -c constraints-lerobot.txt lerobot
+	$(LEROBOT)/bin/python $(INSTALL) -e ".[vision]" $(LEROBOT_PACKAGES) hypothesis pytest pytest-timeout
+	$(LEROBOT)/bin/python $(INSTALL) --no-deps lerobot==0.4.4
 	mkdir -p $(LEROBOT)/ffmpeg
 	for file in $(abspath $(LEROBOT))/lib/python3*/site-packages/av.libs/lib[as][vw]*.so.*; do \
 		ln -sf "$$file" $(LEROBOT)/ffmpeg/"$$(basename "$$file" | sed -E 's/-[0-9a-f]+(\.so\.[0-9]+).*/\1/')"; \

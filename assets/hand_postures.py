@@ -3,12 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from typing_extensions import Self
 
 from handover_marl.assets.hand_model import BoolArray, FloatArray, IntArray, euler_from_matrices
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 #: Index of the thumb in `DIGIT_ORDER`.
 THUMB: Final = 4
@@ -20,11 +22,11 @@ class ArrayBatch:
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> Self:
+    def __getitem__(self, rows: IntArray | BoolArray) -> "Self":
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))  # type: ignore[arg-type]
 
     @classmethod
-    def concatenate(cls, parts: Sequence[Self]) -> Self:
+    def concatenate(cls, parts: "Sequence[Self]") -> "Self":
         """Return all items of several batches as one batch."""
         columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))  # type: ignore[arg-type]
         return cls(

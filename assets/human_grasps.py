@@ -34,12 +34,6 @@ WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = Mapp
     {name: tuple(values["wrist_distance_m"]) for name, values in _STATISTICS["classes"].items()}
 )
 
-#: Median fraction of the object's surface that is more than 30 mm from the hand in DexYCB, by YCB
-#: class name. The hand's surface is approximated by capsules at the recorded joints.
-FREE_SHARE_MEDIAN: Final[MappingProxyType[str, float]] = MappingProxyType(
-    {name: values["median_free_share"] for name, values in _STATISTICS["classes"].items()}
-)
-
 
 @dataclass(frozen=True, eq=False)
 class HumanGrasps:
@@ -50,7 +44,6 @@ class HumanGrasps:
         finger_angles: (n, 45) finger joint angles (rad) of the closed hand.
         open_angles: (n, 45) finger joint angles (rad) before closing, clear of the object.
         wrist_distance: (n,) distances (m) from the palm link's origin to the object's origin.
-        free_share: (n,) fractions of the object's surface that are more than 30 mm from the hand.
         touching: (n, 5) masks of the digits in contact: index, middle, little, ring finger, thumb.
         overlap: (n,) largest penetrations (m) of hand and object.
         side: Side of the hand.
@@ -60,7 +53,6 @@ class HumanGrasps:
     finger_angles: npt.NDArray[np.float64]
     open_angles: npt.NDArray[np.float64]
     wrist_distance: npt.NDArray[np.float64]
-    free_share: npt.NDArray[np.float64]
     touching: npt.NDArray[np.bool_]
     overlap: npt.NDArray[np.float64]
     side: Side
@@ -113,7 +105,6 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
         finger_angles=data["finger_angles"][at] * ANGLE_STEP,
         open_angles=data["open_angles"][at] * ANGLE_STEP,
         wrist_distance=data["wrist_distance"][at].astype(np.float64),
-        free_share=data["free_share"][at].astype(np.float64),
         touching=data["touching"][at].copy(),
         overlap=data["overlap"][at].astype(np.float64),
         side=side,

@@ -11,16 +11,19 @@ receivers.
 """
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 import tyro
+from scipy import stats
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.published import PUBLISHED
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.statistics import compute_rank_correlation
 from handover_marl.evaluation.reports.tables import format_percent_interval, format_table
 
 
@@ -72,6 +75,20 @@ def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
     return found
 
 
+def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
+    """Compute Spearman's rho of two rankings, and the share of all orders of the second with at least this rho."""
+    ranks, others = stats.rankdata(first), stats.rankdata(second)
+
+    def sum_products(permuted: npt.NDArray[np.float64], axis: int) -> npt.NDArray[np.float64]:
+        # Rho increases with this sum: means and variances of ranks are those of every order.
+        return np.asarray((permuted * ranks).sum(axis=axis))
+
+    test = stats.permutation_test(
+        (others,), sum_products, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
+    )
+    return float(stats.spearmanr(first, second).statistic), float(test.pvalue)
+
+
 def main(args: Args) -> str:
     """Return a table of the simulated and the measured success rates, with their rank correlations.
 
@@ -82,14 +99,17 @@ def main(args: Args) -> str:
     names = [name for name in real if name in other]
     if len(names) < 3:
         raise OptionError(f"only {names} are in both; simulated are {sorted(other)}. Three or more are needed")
-    found = compute_rank_correlation([real[name] for name in names], [other[name][0] for name in names])
+    first, second = [real[name] for name in names], [other[name][0] for name in names]
+    spearman, p = compute_rank_correlation(first, second)
+    _, min_p = compute_rank_correlation(sorted(first), sorted(second))
+    kendall = stats.kendalltau(first, second).statistic
     rows = [[name, f"{real[name]:g}", other[name][1]] for name in sorted(names, key=lambda name: -real[name])]
-    least = f"a perfect agreement of {found.n} would be {100 * found.min_p:.1f} %."
+    least = f"a perfect agreement of {len(names)} would be {100 * min_p:.1f} %."
     source = "simulated, success %" if args.simulated else f"published, {args.setup} test, success %"
     return (
         f"{format_table(['receiver', 'real', source], rows)}\n\n"
-        f"Spearman {found.spearman:+.2f}, Kendall {found.kendall:+.2f}, {found.n} receivers. By chance as good or "
-        f"better: {100 * found.p:.1f} % of all orders; {least}"
+        f"Spearman {spearman:+.2f}, Kendall {kendall:+.2f}, {len(names)} receivers. By chance as good or "
+        f"better: {100 * p:.1f} % of all orders; {least}"
     )
 
 

@@ -8,8 +8,10 @@ User-defined givers are subclasses of `Giver`; packages register them by name in
 `handover_marl.givers`.
 """
 
-from handover_marl.policies.factory import PolicyFactory
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action, make_policy_context
+from handover_marl.datasets import Dataset
+from handover_marl.policies import registry
+from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext, make_giver_action, make_policy_context
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
 __all__ = [
     "Action",
@@ -21,5 +23,23 @@ __all__ = [
     "make_policy_context",
 ]
 
-_factory = PolicyFactory[Giver]("giver")
-list_available, make = _factory.list_available, _factory.make
+
+def list_available() -> tuple[str, ...]:
+    """Return the names of the registered givers."""
+    return registry.list_available("giver")
+
+
+def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
+    """Create a giver for the robot and objects of a dataset.
+
+    Args:
+        policy: Registered name, with options or a file, or a class; see `handover_marl.policies.reference`.
+        dataset: Dataset with the robot and objects; default: the one that `open_dataset()` returns.
+        trust: Whether code in a policy file may be executed.
+        setup: Setup whose weights a learned policy uses; default: the first of the dataset.
+
+    Raises:
+        UnknownNameError: No giver of this name is registered.
+        HandoverError: The policy cannot be created, or its policy file cannot be loaded.
+    """
+    return parse_policy("giver", policy, trust).make(dataset, setup=setup)

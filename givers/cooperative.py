@@ -1,24 +1,30 @@
 """Giver that helps the robot, and a schedule that varies the handover pose while the robot stays away."""
 
+import math
 from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from typing import ClassVar, TypeAlias
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
+from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
+from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
+from handover_marl.policies.batch import Actions
 
-Vector = npt.NDArray[np.float64]
+#: Flags (r,).
+Flags: TypeAlias = AnyArray
 
 
 class HandoverPoseVariation:
-    """Schedule of the scale of a giver's deviation, which changes whenever the gripper has not approached for 2 s.
+    """Schedule of the scale of givers' deviations, which changes whenever the gripper has not approached for 2 s.
+
+    Args:
+        count: Number of episodes.
+        arrays: Creator of the arrays.
 
     Attributes:
-        scale: Factor, from -0.5 to 1, by which the giver multiplies its deviation from the recorded
+        scale: Factors (n,), from -0.5 to 1, by which givers multiply their deviation from the recorded
             handover pose; 0 gives the recorded pose.
         timeout: Time without an approach after which `scale` changes (s).
         min_approach: Decrease of the distance from gripper to object that counts as an approach (m).
@@ -29,22 +35,28 @@ class HandoverPoseVariation:
     min_approach = 0.02
     scales = (1.0, 0.0, 0.5, -0.5)
 
-    def __init__(self) -> None:
-        self.scale = self.scales[0]
-        self._timeouts = 0
-        self._min_distance = np.inf
-        self._since: float | None = None
+    def __init__(self, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._xp, self._scales = arrays.xp, arrays.asarray(self.scales)
+        self.scale = arrays.full(count, self.scales[0])
+        self._timeouts, self._min_distance = arrays.zeros(count, "int64"), arrays.full(count, math.inf)
+        self._since = arrays.full(count, math.nan)
 
-    def update(self, observation: Observation) -> None:
-        """Update `scale`; to be called in every decision once the hand is at its handover pose."""
-        now = float(observation["time"][0])
-        distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
-        if self._since is None or distance < self._min_distance - self.min_approach:
-            self._min_distance, self._since = distance, now
-        elif now - self._since >= self.timeout:
-            self._timeouts += 1
-            self.scale = self.scales[self._timeouts % len(self.scales)]
-            self._min_distance, self._since = np.inf, now
+    def reset(self, row: int) -> None:
+        """Start an episode."""
+        self.scale[row], self._timeouts[row] = self.scales[0], 0
+        self._min_distance[row], self._since[row] = math.inf, math.nan
+
+    def update(self, rows: AnyIndices, observation: Observation) -> None:
+        """Update `scale` of the episodes `rows`, whose hands are at their handover poses."""
+        xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
+        since, closest = self._since[rows], self._min_distance[rows]
+        nearer = xp.isnan(since) | (distance < closest - self.min_approach)
+        late = ~nearer & (now - since >= self.timeout)
+        self._timeouts[rows] += late
+        number = self._timeouts[rows] % len(self.scales)
+        self.scale[rows] = xp.where(late, self._scales[number], self.scale[rows])
+        self._since[rows] = xp.where(nearer | late, now, since)
+        self._min_distance[rows] = xp.where(nearer, distance, xp.where(late, math.inf, closest))
 
 
 @dataclass(frozen=True)
@@ -77,7 +89,7 @@ class CooperativeConfig(CheckedConfig):
     withdrawal: float = 0.15
 
 
-class CooperativeGiver(Giver):
+class CooperativeGiver(ArrayGiver):
     """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
 
     While the recorded hand moves to its handover pose, the hand turns behind the object as seen
@@ -88,12 +100,7 @@ class CooperativeGiver(Giver):
 
     Args:
         context: Robot and task, which this giver does not use.
-        approach_share: Share of the distance to the gripper by which the object is moved.
-        min_distance: Distance from gripper to object below which the object is not moved closer, up to 2 m.
-        max_displacement: Largest displacement of the object from its recorded position, up to 0.3 m.
-        max_rotation: Largest rotation of hand and object from their recorded orientation, up to 1 rad.
-        rate: Playback rate minus 1, from -0.8 (a fifth of the recorded speed) to 1 (twice).
-        withdrawal: Distance by which the hand withdraws after the release, up to 0.3 m.
+        options: Numbers in `CooperativeConfig`.
 
     Attributes:
         near_distance: Distance from gripper to object at which the pose is fixed (m).
@@ -106,94 +113,91 @@ class CooperativeGiver(Giver):
     near_distance = 0.25
     arrival_tolerance = 0.01
     grasp_time = 0.2
+    default_config = CooperativeConfig()
+    config: CooperativeConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        approach_share: float = CooperativeConfig.approach_share,
-        min_distance: float = CooperativeConfig.min_distance,
-        max_displacement: float = CooperativeConfig.max_displacement,
-        max_rotation: float = CooperativeConfig.max_rotation,
-        rate: float = CooperativeConfig.rate,
-        withdrawal: float = CooperativeConfig.withdrawal,
-    ) -> None:
-        super().__init__(context)
-        self.config = CooperativeConfig(approach_share, min_distance, max_displacement, max_rotation, rate, withdrawal)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._displacement, self._rotation, self._withdrawn = (arrays.zeros((count, 3)) for _ in range(3))
+        self._is_fixed, self._is_withdrawn = (arrays.zeros(count, "bool") for _ in range(2))
+        self._pose_variation = HandoverPoseVariation(count, arrays)
+        self._grasped_since = arrays.full(count, math.nan)
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation from the recording."""
-        self._displacement, self._rotation = np.zeros(3), np.zeros(3)
-        self._is_fixed = False
-        self._pose_variation = HandoverPoseVariation()
-        self._grasped_since: float | None = None
-        self._withdrawn: Vector | None = None
+        self._displacement[row] = self._rotation[row] = 0.0
+        self._is_fixed[row] = self._is_withdrawn[row] = False
+        self._grasped_since[row] = math.nan
+        self._pose_variation.reset(row)
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,): deviation towards the gripper, or withdrawal after a release."""
-        if observation["released"][0]:
-            return self._withdraw(observation)
-        if not self._is_fixed and observation["hand_present"][0]:
-            self._choose_pose(observation)
-        self._is_fixed = self._is_fixed or self._is_near(observation) or self._has_arrived(observation)
-        if self._is_fixed:
-            self._pose_variation.update(observation)
-        scale = self._pose_variation.scale
-        return make_giver_action(
-            self.config.rate,
-            displacement=scale * self._displacement,
-            rotation=scale * self._rotation,
-            release=self._is_grasped(observation),
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
+        xp = self._arrays.xp
+        released = observation["released"][:, 0] != 0.0
+        present = observation["hand_present"][:, 0] != 0.0
+        near = compute_gripper_object_distances(observation) < self.near_distance
+        chooses = xp.nonzero(~released & present & ~self._is_fixed[rows])[0]
+        if len(chooses):
+            self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
+        self._is_fixed[rows] |= ~released & (near | self._has_arrived(observation))
+        waiting = xp.nonzero(~released & self._is_fixed[rows])[0]
+        if len(waiting):
+            self._pose_variation.update(rows[waiting], {key: value[waiting] for key, value in observation.items()})
+        scale = self._pose_variation.scale[rows, None]
+        displacement = scale * self._displacement[rows]
+        self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)
+        return self.make_actions(
+            rows,
+            xp.where(released, 0.0, self.config.rate),
+            displacement=xp.where(released[:, None], self._withdrawn[rows], displacement),
+            rotation=scale * self._rotation[rows],
+            release=~released & self._are_grasped(rows, ~released, near, observation),
         )
 
-    def _is_near(self, observation: Observation) -> bool:
-        gripper, item = observation["gripper_pose"][:3], observation["object_poses"][0, :3]
-        return float(np.linalg.norm(gripper - item)) < self.near_distance
+    def _has_arrived(self, observation: Observation) -> Flags:
+        """Return whether each recorded hand has stopped at its handover pose."""
+        xp, wrist = self._arrays.xp, observation["replay_wrist_poses"][..., :3]
+        moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
+        return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
-    def _has_arrived(self, observation: Observation) -> bool:
-        """Return whether the recorded hand has stopped at its handover pose."""
-        wrist = observation["replay_wrist_poses"][:, :3]
-        return bool(observation["holding"][0]) and float(np.abs(wrist - wrist[0]).max()) < self.arrival_tolerance
-
-    def _choose_pose(self, observation: Observation) -> None:
-        """Choose the deviation from the recorded poses half a second ahead."""
-        config = self.config
-        gripper = observation["gripper_pose"][:3].astype(np.float64)
-        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
-        item = observation["replay_object_poses"][-1, :3].astype(np.float64)
-        rotation = self._rotate_towards(item - wrist, gripper - item)
+    def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
+        """Choose the deviations from the recorded poses half a second ahead."""
+        xp, config = self._arrays.xp, self.config
+        gripper = widen(observation["gripper_pose"][:, :3])
+        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
+        item = widen(observation["replay_object_poses"][:, -1, :3])
         direction = gripper - item
-        distance = float(np.linalg.norm(direction))
-        length = float(
-            np.clip(min(config.approach_share * distance, distance - config.min_distance), 0.0, config.max_displacement)
-        )
-        target = item + direction / max(distance, 1e-6) * length
-        self._rotation = rotation
+        rotation = self._rotate_towards(item - wrist, direction)
+        distance = compute_lengths(direction)
+        wanted = xp.minimum(config.approach_share * distance, distance - config.min_distance)
+        length = wanted.clip(0.0, config.max_displacement)
+        target = item + direction / distance.clip(1e-6)[:, None] * length[:, None]
         # The rotation moves the object about the wrist; the displacement compensates for it.
-        self._displacement = target - Rotation.from_rotvec(rotation).apply(item - wrist) - wrist
+        moved = rotate_points(quaternions_from_rotation_vectors(rotation), item - wrist)
+        self._displacement[rows], self._rotation[rows] = target - moved - wrist, rotation
 
-    def _rotate_towards(self, arm: Vector, direction: Vector) -> Vector:
-        """Return the limited rotation vector that turns direction `arm` towards another one."""
-        axis = np.cross(arm, direction)
-        size = float(np.linalg.norm(axis))
-        if size < 1e-9:
-            return np.zeros(3)
-        angle = float(np.arctan2(size, np.dot(arm, direction)))
-        return axis / size * min(angle, self.config.max_rotation)
+    def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
+        """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
+        xp = self._arrays.xp
+        axes = xp.linalg.cross(arms, directions)
+        size = compute_lengths(axes)
+        angle = xp.atan2(size, compute_dot_products(arms, directions)).clip(max=self.config.max_rotation)
+        is_turned = size >= 1e-9
+        return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
-    def _is_grasped(self, observation: Observation) -> bool:
-        """Return whether the fingers have rested on something for long enough."""
-        now = float(observation["time"][0])
-        fingers, speeds = observation["robot_joint_position"][7:], observation["robot_joint_velocity"][7:]
-        is_resting = bool((np.abs(speeds) < 2e-3).all() and (fingers > 1e-3).all() and (fingers < 0.0385).all())
-        if not (is_resting and self._is_near(observation)):
-            self._grasped_since = None
-            return False
-        self._grasped_since = now if self._grasped_since is None else self._grasped_since
-        return now - self._grasped_since >= self.grasp_time
+    def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
+        """Return whether fingers have rested on each object for long enough."""
+        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
+        resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
+        since = self._grasped_since[rows]
+        since = xp.where(held, xp.where(resting, xp.where(xp.isnan(since), now, since), math.nan), since)
+        self._grasped_since[rows] = since
+        return resting & (now - since >= self.grasp_time)
 
-    def _withdraw(self, observation: Observation) -> Action:
-        if self._withdrawn is None:
-            away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            displacement = self._pose_variation.scale * self._displacement
-            self._withdrawn = displacement + self.config.withdrawal * away / max(float(np.linalg.norm(away)), 1e-6)
-        return make_giver_action(displacement=self._withdrawn, rotation=self._pose_variation.scale * self._rotation)
+    def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
+        """Set the displacement of the hands that begin to withdraw."""
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        self._withdrawn[rows] = self._arrays.xp.where(begins[:, None], withdrawal, self._withdrawn[rows])
+        self._is_withdrawn[rows] |= begins

@@ -9,7 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class DisplacedConfig(CheckedConfig):
     angle: float = 0.5
 
 
-class DisplacedGiver(Giver):
+class DisplacedGiver(ArrayGiver):
     """Giver that displaces and rotates the recorded motion, by a random deviation that is drawn for each episode.
 
     Displacements are uniformly distributed in a ball, rotations have a random axis and a uniform angle. The hand
@@ -35,31 +37,27 @@ class DisplacedGiver(Giver):
 
     Args:
         context: Robot and task, which this giver does not use.
-        distance: Largest distance of the wrist from its recorded position, up to 0.3 m.
-        angle: Largest rotation of hand and object, up to 1 rad.
+        options: Numbers in `DisplacedConfig`.
     """
 
     name = "displaced"
+    default_config = DisplacedConfig()
+    config: DisplacedConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        distance: float = DisplacedConfig.distance,
-        angle: float = DisplacedConfig.angle,
-    ) -> None:
-        super().__init__(context)
-        self.config = DisplacedConfig(distance, angle)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._displacement, self._rotation = arrays.zeros((count, 3)), arrays.zeros((count, 3))
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random deviation."""
         rng = np.random.default_rng(seed)
         radius = self.config.distance * rng.random() ** (1.0 / 3.0)
-        self._displacement = radius * _draw_direction(rng)
-        self._rotation = self.config.angle * rng.random() * _draw_direction(rng)
+        self._displacement[row] = self._arrays.asarray(radius * _draw_direction(rng))
+        self._rotation[row] = self._arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) with the deviation of this episode."""
-        return make_giver_action(displacement=self._displacement, rotation=self._rotation)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) with the deviations of these episodes."""
+        return self.make_actions(rows, displacement=self._displacement[rows], rotation=self._rotation[rows])
 
 
 def _draw_direction(rng: np.random.Generator) -> npt.NDArray[np.float64]:

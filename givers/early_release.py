@@ -1,5 +1,6 @@
 """Giver that releases the object when the gripper is near, whether it holds the object or not."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,9 +8,11 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import transform_points
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.poses import compute_lengths, transform_points
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class EarlyReleaseConfig(CheckedConfig):
     max_delay: float = 0.5
 
 
-class EarlyReleaseGiver(Giver):
+class EarlyReleaseGiver(ArrayGiver):
     """Giver that replays the recording and releases the object soon after the gripper has come near.
 
     The release does not depend on a grasp, so the robot must close its fingers in time. The rules of the task
@@ -36,34 +39,29 @@ class EarlyReleaseGiver(Giver):
 
     Args:
         context: Robot and task, which this giver does not use.
-        distance: Distance from the middle between the robot's fingertips to the object's origin below which the
-            gripper is near, up to 0.5 m.
-        max_delay: Largest time from the arrival of the gripper to the release, up to 13 s; the delay is
-            uniformly distributed.
+        options: Numbers in `EarlyReleaseConfig`.
     """
 
     name = "early_release"
     control_period = 0.02
+    default_config = EarlyReleaseConfig()
+    config: EarlyReleaseConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        distance: float = EarlyReleaseConfig.distance,
-        max_delay: float = EarlyReleaseConfig.max_delay,
-    ) -> None:
-        super().__init__(context)
-        self.config = EarlyReleaseConfig(distance, max_delay)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._delay, self._near_since = arrays.zeros(count), arrays.full(count, math.nan)
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random delay."""
-        self._delay = self.config.max_delay * np.random.default_rng(seed).random()
-        self._near_since: float | None = None
+        self._delay[row] = self.config.max_delay * np.random.default_rng(seed).random()
+        self._near_since[row] = math.nan
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that follows the recording and, after the delay, releases the object."""
-        now = float(observation["time"][0])
-        fingertips = transform_points(observation["gripper_pose"], FINGERTIPS)
-        distance = float(np.linalg.norm(fingertips - observation["object_poses"][0, :3]))
-        if self._near_since is None and distance < self.config.distance and observation["holding"][0]:
-            self._near_since = now
-        return make_giver_action(release=self._near_since is not None and now - self._near_since >= self._delay)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
+        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
+        distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])
+        is_near = (distance < self.config.distance) & (observation["holding"][:, 0] != 0.0)
+        since = self._near_since[rows]
+        since = self._near_since[rows] = xp.where(xp.isnan(since) & is_near, now, since)
+        return self.make_actions(rows, release=now - since >= self._delay[rows])

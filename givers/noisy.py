@@ -7,7 +7,9 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 
 @dataclass(frozen=True)
@@ -34,42 +36,34 @@ class NoisyConfig(CheckedConfig):
     time_constant: float = 0.5
 
 
-class NoisyGiver(Giver):
+class NoisyGiver(ArrayGiver):
     """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation.
 
     The limits of the giver's motion apply, so that fast noise is smoothed.
 
     Args:
         context: Robot and task, which this giver does not use.
-        displacement: Standard deviation of each component of the wrist's displacement, up to 0.1 m.
-        rotation: Standard deviation of each component of the wrist's rotation vector, up to 0.5 rad.
-        rate: Standard deviation of the playback rate, up to 0.5.
-        time_constant: Correlation time of the noise, 0.05 to 13 s.
+        options: Numbers in `NoisyConfig`.
     """
 
     name = "noisy"
+    default_config = NoisyConfig()
+    config: NoisyConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        displacement: float = NoisyConfig.displacement,
-        rotation: float = NoisyConfig.rotation,
-        rate: float = NoisyConfig.rate,
-        time_constant: float = NoisyConfig.time_constant,
-    ) -> None:
-        super().__init__(context)
-        self.config = NoisyConfig(displacement, rotation, rate, time_constant)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._rngs, self._deviation = [np.random.default_rng(0)] * count, arrays.zeros((count, 7))
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation."""
-        self._rng = np.random.default_rng(seed)
-        self._deviation = np.zeros(7)
+        self._rngs[row], self._deviation[row] = np.random.default_rng(seed), 0.0
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) with the next random deviation from the recording."""
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) with the next random deviations from the recordings."""
         config = self.config
-        deviations = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
-        decay = np.exp(-self.control_period / config.time_constant)
-        noise = self._rng.standard_normal(7)
-        self._deviation = decay * self._deviation + np.sqrt(1.0 - decay**2) * deviations * noise
-        return make_giver_action(self._deviation[0], self._deviation[1:4], self._deviation[4:])
+        scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
+        decay = float(np.exp(-self.control_period / config.time_constant))
+        noise = np.array([self._rngs[row].standard_normal(7) for row in rows.tolist()])
+        steps = self._arrays.asarray(np.sqrt(1.0 - decay**2) * scale * noise)
+        deviation = self._deviation[rows] = decay * self._deviation[rows] + steps
+        return self.make_actions(rows, deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])

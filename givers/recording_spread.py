@@ -11,8 +11,11 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
+from handover_marl.policies.policy import PolicyContext
 
 _SPREAD_FILE = files(__package__) / "recording_spread.json"
 _ALL_OBJECTS = "all"
@@ -37,7 +40,7 @@ class RecordingSpreadConfig(CheckedConfig):
     pace: float = 1.0
 
 
-class RecordingSpreadGiver(Giver):
+class RecordingSpreadGiver(ArrayGiver):
     """Giver that deviates from its recording as other recordings of the same object do.
 
     In every episode, displacement and rotation of the handover pose and the playback speed are drawn from normal
@@ -48,22 +51,15 @@ class RecordingSpreadGiver(Giver):
 
     Args:
         context: Object classes; default: those of DexYCB.
-        displacement: Factor of the standard deviation of the displacement, up to 3.
-        rotation: Factor of the standard deviation of the rotation, up to 3.
-        pace: Factor of the standard deviation of the logarithm of the playback speed, up to 3.
+        options: Numbers in `RecordingSpreadConfig`.
     """
 
     name = "recording_spread"
+    default_config = RecordingSpreadConfig()
+    config: RecordingSpreadConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        displacement: float = RecordingSpreadConfig.displacement,
-        rotation: float = RecordingSpreadConfig.rotation,
-        pace: float = RecordingSpreadConfig.pace,
-    ) -> None:
-        super().__init__(context)
-        self.config = RecordingSpreadConfig(displacement, rotation, pace)
+    def __init__(self, context: PolicyContext | None = None, **options: float) -> None:
+        super().__init__(context, **options)
         self._object_names = CLASS_NAMES if context is None else context.object_names
 
     @property
@@ -71,28 +67,26 @@ class RecordingSpreadGiver(Giver):
         """Hash of the table of standard deviations."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode with random deviations, in standard deviations."""
-        self._draws = np.random.default_rng(seed).standard_normal(7)
-        self._action: Action | None = None
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes: random deviations, in standard deviations."""
+        self._draws = np.zeros((count, 7))
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) with the deviation of this episode."""
-        if self._action is None:
-            self._action = self._choose_action(int(observation["object_classes"][0]))
-        action: Action = self._action.copy()
-        return action
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode with random deviations."""
+        self._draws[row] = np.random.default_rng(seed).standard_normal(7)
 
-    def _choose_action(self, object_class: int) -> Action:
-        spread = _read_spread()
-        row = spread.get(self._object_names.get(object_class, _ALL_OBJECTS), spread[_ALL_OBJECTS])
-        config, draws = self.config, self._draws
-        rate = float(np.exp(config.pace * row["log_pace"] * draws[6])) - 1.0
-        return make_giver_action(
-            float(np.clip(rate, _MIN_RATE, _MAX_RATE)),
-            config.displacement * np.array(row["displacement"]) * draws[:3],
-            config.rotation * np.array(row["rotation"]) * draws[3:6],
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) with the deviations of these episodes."""
+        config, draws, spread = self.config, self._draws[to_numpy(rows)], _read_spread()
+        names = [self._object_names.get(int(number)) for number in to_numpy(observation["object_classes"][:, 0])]
+        found = [spread.get(name or _ALL_OBJECTS, spread[_ALL_OBJECTS]) for name in names]
+        pace, displacement, rotation = (
+            np.array([row[key] for row in found]) for key in ("log_pace", "displacement", "rotation")
         )
+        rate = np.clip(np.exp(config.pace * pace * draws[:, 6]) - 1.0, _MIN_RATE, _MAX_RATE)
+        shifts = config.displacement * displacement * draws[:, :3]
+        turns = config.rotation * rotation * draws[:, 3:6]
+        return self.make_actions(rows, *map(self._arrays.asarray, (rate, shifts, turns)))
 
 
 @functools.cache

@@ -3,10 +3,12 @@
 import math
 
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, make_giver_action
+from handover_marl.geometry.arrays import AnyIndices
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 
-class ReplayGiver(Giver):
+class ReplayGiver(ArrayGiver):
     """Giver that replays the recording without deviation, as in HandoverSim."""
 
     name = "replay"
@@ -16,9 +18,9 @@ class ReplayGiver(Giver):
         """Time until the next decision (s): infinite, since the action never changes."""
         return math.inf
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode; this giver keeps no state."""
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that follows the recording without deviation."""
-        return make_giver_action()
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that follow the recordings without deviation."""
+        return self.make_actions(rows)

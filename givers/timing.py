@@ -7,10 +7,10 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, Limits, check_order
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy
+from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
+from handover_marl.policies.batch import Actions
 
-# Playback rate minus 1 of a paused recording, and of one at the recorded speed.
-_PAUSE, _NORMAL = -1.0, 0.0
 _MAX_PAUSE = 13.0  # s
 
 
@@ -39,39 +39,35 @@ class HesitantConfig(CheckedConfig):
         check_order(self, "shortest_pause", "longest_pause")
 
 
-class HesitantGiver(Giver):
+class HesitantGiver(ArrayGiver):
     """Giver that pauses the recorded motion at random times.
 
     Args:
         context: Robot and task, which this giver does not use.
-        pauses_per_second: Mean number of pauses that start in a second without a pause, up to 5.
-        shortest_pause: Smallest duration of a pause, up to 13 s.
-        longest_pause: Largest duration of a pause, up to 13 s.
+        options: Numbers in `HesitantConfig`.
     """
 
     name = "hesitant"
+    default_config = HesitantConfig()
+    config: HesitantConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        pauses_per_second: float = HesitantConfig.pauses_per_second,
-        shortest_pause: float = HesitantConfig.shortest_pause,
-        longest_pause: float = HesitantConfig.longest_pause,
-    ) -> None:
-        super().__init__(context)
-        self.config = HesitantConfig(pauses_per_second, shortest_pause, longest_pause)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes, on the host like the random numbers."""
+        self._until, self._rngs = np.zeros(count), [np.random.default_rng(0)] * count
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode without a pause; the seed determines the times of later pauses."""
-        self._rng = np.random.default_rng(seed)
-        self._until = 0.0
+        self._rngs[row], self._until[row] = np.random.default_rng(seed), 0.0
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that pauses, or the one that replays at the recorded speed."""
-        now, config = float(observation["time"][0]), self.config
-        if now >= self._until and self._rng.random() < config.pauses_per_second * self.control_period:
-            self._until = now + self._rng.uniform(config.shortest_pause, config.longest_pause)
-        return make_giver_action(rate=_PAUSE if now < self._until else _NORMAL)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        config, numbers = self.config, to_numpy(rows)
+        now = to_numpy(observation["time"][:, 0]).astype(np.float64)
+        for row, time in zip(numbers.tolist(), now.tolist(), strict=True):
+            rng = self._rngs[row]
+            if time >= self._until[row] and rng.random() < config.pauses_per_second * self.control_period:
+                self._until[row] = time + rng.uniform(config.shortest_pause, config.longest_pause)
+        return self.make_pauses(rows, self._arrays.asarray(now < self._until[numbers]))
 
 
 @dataclass(frozen=True)
@@ -93,33 +89,29 @@ class HurriedConfig(CheckedConfig):
         check_order(self, "min_rate", "max_rate")
 
 
-class HurriedGiver(Giver):
+class HurriedGiver(ArrayGiver):
     """Giver that replays the recorded motion faster, or slower, at a random speed per episode.
 
     Args:
         context: Robot and task, which this giver does not use.
-        min_rate: Smallest playback rate minus 1, from -0.8 (a fifth of the recorded speed) to 1 (twice).
-        max_rate: Largest playback rate minus 1, from -0.8 to 1.
+        options: Numbers in `HurriedConfig`.
     """
 
     name = "hurried"
+    default_config = HurriedConfig()
+    config: HurriedConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        min_rate: float = HurriedConfig.min_rate,
-        max_rate: float = HurriedConfig.max_rate,
-    ) -> None:
-        super().__init__(context)
-        self.config = HurriedConfig(min_rate, max_rate)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._rate = arrays.zeros(count)
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random playback speed."""
-        self._rate = float(np.random.default_rng(seed).uniform(self.config.min_rate, self.config.max_rate))
+        self._rate[row] = np.random.default_rng(seed).uniform(self.config.min_rate, self.config.max_rate)
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that replays the recording at the speed drawn for this episode."""
-        return make_giver_action(rate=self._rate)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
+        return self.make_actions(rows, rate=self._rate[rows])
 
 
 @dataclass(frozen=True)
@@ -135,27 +127,23 @@ class StopWhenNearConfig(CheckedConfig):
     distance: float = 0.35
 
 
-class StopWhenNearGiver(Giver):
+class StopWhenNearGiver(ArrayGiver):
     """Giver that pauses the recording while the gripper is near the object.
 
     GenH2R has such a giver (Wang et al., CVPR 2024).
 
     Args:
         context: Robot and task, which this giver does not use.
-        distance: Distance from the Panda's hand link to the object's origin below which the recording
-            pauses, up to 1.5 m.
+        options: Numbers in `StopWhenNearConfig`.
     """
 
     name = "stop_when_near"
+    default_config = StopWhenNearConfig()
+    config: StopWhenNearConfig
 
-    def __init__(self, context: PolicyContext | None = None, distance: float = StopWhenNearConfig.distance) -> None:
-        super().__init__(context)
-        self.config = StopWhenNearConfig(distance)
-
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode; this giver keeps no state."""
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that pauses, or the one that replays at the recorded speed."""
-        distance = np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3])
-        return make_giver_action(rate=_PAUSE if distance < self.config.distance else _NORMAL)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        return self.make_pauses(rows, compute_gripper_object_distances(observation) < self.config.distance)

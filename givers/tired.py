@@ -1,5 +1,6 @@
 """Giver whose arm trembles and sinks."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -7,7 +8,9 @@ import numpy as np
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, widen
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class TiredConfig(CheckedConfig):
     max_sinking: float = 0.1
 
 
-class TiredGiver(Giver):
+class TiredGiver(ArrayGiver):
     """Giver that replays the recording with a tremor, and whose hand sinks slowly while it holds the object.
 
     The tremor is a sine wave along each axis with a random phase. The limits of the giver's motion apply: with the
@@ -42,38 +45,31 @@ class TiredGiver(Giver):
 
     Args:
         context: Robot and task, which this giver does not use.
-        amplitude: Amplitude of the tremor along each axis, up to 0.02 m.
-        frequency: Frequency of the tremor, 0.5 to 8 Hz.
-        sinking: Speed at which the hand sinks, up to 0.5 m/s.
-        max_sinking: Largest distance by which the hand sinks, up to 0.3 m.
+        options: Numbers in `TiredConfig`.
     """
 
     name = "tired"
     # Samples of a period of the fastest tremor: six.
     control_period = 0.02
+    default_config = TiredConfig()
+    config: TiredConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        amplitude: float = TiredConfig.amplitude,
-        frequency: float = TiredConfig.frequency,
-        sinking: float = TiredConfig.sinking,
-        max_sinking: float = TiredConfig.max_sinking,
-    ) -> None:
-        super().__init__(context)
-        self.config = TiredConfig(amplitude, frequency, sinking, max_sinking)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._phases, self._holding_since = arrays.zeros((count, 3)), arrays.full(count, math.nan)
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode with random phases of the tremor."""
-        self._phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 3)
-        self._holding_since: float | None = None
+        phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 3)
+        self._phases[row], self._holding_since[row] = self._arrays.asarray(phases), math.nan
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) with the present displacement of the hand."""
-        now, config = float(observation["time"][0]), self.config
-        if self._holding_since is None and observation["holding"][0]:
-            self._holding_since = now
-        held = 0.0 if self._holding_since is None else now - self._holding_since
-        displacement = config.amplitude * np.sin(2.0 * np.pi * config.frequency * now + self._phases)
-        displacement[2] -= min(config.sinking * held, config.max_sinking)
-        return make_giver_action(displacement=displacement)
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) with the present displacements of the hands."""
+        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
+        since, holds = self._holding_since[rows], observation["holding"][:, 0] != 0.0
+        since = self._holding_since[rows] = xp.where(xp.isnan(since) & holds, now, since)
+        held = xp.where(xp.isnan(since), 0.0, now - since)
+        angles = 2.0 * math.pi * config.frequency * now[:, None] + self._phases[rows]
+        displacement = config.amplitude * xp.sin(angles)
+        displacement[:, 2] -= (config.sinking * held).clip(max=config.max_sinking)
+        return self.make_actions(rows, displacement=displacement)

@@ -1,14 +1,17 @@
 """Givers that withdraw the hand: from a robot that approaches fast, or at random times."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.config import CheckedConfig, Limits, check_order
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, Giver, PolicyContext, make_giver_action
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, to_numpy, widen
+from handover_marl.geometry.poses import compute_lengths
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.policies.batch import Actions
 
 _MAX_WITHDRAWAL, _MAX_TIME = 0.3, 13.0  # m, s
 
@@ -37,49 +40,42 @@ class WithdrawingConfig(CheckedConfig):
     return_after: float = 0.8
 
 
-class WithdrawingGiver(Giver):
+class WithdrawingGiver(ArrayGiver):
     """Giver that withdraws the hand while the gripper approaches fast, as a stress test.
 
     Args:
         context: Robot and task, which this giver does not use.
-        max_speed: Speed of the gripper towards the wrist above which the hand withdraws, up to 2 m/s.
-        max_distance: Distance from gripper to wrist beyond which the hand does not withdraw, up to 1.5 m.
-        withdrawal: Distance by which the hand withdraws, up to 0.3 m.
-        return_after: Time after which the hand returns, unless the gripper approaches fast, up to 13 s.
+        options: Numbers in `WithdrawingConfig`.
     """
 
     name = "withdrawing"
+    default_config = WithdrawingConfig()
+    config: WithdrawingConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        max_speed: float = WithdrawingConfig.max_speed,
-        max_distance: float = WithdrawingConfig.max_distance,
-        withdrawal: float = WithdrawingConfig.withdrawal,
-        return_after: float = WithdrawingConfig.return_after,
-    ) -> None:
-        super().__init__(context)
-        self.config = WithdrawingConfig(max_speed, max_distance, withdrawal, return_after)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._last_distance, self._until = arrays.full(count, math.nan), arrays.full(count, -1.0)
+        self._displacement = arrays.zeros((count, 3))
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation from the recording."""
-        self._last_distance: float | None = None
-        self._until = -1.0
-        self._displacement = np.zeros(3)
+        self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that withdraws the hand, or the one that follows the recording."""
-        now, config = float(observation["time"][0]), self.config
-        away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-        distance = float(np.linalg.norm(away))
-        last = self._last_distance
-        speed = 0.0 if last is None else (last - distance) / self.control_period
-        self._last_distance = distance
-        present = bool(observation["hand_present"][0])
-        if present and distance < config.max_distance and speed > config.max_speed:
-            self._until = now + config.return_after
-            self._displacement = config.withdrawal * away / max(distance, 1e-6)
-        return make_giver_action(displacement=self._displacement if now < self._until else np.zeros(3))
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        distance = widen(compute_lengths(away))
+        speed = (self._last_distance[rows] - distance) / self.control_period
+        self._last_distance[rows] = distance
+        # Before the second decision the speed is nan, which is not above the limit.
+        is_present = observation["hand_present"][:, 0] != 0.0
+        withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
+        until = xp.where(withdraws, now + config.return_after, self._until[rows])
+        withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        displacement = xp.where(withdraws[:, None], withdrawal, self._displacement[rows])
+        self._until[rows], self._displacement[rows] = until, displacement
+        return self.make_actions(rows, displacement=xp.where((now < until)[:, None], displacement, 0.0))
 
 
 @dataclass(frozen=True)
@@ -110,7 +106,7 @@ class InterruptingConfig(CheckedConfig):
         check_order(self, "shortest", "longest")
 
 
-class InterruptingGiver(Giver):
+class InterruptingGiver(ArrayGiver):
     """Giver that withdraws the hand from the gripper at random times, and offers the object again.
 
     Interruptions start after the object has been picked up and before it is released; their times do not depend
@@ -119,43 +115,38 @@ class InterruptingGiver(Giver):
 
     Args:
         context: Robot and task, which this giver does not use.
-        interruptions_per_second: Mean number of interruptions that start in a second without one, up to 5.
-        withdrawal: Distance by which the hand withdraws, up to 0.3 m.
-        shortest: Smallest duration of an interruption, up to 13 s.
-        longest: Largest duration of an interruption, up to 13 s.
+        options: Numbers in `InterruptingConfig`.
     """
 
     name = "interrupting"
+    default_config = InterruptingConfig()
+    config: InterruptingConfig
 
-    def __init__(
-        self,
-        context: PolicyContext | None = None,
-        interruptions_per_second: float = InterruptingConfig.interruptions_per_second,
-        withdrawal: float = InterruptingConfig.withdrawal,
-        shortest: float = InterruptingConfig.shortest,
-        longest: float = InterruptingConfig.longest,
-    ) -> None:
-        super().__init__(context)
-        self.config = InterruptingConfig(interruptions_per_second, withdrawal, shortest, longest)
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes; times are on the host like the random numbers."""
+        self._until, self._rngs = np.full(count, -1.0), [np.random.default_rng(0)] * count
+        self._displacement = arrays.zeros((count, 3))
 
-    def reset(self, seed: int | None = None) -> None:
+    def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation; the seed determines the times of the interruptions."""
-        self._rng = np.random.default_rng(seed)
-        self._until = -1.0
-        self._displacement = np.zeros(3)
+        self._rngs[row], self._until[row], self._displacement[row] = np.random.default_rng(seed), -1.0, 0.0
 
-    def act(self, observation: Observation) -> Action:
-        """Return the action (8,) that withdraws the hand, or the one that follows the recording."""
-        now, config = float(observation["time"][0]), self.config
-        may_start = now >= self._until and bool(observation["holding"][0]) and not observation["released"][0]
-        if may_start and self._rng.random() < config.interruptions_per_second * self.control_period:
-            self._until = now + self._rng.uniform(config.shortest, config.longest)
-            self._displacement = config.withdrawal * _find_direction_away(observation)
-        return make_giver_action(displacement=self._displacement if now < self._until else np.zeros(3))
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        config, numbers = self.config, to_numpy(rows)
+        now, holding, released = (to_numpy(observation[key][:, 0]) for key in ("time", "holding", "released"))
+        away = _find_directions_away(observation)
+        for place, row in enumerate(numbers.tolist()):
+            rng, time = self._rngs[row], float(now[place])
+            may_start = time >= self._until[row] and holding[place] and not released[place]
+            if may_start and rng.random() < config.interruptions_per_second * self.control_period:
+                self._until[row] = time + rng.uniform(config.shortest, config.longest)
+                self._displacement[row] = config.withdrawal * away[place]
+        is_away = self._arrays.asarray(now < self._until[numbers])[:, None]
+        return self.make_actions(rows, displacement=self._arrays.xp.where(is_away, self._displacement[rows], 0.0))
 
 
-def _find_direction_away(observation: Observation) -> npt.NDArray[np.float64]:
-    """Return the unit vector (3,) from the gripper to the object; upwards if they coincide."""
-    away = (observation["object_poses"][0, :3] - observation["gripper_pose"][:3]).astype(np.float64)
-    length = float(np.linalg.norm(away))
-    return away / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+def _find_directions_away(observation: Observation) -> AnyArray:
+    """Return the unit vectors (r, 3) from the grippers to the objects."""
+    away = widen(observation["object_poses"][:, 0, :3] - observation["gripper_pose"][:, :3])
+    return away / compute_lengths(away).clip(1e-6)[:, None]

@@ -18,16 +18,16 @@ and `handover_marl.testing`, the errors, the configurations, and all names on th
 documentation. Other names may change at any time.
 """
 
+import re
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from handover_marl.registration import register_environments
+from handover_marl.version import __version__
 
-#: Version of the library.
-__version__ = "0.8.1"
-
-
+# Imported at first use, to keep the import fast; `__getattr__` reads these lines.
 if TYPE_CHECKING:
     from handover_marl.config import WorldConfig as WorldConfig
     from handover_marl.envs.config import EnvConfig as EnvConfig
@@ -46,22 +46,22 @@ if TYPE_CHECKING:
     from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
     from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
     from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
-    from handover_marl.evaluation.agreement import compare_physics as compare_physics
     from handover_marl.evaluation.benchmark import benchmark as benchmark
     from handover_marl.evaluation.benchmark import evaluate_pair as evaluate_pair
     from handover_marl.evaluation.comparison import compare as compare
+    from handover_marl.evaluation.comparison import compare_physics as compare_physics
     from handover_marl.evaluation.config import EvaluationConfig as EvaluationConfig
     from handover_marl.evaluation.config import ExecutionConfig as ExecutionConfig
     from handover_marl.evaluation.crossplay import crossplay as crossplay
-    from handover_marl.evaluation.demonstrations.reader import Demonstrations as Demonstrations
+    from handover_marl.evaluation.demonstrations.demonstration import Demonstrations as Demonstrations
     from handover_marl.evaluation.demonstrations.record import demonstrate as demonstrate
     from handover_marl.evaluation.merge import merge as merge
-    from handover_marl.evaluation.rendering.plan import render_plan as render_plan
-    from handover_marl.evaluation.rendering.scene import render_scene as render_scene
+    from handover_marl.evaluation.rendering import render_plan as render_plan
+    from handover_marl.evaluation.rendering import render_scene as render_scene
     from handover_marl.evaluation.reports.report import Report as Report
     from handover_marl.evaluation.reports.report_files import evaluate as evaluate
     from handover_marl.evaluation.strangers.protocol import strangers as strangers
-    from handover_marl.evaluation.verification.verify import verify as verify
+    from handover_marl.evaluation.verification import verify as verify
     from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
     from handover_marl.learning.adapters.as_policy import as_giver as as_giver
     from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
@@ -71,50 +71,8 @@ if TYPE_CHECKING:
     from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
     from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 
-# Modules of the public names, imported at first use to keep the import fast.
-_MODULES = {
-    "ActionScheme": "learning.action_scheme",
-    "CameraCapture": "episode.camera_observations",
-    "CameraNoise": "simulation.camera.noise",
-    "Demonstrations": "evaluation.demonstrations.reader",
-    "EnvConfig": "envs.config",
-    "EpisodeStatus": "episode.referee",
-    "EvaluationConfig": "evaluation.config",
-    "ExecutionConfig": "evaluation.config",
-    "FeatureExtractor": "learning.encodings.custom_features",
-    "HandoverEnv": "envs.handover_env",
-    "Report": "evaluation.reports.report",
-    "SegmentationLabel": "simulation.camera.images",
-    "TermWeights": "envs.reward_terms",
-    "Transition": "envs.transition",
-    "WorldConfig": "config",
-    "as_giver": "learning.adapters.as_policy",
-    "as_receiver": "learning.adapters.as_policy",
-    "benchmark": "evaluation.benchmark",
-    "benchmark_env": "envs.constructors",
-    "combine_rewards": "envs.custom_rewards",
-    "compare": "evaluation.comparison",
-    "compare_physics": "evaluation.agreement",
-    "crossplay": "evaluation.crossplay",
-    "declare_size": "learning.encodings.choices",
-    "declare_terms": "envs.custom_rewards",
-    "demonstrate": "evaluation.demonstrations.record",
-    "encode": "envs.wrappers.encode",
-    "env": "envs.constructors",
-    "evaluate": "evaluation.reports.report_files",
-    "evaluate_pair": "evaluation.benchmark",
-    "export_policy": "learning.adapters.export",
-    "flatten": "envs.wrappers.flatten",
-    "freeze": "envs.wrappers.freeze",
-    "homogeneous": "envs.wrappers.homogeneous",
-    "merge": "evaluation.merge",
-    "parallel_env": "envs.constructors",
-    "render_plan": "evaluation.rendering.plan",
-    "render_scene": "evaluation.rendering.scene",
-    "strangers": "evaluation.strangers.protocol",
-    "vector_env": "envs.vector.vector_env",
-    "verify": "evaluation.verification.verify",
-}
+_IMPORT = re.compile(r"^    from (handover_marl\.[\w.]+) import (\w+) as", re.MULTILINE)
+_MODULES = {name: module for module, name in _IMPORT.findall(Path(__file__).read_text())}
 
 __all__ = ["__version__", *_MODULES]
 
@@ -122,7 +80,7 @@ __all__ = ["__version__", *_MODULES]
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    value = getattr(import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 

@@ -7,11 +7,20 @@ trained policy. A new receiver is a subclass of `Receiver`; packages register th
 entry-point group `handover_marl.receivers`.
 """
 
+from handover_marl.datasets import Dataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.policies.factory import PolicyFactory
-from handover_marl.policies.policy import Action, PolicyContext, Receiver, make_policy_context
+from handover_marl.policies import registry
+from handover_marl.policies.policy import Action, Policy, PolicyContext, Receiver, make_policy_context
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
 __all__ = ["WAITING_JOINTS", "Action", "PolicyContext", "Receiver", "list_available", "make", "make_policy_context"]
 
-_factory = PolicyFactory[Receiver]("receiver")
-list_available, make = _factory.list_available, _factory.make
+
+def list_available() -> tuple[str, ...]:
+    """Return the names of the registered receivers."""
+    return registry.list_available("receiver")
+
+
+def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
+    """Create a receiver for the robot and objects of a dataset; arguments and errors as `handover_marl.givers.make`."""
+    return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

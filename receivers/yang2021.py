@@ -13,7 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import check_config
+from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import AnyIntegers, Indices
+from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.yang2021_controller import YangConfig, YangController, YangPhase
@@ -86,3 +89,28 @@ class Yang2021Receiver(Receiver):
         """
         action: Action = self._controller.act(_ROW, {key: values[None] for key, values in observation.items()})[0]
         return action
+
+
+class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
+    """Batch of `Yang2021Receiver`, whose actions equal those of single receivers to the bit."""
+
+    def __init__(self, policy: Yang2021Receiver, count: int) -> None:
+        super().__init__(policy, count)
+        self._controller = YangController(policy.context, policy.config, count)
+
+    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
+        """Start an episode, and read the grasps of its object; see `PolicyBatch.reset`."""
+        self._controller.prepare(object_names[0])
+        super().reset(row, seed, object_names)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode; the receiver is deterministic."""
+        self._controller.reset(np.array([row]))
+
+    def decide(self, rows: Indices, observation: Observation) -> npt.NDArray[np.float32]:
+        """Return the next target joint positions (r, 9) (rad, m)."""
+        return self._controller.act(rows, observation)
+
+    def count_hold_steps(self, rows: Indices) -> AnyIntegers:
+        """Return the physics steps (r,) until the next decisions."""
+        return np.array([steps_from_hold_time(time) for time in self._controller.get_hold_times(rows).tolist()])

@@ -88,7 +88,7 @@ def check_final(version: str) -> None:
     if _git("status", "--porcelain"):
         raise PackageError("there are changes that are not committed; commit or stash them")
     if _git("tag", "--list", f"v{version}"):
-        raise PackageError(f"v{version} is tagged already; raise __version__ in handover_marl/__init__.py")
+        raise PackageError(f"v{version} is tagged already; raise __version__ in handover_marl/version.py")
 
 
 def check_wheel(wheel: Path) -> None:

@@ -1,7 +1,6 @@
 """Tests of the architecture rules: packages, their order, file counts, and where engines may be imported."""
 
 import ast
-import configparser
 import re
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -44,6 +43,15 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert strongly_connected(edges) == []
 
 
+def test_no_module_imports_what_stands_above_it() -> None:
+    """Layers are those of all imports, in functions, too: no module imports the library itself, or a module by text."""
+    edges = build_import_graph()
+    upward = [name for name, found in edges.items() if "handover_marl" in found]
+    assert [name for name in upward if not name.startswith("handover_marl.evaluation.")] == []
+    texts = {name: path.read_text() for name, path in find_modules().items()}
+    assert [name for name, text in texts.items() if re.search(r"import_module\(f?.handover_marl", text)] == []
+
+
 def test_circles_are_found() -> None:
     assert strongly_connected({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
 
@@ -60,7 +68,7 @@ def test_at_most_twelve_packages() -> None:
 
 def test_few_files_at_the_root() -> None:
     files = {path.name for path in ROOT.glob("*.py")}
-    assert files <= {"__init__.py", "config.py", "errors.py", "testing.py", "registration.py"}
+    assert files <= {"__init__.py", "config.py", "errors.py", "testing.py", "registration.py", "version.py"}
 
 
 @pytest.mark.parametrize("top", [*FOLDERS.values(), REPOSITORY / "experiments"], ids=lambda path: path.name)
@@ -85,14 +93,6 @@ def users_of(package: str) -> set[str]:
 )
 def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) -> None:
     assert users_of(engine) == {f"handover_marl.{package}" for package in packages}
-
-
-def test_setup_cfg_lists_all_packages() -> None:
-    setup = configparser.ConfigParser()
-    setup.read(REPOSITORY / "setup.cfg")
-    listed = setup["options"]["packages"].split()
-    assert listed == sorted(listed)
-    assert set(listed) == {name for name, path in find_modules().items() if path.name == "__init__.py"}
 
 
 def test_a_class_name_means_one_thing() -> None:

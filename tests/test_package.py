@@ -12,7 +12,6 @@ from handover_marl import EvaluationConfig, ExecutionConfig, HandoverEnv
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.constructors import single_agent_env
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.config import EpisodeOptions, EvaluationOptions
 
 RUN, EXECUTION = ({part.name for part in fields(kind)} for kind in (EvaluationConfig, ExecutionConfig))
 
@@ -69,14 +68,6 @@ def test_signatures_show_every_option(function: Callable[..., Any], own: set[str
     chosen = {"split", "receiver", "out"}  # some of the functions have other defaults
     for name in shown.keys() - own - chosen:
         assert shown[name].default == defaults[name], name
-
-
-def test_typed_options_are_the_fields_of_a_run_and_its_execution() -> None:
-    named = {"setup", "split", "giver", "receiver"}
-    assert EvaluationOptions.__optional_keys__ | named == RUN | EXECUTION
-    assert not EvaluationOptions.__required_keys__
-    assert EpisodeOptions.__optional_keys__ < EvaluationOptions.__optional_keys__
-    assert EpisodeOptions.__optional_keys__ <= parameters(handover_marl.render_scene).keys()
 
 
 def test_constructors_show_every_field_of_the_configuration() -> None:

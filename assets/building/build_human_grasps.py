@@ -1,8 +1,7 @@
 """Build the human grasps: `python -m handover_marl.assets.building.build_human_grasps [--out FILE]`.
 
-For every object and side, grasps of the reference hand are sampled all over the object and a varied
-set of them is selected. Each of the ten hands closes its fingers anew in these grasps, and the best
-results are kept.
+For every object, side and subject, grasps are drawn all over the object, and a varied set of them is selected whose
+wrist distances are distributed as in DexYCB. The program needs the extra `assets`.
 """
 
 from dataclasses import dataclass
@@ -11,26 +10,28 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import tyro
-from rich.progress import Progress
+from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.building.build_hands import make_reference_hand
-from handover_marl.assets.building.human_grasps_candidates import GraspTarget, make_grasp_target
-from handover_marl.assets.building.human_grasps_selection import (
-    HumanGraspSet,
-    compute_free_share,
-    fit_to_hand,
-    sample_grasp_pool,
-    select_grasps,
+from handover_marl.assets.anthropometry import SUBJECT_SIZES, HandSize
+from handover_marl.assets.building.mesh_solid import MeshSolid, load_mesh_solid
+from handover_marl.assets.hand_model import SIDES, Side
+from handover_marl.assets.human_grasps import (
+    ANGLE_STEP,
+    GRASPED_OBJECTS,
+    GRASPS_FILE,
+    HumanGrasps,
+    interpolate_wrist_distance,
 )
-from handover_marl.assets.building.object_files import load_visual_mesh
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, HandGeometry, Side, make_hand_geometry
-from handover_marl.assets.human_grasps import ANGLE_STEP, GRASPED_OBJECTS, GRASPS_FILE
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps
+from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.execution.files import write_arrays
 
-#: Arrays of the file by key.
-Arrays = dict[str, npt.NDArray[np.generic]]
+Array = npt.NDArray[np.float64]
 
-_BASE_GRASPS = 60
+_SEARCH = HumanGraspConfig(n_pairs=6000, n_closed=200, n_grasps=250, n_rounds=20)
+_AXES = (1.0,) * 6  # A hand may come from any side.
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Args:
 
     Attributes:
         out: Output file (`.npz`).
-        objects: YCB class names of the objects; the file is written when all are finished.
+        objects: YCB class names of the objects.
         count: Number of grasps per object, side and subject.
         seed: Random seed.
     """
@@ -50,64 +51,74 @@ class Args:
     seed: int = 0
 
 
-def synthesize_object_grasps(name: str, side: Side, args: Args) -> list[Arrays]:
-    """Return grasps of an object by each of the ten subjects, as arrays of the output file."""
-    target = make_grasp_target(load_visual_mesh(name))
-    if side == "left":
-        target = target.mirror()
-    rng = np.random.default_rng([args.seed, GRASPED_OBJECTS.index(name), SIDES.index(side)])
-    pool = sample_grasp_pool(target, name, rng)
-    free = compute_free_share(target, make_reference_hand(), pool, 120)
-    base = select_grasps(pool, name, _BASE_GRASPS, rng, free)
-    results = []
-    for subject in SUBJECTS:
-        # A left hand grasps as a right hand grasps the mirrored object.
-        model = make_hand_geometry(subject, "right")
-        grasps = select_grasps(fit_to_hand(target, model, base, rng), name, args.count, rng)
-        results.append(encode_grasps(target, model, grasps, side))
-    return results
+def make_human_grasps(
+    name: str, solid: MeshSolid, size: HandSize, side: Side, count: int, *seed: int
+) -> dict[str, npt.NDArray[np.generic]]:
+    """Return grasps of an object by one hand, as arrays of the output file.
 
-
-def encode_grasps(target: GraspTarget, model: HandGeometry, grasps: HumanGraspSet, side: Side) -> Arrays:
-    """Return grasps as arrays of the output file, mirrored for a left hand."""
-    position, rotation = grasps.palms.position, grasps.palms.rotation
-    base = position - np.einsum("nij,j->ni", rotation, model.palm_offset)
-    quaternion = Rotation.from_matrix(rotation).as_quat()
-    quaternion *= np.where(quaternion[:, 3:] < 0.0, -1.0, 1.0)
-    flip = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)
-    turned = np.array([1.0, -1.0, -1.0]) if side == "left" else np.ones(3)
-    pose = np.concatenate([base * flip, quaternion * [*turned, 1.0]], axis=1)
-    fingers, opened = (
-        np.round(posture.compute_joint_angles() * np.tile(turned, 15) / ANGLE_STEP)
-        for posture in (grasps.closed, grasps.opened)
-    )
+    Args:
+        name: YCB class name.
+        solid: Object.
+        size: Size of the hand.
+        side: Side of the hand.
+        count: Number of grasps.
+        seed: Random seed.
+    """
+    random = RandomStream(*seed)
+    grasps = draw_human_grasps(random, solid, _AXES, size, side, _SEARCH)
+    if grasps is None:
+        raise ValueError(f"{name}: no grasp found; use another seed")
+    rows = select_grasps(random, grasps, name, count)
+    pose = grasps.object_from_base[rows]
+    pose[:, 3:] *= np.where(pose[:, 6:] < 0.0, -1.0, 1.0)
     return {
         "object_from_base": pose.astype(np.float32),
-        "finger_angles": fingers.astype(np.int16),
-        "open_angles": opened.astype(np.int16),
-        "wrist_distance": grasps.wrist_distance.astype(np.float32),
-        "free_share": compute_free_share(target, model, grasps).astype(np.float32),
-        "touching": grasps.touching,
-        "overlap": grasps.overlap.astype(np.float32),
+        "finger_angles": np.round(grasps.finger_angles[rows] / ANGLE_STEP).astype(np.int16),
+        "open_angles": np.round(grasps.open_angles[rows] / ANGLE_STEP).astype(np.int16),
+        "wrist_distance": grasps.wrist_distance[rows].astype(np.float32),
+        "touching": grasps.touching[rows],
+        "overlap": grasps.overlap[rows].astype(np.float32),
     }
+
+
+def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: int) -> npt.NDArray[np.intp]:
+    """Return the indices of varied and firm grasps, sorted by wrist distance.
+
+    The k-th grasp is the best grasp for a wrist distance that is drawn between the quantiles k/count and (k+1)/count
+    of DexYCB.
+    """
+    goals = interpolate_wrist_distance(name, (np.arange(count) + random.uniforms(count)) / count)
+    costs = 100.0 * grasps.overlap - 0.35 * grasps.touching.sum(axis=1)
+    positions, rotations = grasps.object_from_base[:, :3], Rotation.from_quat(grasps.object_from_base[:, 3:])
+    chosen: list[int] = []
+    for goal in goals[np.argsort(random.uniforms(count))]:
+        best = int(np.argmin(costs + ((grasps.wrist_distance - goal) / 0.004) ** 2))
+        chosen.append(best)
+        # Grasps within 4 cm and 40 degrees are similar.
+        apart = np.linalg.norm(positions - positions[best], axis=1) / 0.04
+        turned = (rotations[best].inv() * rotations).magnitude() / 0.7
+        costs += 3.0 * np.exp(-(apart**2) - turned**2)
+        costs[best] += 1e6
+    return np.array(chosen)[np.argsort(grasps.wrist_distance[chosen])]
 
 
 def main(args: Args) -> None:
     """Build all grasps and write them, indexed by object, side, subject and grasp."""
-    all_grasps: list[list[list[Arrays]]] = []
-    with Progress() as progress:
-        task = progress.add_task("human grasps", total=len(args.objects) * len(SIDES))
-        for name in args.objects:
-            all_grasps.append([])
-            for side in SIDES:
-                all_grasps[-1].append(synthesize_object_grasps(name, side, args))
-                progress.update(task, advance=1, description=f"{name} {side}")
-    keys = all_grasps[0][0][0]
-    arrays = {
-        key: np.array([[[person[key] for person in side] for side in item] for item in all_grasps]) for key in keys
-    }
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(args.out, object_names=np.array(args.objects), **arrays)  # type: ignore[arg-type]
+    found = []
+    for number, name in enumerate(track(args.objects, description="human grasps")):
+        solid = load_mesh_solid(find_object_urdf(name))
+        found.append(
+            [
+                [
+                    make_human_grasps(name, solid, size, side, args.count, args.seed, number, SIDES.index(side), person)
+                    for person, size in enumerate(SUBJECT_SIZES)
+                ]
+                for side in SIDES
+            ]
+        )
+    keys = found[0][0][0]
+    arrays = {key: np.array([[[one[key] for one in side] for side in item] for item in found]) for key in keys}
+    write_arrays(args.out, {"object_names": np.array(args.objects), **arrays})
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ class Training:
 
     def run(self) -> Path:
         """Train until all rounds are done or time is up; return the path of the best network."""
-        args, pool = self._args, self._execution.pool
+        args, pool = self._args, self._execution
         with Progress() as bar, SummaryWriter(str(self._folder / "tensorboard")) as writer:
             task = bar.add_task("plans", total=args.scenarios)
             plans = make_plans(
@@ -197,7 +197,7 @@ class Training:
         if not path.exists():
             numbers = sorted(plans)[: max(1, len(plans) // 50)]
             task = RolloutTask(numbers, [plans[number] for number in numbers], HELD_OUT_REPETITION)
-            write_states(path, collect_states(self._generator, [task], None, self._execution.pool))
+            write_states(path, collect_states(self._generator, [task], None, self._execution))
         return read_states(path)
 
     def _load_states(self, plans: ExpertPlans, number: int, bar: Progress) -> ImitationStates:
@@ -212,7 +212,7 @@ class Training:
                 weights = last.read_bytes()
             tasks = self._make_tasks(plans, number)
             task = bar.add_task(f"rollouts, round {number}", total=len(tasks))
-            states = collect_states(self._generator, tasks, weights, self._execution.pool, lambda: bar.advance(task))
+            states = collect_states(self._generator, tasks, weights, self._execution, lambda: bar.advance(task))
             write_states(path, states)
         return read_states(path)
 

@@ -6,10 +6,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from handover_marl import __version__
 from handover_marl.cli.streams import OutputError, discard_output, prepare_streams, print_message, print_result
 from handover_marl.errors import HandoverError
 from handover_marl.execution.options import open_missing_descriptors
+from handover_marl.version import __version__
 
 # Help texts in much fewer columns take minutes, or never end.
 _MIN_COLUMNS = 40

@@ -5,9 +5,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handover_marl.cli.options import PopulationName, SceneNumbers
-from handover_marl.cli.printing import TableFormat, print_tables
-from handover_marl.cli.streams import print_result
+from handover_marl.cli.options import PopulationName, SceneNumbers, TableFormat
+from handover_marl.cli.streams import print_result, print_tables
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
@@ -36,11 +35,9 @@ def run_evaluate(
     path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
     report = evaluate(folder)
     if csv_path is not None:
-        from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
-
-        write_atomically(csv_path, format_episodes_csv(report.metadata, report.episodes))
+        write_atomically(csv_path, report.format_episodes_csv())
     if path is not None:
-        from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
+        from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
 
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
@@ -73,7 +70,7 @@ def run_verify(
         trust: Import the class that the folder names as its giver, and run code in policy files.
         table_format: Format of the printed table.
     """
-    from handover_marl.evaluation.verification.verify import verify
+    from handover_marl.evaluation.verification import verify
 
     verification = verify(
         folder,
@@ -109,7 +106,7 @@ def run_compare(
     comparison = compare(first, second)
     if path is not None:
         from handover_marl.evaluation.comparison import render_comparison_page
-        from handover_marl.evaluation.reports.pages import find_replay_links
+        from handover_marl.evaluation.reports.report_files import find_replay_links
 
         one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
         write_atomically(path, render_comparison_page(comparison, (one, other)))
@@ -152,9 +149,9 @@ def run_convert(
         name: Name of the new data set, such as handover/reactive-v0.
     """
     if to == "minari":
-        from handover_marl.evaluation.demonstrations.to_minari import convert_to_minari as convert
+        from handover_marl.evaluation.demonstrations.convert import convert_to_minari as convert
     else:
-        from handover_marl.evaluation.demonstrations.to_lerobot import convert_to_lerobot as convert
+        from handover_marl.evaluation.demonstrations.convert import convert_to_lerobot as convert
 
     print_result(f"Data set: {convert(folder, name)}")
 

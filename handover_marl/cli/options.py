@@ -1,62 +1,25 @@
-"""Command-line options made from the fields of `EvaluationConfig` and `ExecutionConfig`."""
+"""Options of commands: the fields of `EvaluationConfig` and `ExecutionConfig` that a command has."""
 
-import contextlib
-from collections.abc import Iterator, Sequence
-from dataclasses import fields
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import tyro
-from docstring_parser import parse
-from tyro.constructors import (
-    ConstructorRegistry,
-    PrimitiveConstructorSpec,
-    StructConstructorSpec,
-    StructFieldSpec,
-    StructTypeInfo,
-)
+from tyro.constructors import PrimitiveConstructorSpec
 
-from handover_marl.config import WorldConfig
-from handover_marl.errors import HandoverError, OptionError
-from handover_marl.evaluation.config import MULTI_SCENE_FIELDS, EvaluationConfig, ExecutionConfig
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
 
-#: Rules with which tyro builds options from configurations.
-registry = ConstructorRegistry()
-
-
-class BenchmarkArguments(EvaluationConfig):
-    """Options of `benchmark`, whose giver is fixed."""
-
-
-class CrossPlayArguments(EvaluationConfig):
-    """Options of `crossplay`, which takes lists of policies."""
-
-
-class StrangersArguments(EvaluationConfig):
-    """Options of `strangers`, which takes its policies as options of its own."""
-
-
-class RenderArguments(EvaluationConfig):
-    """Options of `render` that configure the scene."""
-
-
-class RenderExecutionArguments(ExecutionConfig):
-    """Options of `render` that configure the execution."""
-
-
-#: Field of `WorldConfig` with an option; others can be set only in Python.
-_NOISE = "initial_joint_noise"
-# Fields without an option.
-_HIDDEN_FIELDS: dict[type, tuple[str, ...]] = {
-    EvaluationConfig: ("world_config",),
-    BenchmarkArguments: ("world_config", "giver"),
-    CrossPlayArguments: ("world_config", "giver", "receiver"),
-    StrangersArguments: ("world_config", "giver", "receiver"),
-    RenderArguments: ("world_config", "setup", "split", "scenes", "receiver"),
-    ExecutionConfig: (),
-    RenderExecutionArguments: MULTI_SCENE_FIELDS,
-}
-# The official protocol has no noise, and videos show single scenes.
-_WITH_NOISE = (EvaluationConfig, CrossPlayArguments)
+_Value = TypeVar("_Value")
+# Field of a configuration without an option.
+_Hidden: TypeAlias = tyro.conf.Suppress[tyro.conf.Fixed[_Value]]
+_Policy: TypeAlias = Annotated[str, tyro.conf.arg(metavar="POLICY")]
+_Folder: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
+#: Format of printed tables.
+TableFormat = Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format")]
+#: Population of partners.
+PopulationName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.json")]
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
@@ -72,7 +35,7 @@ def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
         raise OptionError(f"must be numbers separated by spaces or commas, such as 209,214, got {text!r}") from error
 
 
-#: Type of an option with scene numbers, separated by spaces or commas.
+#: Scene numbers, separated by spaces or commas.
 SceneNumbers = Annotated[
     tuple[int, ...] | None,
     PrimitiveConstructorSpec(
@@ -83,75 +46,85 @@ SceneNumbers = Annotated[
         str_from_instance=lambda value: ["None"] if value is None else list(map(str, value)),
     ),
 ]
-#: Type of the option --population.
-PopulationName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.json")]
-_OPTION_TYPES: dict[str, Any] = {
-    "setup": Annotated[str | None, tyro.conf.arg(metavar="SETUP")],
-    "giver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
-    "receiver": Annotated[str, tyro.conf.arg(metavar="POLICY")],
-    "scenes": SceneNumbers,
-    _NOISE: Annotated[float, tyro.conf.arg(metavar="RAD")],
-    # Other noise models can be configured only in Python.
-    "camera_noise": Annotated[str | None, tyro.conf.arg(metavar="CAMERA")],
-    "data_dir": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
-    "out": Annotated[str | None, tyro.conf.arg(metavar="DIR")],
-    "workers": Annotated[int | None, tyro.conf.arg(metavar="N")],
-    "backend": Literal["local", "ray"],
-    "ray_address": Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")],
-    "shard": Annotated[str | None, tyro.conf.arg(metavar="K/N")],
-    "replays": Literal["none", "failed", "all"],
-}
 
 
-@registry.struct_rule
-def _struct_spec_from_config(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Return the options of a configuration: its visible fields, with help from its docstring."""
-    if info.type not in _HIDDEN_FIELDS:
-        return None
-    config_class: Any = EvaluationConfig if issubclass(info.type, EvaluationConfig) else ExecutionConfig
-    default = info.default if isinstance(info.default, config_class) else config_class()
-    descriptions = {part.arg_name: part.description for part in parse(config_class.__doc__ or "").params}
-    visible = [part for part in fields(config_class) if part.name not in _HIDDEN_FIELDS[info.type]]
-    return StructConstructorSpec(
-        instantiate=_make_evaluation_config if config_class is EvaluationConfig else _make_execution_config,
-        fields=tuple(
-            StructFieldSpec(
-                part.name,
-                _OPTION_TYPES.get(part.name, part.type),
-                getattr(default, part.name),
-                descriptions.get(part.name),
-            )
-            for part in visible
-        )
-        + (_make_noise_options() if info.type in _WITH_NOISE else ()),
-    )
+@dataclass(frozen=True)
+class EvaluationArguments(EvaluationConfig):
+    """Options that configure scenes, policies and simulation; other fields can be set only in Python.
+
+    Attributes:
+        initial_joint_noise: Largest deviation of each of the robot's seven initial arm joint positions (rad), drawn
+            from the seed.
+    """
+
+    setup: Annotated[str | None, tyro.conf.arg(metavar="SETUP")] = None
+    scenes: SceneNumbers = None
+    data_dir: _Folder = None
+    giver: _Policy = REPLAY
+    receiver: _Policy = "yang2021"
+    camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
+    world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
+    initial_joint_noise: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.0
+
+    def __post_init__(self) -> None:
+        """Do nothing: `make_config` checks the values, so that errors are printed without tyro's help text."""
+
+    def make_config(self) -> EvaluationConfig:
+        """Make the configuration with these options."""
+        values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(EvaluationConfig)}
+        if self.initial_joint_noise:
+            values["world_config"] = WorldConfig(initial_joint_noise=self.initial_joint_noise)
+        return EvaluationConfig(**values)
 
 
-def _make_noise_options() -> tuple[StructFieldSpec, ...]:
-    """Return the option of the noise of the robot's initial joint positions."""
-    descriptions = {part.arg_name: part.description for part in parse(WorldConfig.__doc__ or "").params}
-    return (StructFieldSpec(_NOISE, _OPTION_TYPES[_NOISE], 0.0, descriptions.get(_NOISE)),)
+@dataclass(frozen=True)
+class BenchmarkArguments(EvaluationArguments):
+    """Options of `benchmark`, whose giver is fixed."""
+
+    giver: _Hidden[str] = REPLAY
+    initial_joint_noise: _Hidden[float] = 0.0
 
 
-class ArgumentError(HandoverError):
-    """Invalid option, reported without the help text that tyro adds to other errors."""
+@dataclass(frozen=True)
+class CrossPlayArguments(EvaluationArguments):
+    """Options of `crossplay`, which takes lists of policies."""
+
+    giver: _Hidden[str] = REPLAY
+    receiver: _Hidden[str] = "yang2021"
 
 
-def _make_evaluation_config(initial_joint_noise: float = 0.0, **options: Any) -> EvaluationConfig:
-    with _report_directly():
-        if initial_joint_noise:
-            options["world_config"] = WorldConfig(initial_joint_noise=initial_joint_noise)
-        return EvaluationConfig(**options)
+@dataclass(frozen=True)
+class StrangersArguments(CrossPlayArguments):
+    """Options of `strangers`, which takes its policies as options of its own."""
+
+    initial_joint_noise: _Hidden[float] = 0.0
 
 
-def _make_execution_config(**options: Any) -> ExecutionConfig:
-    with _report_directly():
-        return ExecutionConfig(**options)
+@dataclass(frozen=True)
+class RenderArguments(EvaluationArguments):
+    """Options of `render` that configure the scene."""
+
+    setup: _Hidden[str | None] = None
+    split: _Hidden[str] = "test"
+    scenes: _Hidden[tuple[int, ...] | None] = None
+    receiver: _Hidden[str] = "yang2021"
+    initial_joint_noise: _Hidden[float] = 0.0
 
 
-@contextlib.contextmanager
-def _report_directly() -> Iterator[None]:
-    try:
-        yield
-    except OptionError as error:
-        raise ArgumentError(str(error)) from error
+@dataclass(frozen=True)
+class ExecutionArguments(ExecutionConfig):
+    """Options that configure workers and output."""
+
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    backend: Literal["local", "ray"] = "local"
+    ray_address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    shard: Annotated[str | None, tyro.conf.arg(metavar="K/N")] = None
+    out: _Folder = None
+    replays: Literal["none", "failed", "all"] = "none"
+
+    def __post_init__(self) -> None:
+        """Do nothing: `make_config` checks the values."""
+
+    def make_config(self) -> ExecutionConfig:
+        """Make the configuration with these options."""
+        return ExecutionConfig(**{part.name: getattr(self, part.name) for part in fields(self)})

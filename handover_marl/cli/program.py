@@ -15,9 +15,15 @@ from handover_marl.cli.folders import (
     run_strangers_table,
     run_verify,
 )
-from handover_marl.cli.options import registry
-from handover_marl.cli.render import run_render
-from handover_marl.cli.runs import run_agreement, run_benchmark, run_crossplay, run_demonstrate, run_pair, run_strangers
+from handover_marl.cli.runs import (
+    run_agreement,
+    run_benchmark,
+    run_crossplay,
+    run_demonstrate,
+    run_pair,
+    run_render,
+    run_strangers,
+)
 from handover_marl.policies.registry import list_available
 
 _DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
@@ -76,7 +82,6 @@ def run_program(arguments: Sequence[str]) -> int:
         prog="handover-marl",
         description=_DESCRIPTION.format(**names),
         args=arguments,
-        registry=registry,
         config=(tyro.conf.OmitArgPrefixes,),
     )
     return status if isinstance(status, int) else 0

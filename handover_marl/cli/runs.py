@@ -1,23 +1,35 @@
 """Commands that simulate scenes and print a table, or record episodes."""
 
-from typing import Annotated, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from handover_marl.cli.options import BenchmarkArguments, CrossPlayArguments, PopulationName, StrangersArguments
-from handover_marl.cli.printing import TableFormat, print_tables
-from handover_marl.cli.streams import print_result
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
+from handover_marl.cli.options import (
+    BenchmarkArguments,
+    CrossPlayArguments,
+    EvaluationArguments,
+    ExecutionArguments,
+    PopulationName,
+    RenderArguments,
+    StrangersArguments,
+    TableFormat,
+)
+from handover_marl.cli.streams import print_result, print_tables
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.config import ExecutionConfig
 
-_OFFICIAL, _CROSSPLAY = BenchmarkArguments(), CrossPlayArguments(split="val")
-_STRANGERS = StrangersArguments(physics="fast")
+_EXECUTION, _EVALUATION = ExecutionArguments(), EvaluationArguments(split="val")
+# Fields of `EvaluationConfig` that apply to a single scene.
+_SCENE_FIELDS = ("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver")
+_Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 _Names = Annotated[str, tyro.conf.arg(metavar="POLICY,...")]
 _OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
 
 
 def run_benchmark(
-    evaluation: BenchmarkArguments = _OFFICIAL,
-    execution: ExecutionConfig = ExecutionConfig(),
+    evaluation: BenchmarkArguments = BenchmarkArguments(),
+    execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
@@ -29,12 +41,14 @@ def run_benchmark(
     """
     from handover_marl.evaluation.benchmark import benchmark
 
-    print_tables(benchmark(evaluation, execution=execution), table_format, _describe_path(execution, "report.html"))
+    config = execution.make_config()
+    report = benchmark(evaluation.make_config(), execution=config)
+    print_tables(report, table_format, _describe_path(config, "report.html"))
 
 
 def run_pair(
-    evaluation: EvaluationConfig = EvaluationConfig(split="val"),
-    execution: ExecutionConfig = ExecutionConfig(),
+    evaluation: EvaluationArguments = _EVALUATION,
+    execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table.
@@ -46,13 +60,15 @@ def run_pair(
     """
     from handover_marl.evaluation.benchmark import evaluate_pair
 
-    print_tables(evaluate_pair(evaluation, execution=execution), table_format, _describe_path(execution, "report.html"))
+    config = execution.make_config()
+    report = evaluate_pair(evaluation.make_config(), execution=config)
+    print_tables(report, table_format, _describe_path(config, "report.html"))
 
 
 def run_agreement(
-    evaluation: EvaluationConfig = EvaluationConfig(split="val"),
+    evaluation: EvaluationArguments = _EVALUATION,
     against: str = "fast",
-    execution: ExecutionConfig = ExecutionConfig(),
+    execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Compare outcomes of the same scenes in exact and in other physics.
@@ -63,17 +79,18 @@ def run_agreement(
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.agreement import AGREEMENT_FILE, compare_physics
+    from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
 
-    result = compare_physics(evaluation, against=against, execution=execution)
-    print_tables(result, table_format, _describe_path(execution, AGREEMENT_FILE))
+    config = execution.make_config()
+    result = compare_physics(evaluation.make_config(), against=against, execution=config)
+    print_tables(result, table_format, _describe_path(config, AGREEMENT_FILE))
 
 
 def run_crossplay(
     givers: _Names = "replay,cooperative,hesitant",
     receivers: _Names = "hold,yang2021",
-    evaluation: CrossPlayArguments = _CROSSPLAY,
-    execution: ExecutionConfig = ExecutionConfig(),
+    evaluation: CrossPlayArguments = CrossPlayArguments(split="val"),
+    execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate every giver with every receiver and print the success rates.
@@ -89,8 +106,9 @@ def run_crossplay(
     from handover_marl.policies.reference import split_policy_list
 
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
-    result = crossplay(rows, columns, evaluation, execution=execution)
-    print_tables(result, table_format, _describe_path(execution, "crossplay.md"))
+    config = execution.make_config()
+    result = crossplay(rows, columns, evaluation.make_config(), execution=config)
+    print_tables(result, table_format, _describe_path(config, "crossplay.md"))
 
 
 def run_strangers(
@@ -100,8 +118,8 @@ def run_strangers(
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
     references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
-    evaluation: StrangersArguments = _STRANGERS,
-    execution: ExecutionConfig = ExecutionConfig(),
+    evaluation: StrangersArguments = StrangersArguments(physics="fast"),
+    execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate a receiver, or a giver, with partners of a population that it has not met.
@@ -120,17 +138,18 @@ def run_strangers(
     from handover_marl.evaluation.strangers.protocol import strangers
     from handover_marl.policies.reference import split_policy_list
 
+    config = execution.make_config()
     report = strangers(
         None if receiver is None else split_policy_list("receiver", receiver),
         None if giver is None else split_policy_list("giver", giver),
         population,
         partners,
         n_scenes,
-        evaluation,
+        evaluation.make_config(),
         references=references,
-        execution=execution,
+        execution=config,
     )
-    print_tables(report, table_format, _describe_path(execution, "strangers.md"))
+    print_tables(report, table_format, _describe_path(config, "strangers.md"))
 
 
 def run_demonstrate(
@@ -147,8 +166,8 @@ def run_demonstrate(
     ] = "state",
     keep: Literal["all", "success"] = "all",
     fps: int | None = None,
-    evaluation: EvaluationConfig = EvaluationConfig(split="train", receiver="reactive"),
-    execution: ExecutionConfig = ExecutionConfig(),
+    evaluation: EvaluationArguments = EvaluationArguments(split="train", receiver="reactive"),
+    execution: ExecutionArguments = _EXECUTION,
 ) -> None:
     """Record episodes of a train split for imitation learning (--out DIR).
 
@@ -161,8 +180,66 @@ def run_demonstrate(
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
-    result = demonstrate(evaluation, obs_mode=obs_mode, keep=keep, fps=fps, execution=execution)
-    print_result(f"{result}\n\n{_describe_path(execution, 'report.html')}")
+    config = execution.make_config()
+    result = demonstrate(evaluation.make_config(), obs_mode=obs_mode, keep=keep, fps=fps, execution=config)
+    print_result(f"{result}\n\n{_describe_path(config, 'report.html')}")
+
+
+def run_render(
+    scene: int,
+    out: Annotated[str, tyro.conf.arg(metavar="FILE")],
+    receiver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
+    plan: bool = False,
+    view: Literal["outside", "wrist"] = "outside",
+    key_frames: int = 6,
+    caption: bool = True,
+    width: int | None = None,
+    height: int | None = None,
+    position: _Point = None,
+    target: _Point = None,
+    vertical_fov: float | None = None,
+    evaluation: RenderArguments = RenderArguments(),
+    progress: bool = True,
+    trust: bool = False,
+) -> None:
+    """Render a scene, an episode in it, or a receiver's motion plan.
+
+    Args:
+        scene: Number of the scene, 0 to 999.
+        out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
+        receiver: The robot's policy; default: the robot stays at rest.
+        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, hand path.
+        view: outside, or wrist for colours, depth and segmentation of the wrist camera below it.
+        key_frames: Number of key frames of a .png.
+        caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
+        width: Width of an image in pixels.
+        height: Height of an image in pixels.
+        position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
+        target: Point at the center of its image in the world frame (m); default: 0.45 -0.2 1.15.
+        vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
+        evaluation: Scene data, giver and simulation.
+        progress: Show a progress bar on stderr.
+        trust: Run code in policy files.
+    """
+    from handover_marl.config import CameraConfig
+    from handover_marl.evaluation.rendering import render_scene
+
+    options: Any = {key: getattr(evaluation.make_config(), key) for key in _SCENE_FIELDS} | {"trust": trust}
+    size, pose = {"width": width, "height": height}, {"position": position, "target": target}
+    given = {**size, **pose, "vertical_fov": vertical_fov}
+    camera: Any = {name: value for name, value in given.items() if value is not None}
+    if plan:
+        from handover_marl.evaluation.rendering import PLAN_CAMERA, render_plan
+
+        if not camera.keys() <= size.keys():
+            raise OptionError("--position, --target and --vertical-fov do not apply to --plan; leave them out")
+        options["camera"] = replace(PLAN_CAMERA, **camera)
+        print_result(render_plan(scene, out, receiver=receiver or "omg", **options))
+        return
+    # Without these options, each kind of file has its own default camera.
+    options |= {"camera": CameraConfig(**camera) if camera else None}
+    options |= {"progress": progress, "view": view, "key_frames": key_frames, "caption": caption}
+    print_result(render_scene(scene, out, receiver=receiver, **options))
 
 
 def _describe_path(execution: ExecutionConfig, report: str) -> str:

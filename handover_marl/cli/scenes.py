@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import tyro
 
 from handover_marl.cli.streams import print_result
+from handover_marl.errors import OptionError
 
 _Folder = Annotated[str, tyro.conf.arg(metavar="DIR")]
 _Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
@@ -158,27 +159,23 @@ def preview(
         out: Output file: .html, .png, .gif or .mp4.
         progress: Show a progress bar on stderr.
     """
-    from handover_marl.evaluation.rendering.scene import render_scene
+    from handover_marl.evaluation.rendering import render_scene
 
     print_result(render_scene(scene, out, dataset=f"own:{folder}", physics="fast", progress=progress))
 
 
 def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
-    from handover_marl.cli.options import ArgumentError
-
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise ArgumentError(f"{name} must be world, table or seven numbers, got {text!r}") from error
+        raise OptionError(f"{name} must be world, table or seven numbers, got {text!r}") from error
 
 
 def _parse_hand(text: str) -> int:
-    from handover_marl.cli.options import ArgumentError
-
     try:
         return int(text)
     except ValueError as error:
-        raise ArgumentError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
+        raise OptionError(f"hand must be a number from 1 to 10 or none, got {text!r}") from error
 
 
 def _parse_share(text: str) -> float | tuple[str, ...]:

@@ -4,8 +4,12 @@ import contextlib
 import io
 import os
 import sys
+from typing import TYPE_CHECKING, Literal
 
 from handover_marl.errors import HandoverError
+
+if TYPE_CHECKING:
+    from handover_marl.evaluation.reports.tables import TabularResult
 
 
 class OutputError(HandoverError):
@@ -36,6 +40,24 @@ def print_result(text: object) -> None:
         raise OutputError(
             f"cannot print the result ({error.strerror or error}); files in --out are complete"
         ) from error
+
+
+def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str) -> None:
+    """Print a result and the path of its report; the path goes to stderr if the format is CSV or LaTeX.
+
+    Args:
+        result: Result to print.
+        table_format: Format of the tables.
+        note: Sentence with the path.
+
+    Raises:
+        OutputError: Nothing can be printed.
+    """
+    if table_format == "markdown":
+        print_result(f"{result}\n\n{note}")
+    else:
+        print_result(result.format(table_format))
+        print_message(note)
 
 
 def print_message(text: str) -> None:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from handover_marl import config
 from handover_marl.assets.object_models import TABLE_URDF
-from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
@@ -167,7 +167,7 @@ class Dataset(ABC):
     @property
     def panda_urdf(self) -> Path:
         """Path of the robot's URDF, by default the library's; raises `DataNotFoundError` if it is missing."""
-        return PANDA_URDF if self.robot == PANDA else write_camera_panda_urdf()
+        return PANDA_URDF if self.robot == PANDA else CAMERA_PANDA_URDF
 
     @abstractmethod
     def load_info(self, scene_id: int) -> SceneInfo:

@@ -36,20 +36,22 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
     """
     try:
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
-        ids = [require_integer(number) for number in meta["ycb_ids"]]
-        grasped, sides, name = require_integer(meta["ycb_grasp_ind"]), list(meta["mano_sides"]), str(meta["name"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
+        check_scene_meta(path, ids, grasped, sides)
+        subject = name.split("/")[0]
+    except DataFormatError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataFormatError(
             f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
             "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."
         ) from error
-    check_scene_meta(path, ids, grasped, sides)
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
     info = SceneInfo(
         scene_id=scene_id,
         name=name,
-        subject=name.split("/")[0],
+        subject=subject,
         side=sides[0],
         object_ids=tuple(ids),
         object_names=tuple(CLASS_NAMES[number] for number in ids),
@@ -83,13 +85,6 @@ def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.floa
     if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
         raise DataFormatError(f"{path}: the motion is not finite everywhere; copy the file again")
     return objects[:, order], hand[:, 0].copy()
-
-
-def require_integer(number: object) -> int:
-    """Return the argument if it is an integer and not a boolean, else raise `TypeError`."""
-    if type(number) is not int:
-        raise TypeError(f"{number!r} is not an integer")
-    return number
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:

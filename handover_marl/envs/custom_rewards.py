@@ -12,19 +12,20 @@ from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.reward_terms import TermRewardSource, TermWeights
 from handover_marl.envs.rewards import (
     REWARDS,
+    PresetRewards,
     RewardConfig,
-    RewardFunction,
-    RewardState,
     Terms,
     make_reward_config,
-    make_reward_state,
 )
 from handover_marl.envs.transition import Transition
 from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS
 from handover_marl.policies.registry import import_reference
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Position: TypeAlias = tuple[float, ...]
+# The only episode of an environment.
+_ROW = np.array([0])
 #: Function from a transition to the reward terms by agent and name.
 CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
@@ -151,15 +152,24 @@ class PresetRewardSource:
     """
 
     def __init__(self, config: RewardConfig, goal: Position) -> None:
-        self._function = RewardFunction(config, goal)
+        self._rewards = PresetRewards(config, goal, 1, NUMPY_ARRAYS)
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent."""
-        return self._function.reset(_read_reward_state(transition))
+        self._rewards.start(_ROW, self._read_state(transition))
+        return {agent: dict.fromkeys(names, 0.0) for agent, names in self._rewards.names.items()}
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the reward terms of a control step, by agent."""
-        return self._function.compute_terms(transition.status, lambda: _read_reward_state(transition))
+        status = np.array([int(transition.status)])
+        terms = self._rewards.compute_terms(_ROW, status, self._read_state(transition))
+        return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in terms.items()}
+
+    def _read_state(self, transition: Transition) -> dict[str, Any]:
+        if not self._rewards.needs_state:
+            return {}
+        state = {key: values[None] for key, values in transition.next_state.items()}
+        return {**state, "grasped": np.array([transition.contacts.both_fingers_touch])}
 
 
 class SummedRewardSource:
@@ -312,7 +322,3 @@ class CustomRewardSource:
         if not np.isfinite(number):
             raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
         return float(number)
-
-
-def _read_reward_state(transition: Transition) -> RewardState:
-    return make_reward_state(transition.next_state, transition.contacts.both_fingers_touch)

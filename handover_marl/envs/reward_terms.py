@@ -19,8 +19,10 @@ are the norm of the jerk integrated over the step; they are 0 in the first two s
 in a last step that is shorter than the others.
 """
 
+import functools
 import math
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,141 +43,57 @@ Array = npt.NDArray[np.float64]
 CLEARANCE_MARGIN = 0.1
 
 
+@dataclass(frozen=True)
 class RewardTerm:
-    """Base class of reward terms: one number for each control step.
+    """Reward term: one number for each control step.
 
     Attributes:
         unit: Unit of the value.
+        compute: Function that returns the value from the last control steps of the episode, up to three, in order.
     """
 
-    unit = "1"
-
-    def reset(self, transition: Transition) -> None:
-        """Start an episode.
-
-        Args:
-            transition: Transition in which nothing moves, with the first observations.
-        """
-
-    def compute(self, transition: Transition) -> float:
-        """Return the value of the term in a control step."""
-        raise NotImplementedError
+    unit: str
+    compute: Callable[[Sequence[Transition]], float]
 
 
-class SuccessTerm(RewardTerm):
-    """Term that is 1 in the step that completes the handover, else 0."""
-
-    def compute(self, transition: Transition) -> float:
-        """Return 1 in the step that completes the handover, else 0."""
-        return float(transition.is_success)
+def compute_path(body: str, steps: Sequence[Transition]) -> float:
+    """Return the distance (m) of a body's positions before and after the last step; 0 without a hand."""
+    before, after = (read_position(body, state) for state in (steps[-1].state, steps[-1].next_state))
+    return 0.0 if before is None or after is None else math.dist(before, after)
 
 
-class BodyTerm(RewardTerm):
-    """Base class of the terms of one body.
+def compute_jerk(body: str, steps: Sequence[Transition]) -> float:
+    """Return the norm of the third difference of a body's last four positions, divided by T^2 (m/s^2).
 
-    Args:
-        body: "gripper", "hand" or "object", one that the term is defined for.
+    0 in the first two steps of an episode, in a step that is shorter than the one before it, and without a hand.
     """
-
-    def __init__(self, body: str) -> None:
-        self._body = body
-
-
-class PathTerm(BodyTerm):
-    """Length of the way in a step (m), of the Panda's hand link or of the person's wrist."""
-
-    unit = "m"
-
-    def compute(self, transition: Transition) -> float:
-        """Return the distance (m) of the positions before and after the step; 0 without a hand."""
-        before, after = (read_position(self._body, state) for state in (transition.state, transition.next_state))
-        return 0.0 if before is None or after is None else math.dist(before, after)
+    durations = [step.duration for step in steps]
+    positions = [read_position(body, state) for state in (*(step.state for step in steps), steps[-1].next_state)]
+    present = [position for position in positions if position is not None]
+    if len(present) < 4 or max(durations) - min(durations) > 1e-6:
+        return 0.0
+    jerk = (d - 3.0 * c + 3.0 * b - a for a, b, c, d in zip(*present, strict=True))
+    return math.hypot(*jerk) / durations[-1] ** 2
 
 
-class JerkTerm(BodyTerm):
-    """Jerk of the Panda's hand link or of the person's wrist, integrated over the step (m/s^2)."""
-
-    unit = "m/s^2"
-
-    def __init__(self, body: str) -> None:
-        super().__init__(body)
-        self._positions: list[list[float]] = []
-        self._period = 0.0
-
-    def reset(self, transition: Transition) -> None:
-        """Discard the positions of the last episode; store the first position of the new one."""
-        first = read_position(self._body, transition.next_state)
-        self._positions, self._period = ([] if first is None else [first]), transition.duration
-
-    def compute(self, transition: Transition) -> float:
-        """Return the norm of the third difference of the last four positions, divided by T^2 (m/s^2)."""
-        position = read_position(self._body, transition.next_state)
-        if position is None or abs(transition.duration - self._period) > 1e-6:
-            self._positions = []
-            return 0.0
-        self._positions = [*self._positions[-3:], position]
-        if len(self._positions) < 4:
-            return 0.0
-        jerk = (d - 3.0 * c + 3.0 * b - a for a, b, c, d in zip(*self._positions, strict=True))
-        return math.hypot(*jerk) / transition.duration**2
+def compute_clearance(steps: Sequence[Transition]) -> float:
+    """Return min(d, 0.1) - 0.1 after the last step, times its duration (m s), at most 0."""
+    distance = compute_hand_distance(steps[-1].next_state)
+    return 0.0 if distance is None else (min(distance, CLEARANCE_MARGIN) - CLEARANCE_MARGIN) * steps[-1].duration
 
 
-class ForceTerm(BodyTerm):
-    """Normal force between robot and object or hand at the end of the step, times its duration (N s)."""
-
-    unit = "N s"
-
-    def compute(self, transition: Transition) -> float:
-        """Return the sum of the normal forces (N) in the last physics step, times the duration (s)."""
-        contacts = transition.contacts
-        force = contacts.robot_object_force if self._body == "object" else contacts.robot_hand_force
-        return float(force) * transition.duration
-
-
-class TimeTerm(RewardTerm):
-    """Duration of the step (s)."""
-
-    unit = "s"
-
-    def compute(self, transition: Transition) -> float:
-        """Return the duration of the step (s)."""
-        return transition.duration
-
-
-class ClearanceTerm(RewardTerm):
-    """Amount by which the gripper is nearer to the person's hand than 0.1 m, times the duration (m s)."""
-
-    unit = "m s"
-
-    def compute(self, transition: Transition) -> float:
-        """Return min(d, 0.1) - 0.1 after the step, times its duration (m s), at most 0."""
-        distance = compute_hand_distance(transition.next_state)
-        return 0.0 if distance is None else (min(distance, CLEARANCE_MARGIN) - CLEARANCE_MARGIN) * transition.duration
-
-
-#: Reward terms by name: class and its argument.
-TERMS: dict[str, tuple[type[RewardTerm], tuple[str, ...]]] = {
-    "success": (SuccessTerm, ()),
-    "gripper_path": (PathTerm, ("gripper",)),
-    "hand_path": (PathTerm, ("hand",)),
-    "gripper_jerk": (JerkTerm, ("gripper",)),
-    "hand_jerk": (JerkTerm, ("hand",)),
-    "object_force": (ForceTerm, ("object",)),
-    "hand_force": (ForceTerm, ("hand",)),
-    "time": (TimeTerm, ()),
-    "clearance": (ClearanceTerm, ()),
+#: Reward terms by name.
+TERMS = {
+    "success": RewardTerm("1", lambda steps: float(steps[-1].is_success)),
+    "gripper_path": RewardTerm("m", functools.partial(compute_path, "gripper")),
+    "hand_path": RewardTerm("m", functools.partial(compute_path, "hand")),
+    "gripper_jerk": RewardTerm("m/s^2", functools.partial(compute_jerk, "gripper")),
+    "hand_jerk": RewardTerm("m/s^2", functools.partial(compute_jerk, "hand")),
+    "object_force": RewardTerm("N s", lambda steps: steps[-1].contacts.robot_object_force * steps[-1].duration),
+    "hand_force": RewardTerm("N s", lambda steps: steps[-1].contacts.robot_hand_force * steps[-1].duration),
+    "time": RewardTerm("s", lambda steps: steps[-1].duration),
+    "clearance": RewardTerm("m s", compute_clearance),
 }
-
-
-def make_term(name: str) -> RewardTerm:
-    """Make a reward term.
-
-    Raises:
-        UnknownNameError: There is no reward term of that name.
-    """
-    check_name("reward term", name, TERMS)
-    term_class, arguments = TERMS[name]
-    return term_class(*arguments)
 
 
 @dataclass(frozen=True)
@@ -215,17 +133,18 @@ class TermRewardSource:
 
     def __init__(self, weights: TermWeights) -> None:
         self._weights = {agent: dict(getattr(weights, agent)) for agent in AGENTS}
-        self._terms = {name: make_term(name) for own in self._weights.values() for name in own}
+        self._names = {name for own in self._weights.values() for name in own}
+        self._steps: deque[Transition] = deque(maxlen=3)
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent."""
-        for term in self._terms.values():
-            term.reset(transition)
+        self._steps.clear()
         return {agent: dict.fromkeys(weights, 0.0) for agent, weights in self._weights.items()}
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the weighted terms of a control step by agent."""
-        values = {name: term.compute(transition) for name, term in self._terms.items()}
+        self._steps.append(transition)
+        values = {name: float(TERMS[name].compute(self._steps)) for name in self._names}
         return {
             agent: {name: weight * values[name] for name, weight in weights.items()}
             for agent, weights in self._weights.items()

@@ -8,26 +8,31 @@ discounted sum of a shaping term over an episode depends only on the first state
 does not change the optimal policy.
 """
 
-import functools
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
-
-import numpy as np
-import numpy.typing as npt
+from typing import ClassVar, TypeAlias
 
 from handover_marl.config import CheckedConfig, Limits
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResetNeededError, check_name
+from handover_marl.errors import OptionError, check_name
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory
 from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import transform_points
+from handover_marl.geometry.poses import compute_lengths, transform_points
 
 Terms = dict[str, float]
+#: Values (r,) of terms by name.
+ArrayTerms: TypeAlias = dict[str, AnyArray]
 
-# Terms that depend only on the status of the episode.
-_OUTCOME_TERMS = ("task", "contact", "drop")
+# Terms with the value 1 in the step in which the status has a bit.
+_OUTCOMES = {
+    "task": EpisodeStatus.SUCCESS,
+    "contact": EpisodeStatus.HUMAN_CONTACT,
+    "drop": EpisodeStatus.OBJECT_DROP,
+}
+# Columns of the stored states: time (s), wrist displacement (m) and rotation (rad), whether the object is offered, and
+# potentials of the shaping terms.
+_TIME, _DISPLACEMENT, _ROTATION, _OFFERED, _POTENTIALS, _SIZE = 0, slice(1, 4), slice(4, 7), 7, slice(8, 11), 11
 
 
 @dataclass(frozen=True)
@@ -117,140 +122,88 @@ def make_reward_config(rewards: str | RewardConfig) -> RewardConfig:
     return REWARDS[rewards]
 
 
-@dataclass(frozen=True)
-class RewardState:
-    """Part of the simulation's state that the reward terms depend on; world frame.
+class PresetRewards:
+    """Weighted terms of the preset rewards of both agents in n episodes, on arrays with the episode as first axis.
 
-    Attributes:
-        time: Time since the start of the episode (s).
-        gripper: (3,) position of the Panda's hand link (m).
-        fingertip_center: (3,) midpoint of the fingertips (m).
-        object_position: (3,) position of the object's origin (m).
-        grasped: Whether both fingers of the robot touch the object.
-        deviation: (6,) wrist displacement (m) and rotation vector (rad) of the giver.
-        object_offered: Whether the person holds the object, picked up and not released.
-    """
-
-    time: float
-    gripper: tuple[float, ...]
-    fingertip_center: tuple[float, ...]
-    object_position: tuple[float, ...]
-    grasped: bool
-    deviation: tuple[float, ...]
-    object_offered: bool
-
-
-def make_reward_state(state: Mapping[str, npt.NDArray[np.floating]], grasped: bool) -> RewardState:
-    """Make the part of an episode's state that the reward terms depend on.
-
-    Args:
-        state: `time`, `gripper_pose`, `object_poses`, `deviation`, `holding` and `released` of the giver's observation.
-        grasped: Whether both fingers of the robot touch the object.
-    """
-    gripper = state["gripper_pose"]
-    return RewardState(
-        time=float(state["time"][0]),
-        gripper=tuple(gripper[:3].tolist()),
-        fingertip_center=tuple(transform_points(gripper, FINGERTIPS).tolist()),
-        object_position=tuple(state["object_poses"][0, :3].tolist()),
-        grasped=grasped,
-        deviation=tuple(state["deviation"][1:].tolist()),
-        object_offered=bool(state["holding"][0]) and not bool(state["released"][0]),
-    )
-
-
-class RewardFunction:
-    """Reward function of both agents: weighted terms of each control step.
+    The argument `state` of methods has arrays (r, ...): `time`, `gripper_pose`, `object_poses`, `deviation`, `holding`
+    and `released` of the giver's observation, and `grasped` (r,), whether both fingers of the robot touch the object.
 
     Args:
         config: Weights of the terms.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
+
+    Attributes:
+        needs_state: Whether a term with a weight depends on the state; if not, `state` may be empty.
     """
 
-    def __init__(self, config: RewardConfig, goal: tuple[float, ...]) -> None:
-        self._config, self._goal = config, goal
-        self._last: RewardState | None = None
-        weights = [*vars(config.receiver).items(), *vars(config.giver).items()]
-        self._only_outcomes = not any(weight for name, weight in weights if name not in _OUTCOME_TERMS)
+    def __init__(self, config: RewardConfig, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
+        self._config, self._arrays = config, arrays
+        self._goal, self._fingertips = (arrays.asarray(point, "float64") for point in (goal, FINGERTIPS))
+        self._weights = {GIVER: vars(config.giver), RECEIVER: vars(config.receiver)}
+        weights = [item for own in self._weights.values() for item in own.items()]
+        self.needs_state = any(weight for name, weight in weights if name not in _OUTCOMES)
+        self._last = arrays.zeros((count, _SIZE))
 
-    def reset(self, state: RewardState) -> dict[str, Terms]:
-        """Start an episode in a state; return the reward terms, all 0, by agent."""
-        self._last = state
-        return {
-            GIVER: dict.fromkeys(vars(self._config.giver), 0.0),
-            RECEIVER: dict.fromkeys(vars(self._config.receiver), 0.0),
-        }
+    @property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the terms by agent."""
+        return {agent: tuple(weights) for agent, weights in self._weights.items()}
 
-    def compute_terms(self, status: EpisodeStatus, read_state: Callable[[], RewardState]) -> dict[str, Terms]:
-        """Return the weighted reward terms of a control step by agent, and store the state after it.
+    def start(self, rows: AnyIndices, state: Mapping[str, AnyArray]) -> None:
+        """Start episodes `rows` (r,) in a state."""
+        if self.needs_state:
+            self._last[rows] = self._summarize(state)
 
-        The shaping terms of the next step are computed from the stored state.
+    def compute_terms(self, rows: AnyIndices, status: AnyArray, state: Mapping[str, AnyArray]) -> dict[str, ArrayTerms]:
+        """Return the weighted reward terms of a control step by agent, and store the states after it.
 
         Args:
-            status: Status of the episode after the step.
-            read_state: Function that returns the simulation's state after the step; not called if
-                no term with a weight depends on the state.
-
-        Raises:
-            ResetNeededError: No episode has been started.
+            rows: Indices (r,) of the episodes.
+            status: Bits (r,) of `EpisodeStatus` after the step.
+            state: State after the step.
         """
-        if self._last is None:
-            raise ResetNeededError("no episode is running; call reset() before step()")
-        giver, receiver = self._config.giver, self._config.receiver
-        outcome = _compute_outcome_terms(status)
-        if self._only_outcomes:
-            return {
-                agent: _weigh(weights, {**dict.fromkeys(vars(weights), 0.0), **outcome})
-                for agent, weights in ((GIVER, giver), (RECEIVER, receiver))
-            }
-        before, now = self._last, read_state()
-        self._last = now
+        xp = self._arrays.xp
+        values = {name: xp.astype((status & int(bit)) != 0, xp.float64) for name, bit in _OUTCOMES.items()}
+        if self.needs_state:
+            now, before = self._summarize(state), self._last[rows]
+            self._last[rows] = now
+            values |= self._compute_giver_costs(before, now) | self._compute_shaping(before, now, status)
+        zeros = xp.zeros_like(values["task"])
         return {
-            GIVER: _weigh(giver, {**_compute_giver_costs(before, now), **outcome}),
-            RECEIVER: _weigh(receiver, {**self._compute_guidance(before, now, status), **outcome}),
+            agent: {name: weight * values.get(name, zeros) for name, weight in weights.items()}
+            for agent, weights in self._weights.items()
         }
 
-    def _compute_guidance(self, before: RewardState, now: RewardState, status: EpisodeStatus) -> Terms:
-        old, new = compute_potentials(before, self._goal), compute_potentials(now, self._goal)
+    def _compute_giver_costs(self, before: AnyArray, now: AnyArray) -> ArrayTerms:
+        xp, change = self._arrays.xp, now - before
+        period, path = change[:, _TIME], compute_lengths(change[:, _DISPLACEMENT])
+        offset = compute_lengths(now[:, _DISPLACEMENT]) + compute_lengths(now[:, _ROTATION]) / 3.0
+        is_later = period > 0.0
+        return {
+            "effort": xp.where(is_later, path**2 / xp.where(is_later, period, 1.0), 0.0),
+            "discomfort": offset * period,
+            "waiting": before[:, _OFFERED] * period,
+        }
+
+    def _compute_shaping(self, before: AnyArray, now: AnyArray, status: AnyArray) -> ArrayTerms:
         # A timeout truncates an episode; only termination ends its potential.
-        if status & ~EpisodeStatus.TIMEOUT:
-            new = dict.fromkeys(new, 0.0)
-        return {name: self._config.gamma * new[name] - old[name] for name in old}
+        goes_on = (status & ~int(EpisodeStatus.TIMEOUT)) == 0
+        new = self._arrays.xp.where(goes_on[:, None], now[:, _POTENTIALS], 0.0)
+        shaping = self._config.gamma * new - before[:, _POTENTIALS]
+        return {"distance": shaping[:, 0], "grasp": shaping[:, 1], "goal": shaping[:, 2]}
 
-
-def compute_potentials(state: RewardState, goal: tuple[float, ...]) -> Terms:
-    """Return the potential of each shaping term in a state, by the name of the term.
-
-    Args:
-        state: State of the simulation.
-        goal: (3,) position to which the gripper must bring the object, world frame (m).
-    """
-    return {
-        "distance": 1.0 if state.grasped else 1.0 - math.dist(state.fingertip_center, state.object_position),
-        "grasp": float(state.grasped),
-        "goal": 1.0 - math.dist(state.gripper, goal) if state.grasped else 0.0,
-    }
-
-
-def _compute_giver_costs(before: RewardState, now: RewardState) -> Terms:
-    period = now.time - before.time
-    path = math.dist(now.deviation[:3], before.deviation[:3])
-    offset = math.hypot(*now.deviation[:3]) + math.hypot(*now.deviation[3:]) / 3.0
-    return {
-        "effort": path**2 / period if period > 0.0 else 0.0,
-        "discomfort": offset * period,
-        "waiting": period if before.object_offered else 0.0,
-    }
-
-
-@functools.cache
-def _compute_outcome_terms(status: EpisodeStatus) -> Mapping[str, float]:
-    return {
-        "task": float(bool(status & EpisodeStatus.SUCCESS)),
-        "contact": float(bool(status & EpisodeStatus.HUMAN_CONTACT)),
-        "drop": float(bool(status & EpisodeStatus.OBJECT_DROP)),
-    }
-
-
-def _weigh(weights: ReceiverWeights | GiverWeights, values: Mapping[str, float]) -> Terms:
-    return {name: weight * values[name] for name, weight in vars(weights).items()}
+    def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
+        """Return what the terms depend on, (r, 11) float64."""
+        xp, gripper, grasped = self._arrays.xp, state["gripper_pose"], state["grasped"]
+        to_object = transform_points(gripper, self._fingertips) - state["object_poses"][:, 0, :3]
+        columns = [
+            state["time"],
+            state["deviation"][:, 1:],
+            xp.astype((state["holding"] > 0) & (state["released"] <= 0), xp.float64),
+            xp.where(grasped, 1.0, 1.0 - compute_lengths(to_object))[:, None],
+            grasped[:, None],
+            xp.where(grasped, 1.0 - compute_lengths(gripper[:, :3] - self._goal), 0.0)[:, None],
+        ]
+        return xp.concat([xp.astype(column, xp.float64) for column in columns], axis=1)

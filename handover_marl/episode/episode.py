@@ -8,7 +8,7 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
-from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, Playback
+from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import (
     MotionPreview,
@@ -24,6 +24,9 @@ from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World
+
+# The only giver of an episode.
+_ROW = np.array([0])
 
 
 class Episode:
@@ -53,7 +56,8 @@ class Episode:
         self._camera_config, self._camera_seed = wrist_camera, 0
         self._wrist_camera: WristCamera | None = None
         self._world: World | None = None
-        self._playback: Playback | None = None
+        self._scene: Scene | None = None
+        self._motion = GiverMotion(1, config.giver)
         self._preview: MotionPreview | None = None
         # Contacts of the last step; None if they have not been read from the world.
         self._contacts: Contacts | None = Contacts()
@@ -74,12 +78,11 @@ class Episode:
             check_collision_meshes(urdf)
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)
-        self._playback = self._preview = None
+        self._scene = self._preview = None
         self._referee = Referee(self.config.protocol)
         self._contacts = Contacts()
-        playback = Playback(scene, self.config.giver)
-        self._world.reset(scene, playback.read_first_frame(), self.config.draw_initial_joints(seed))
-        self._playback = playback
+        self._world.reset(scene, self._motion.reset(0, scene), self.config.draw_initial_joints(seed))
+        self._scene = scene
         if self._wrist_camera is not None:
             self._wrist_camera.reset(scene, self._world)
         elif self._camera_config.camera_noise is not None:
@@ -102,22 +105,23 @@ class Episode:
                 recording.
             on_step: Functions that are called after every physics step.
         """
-        world, playback, referee = self._require_scene()
+        world, motion, referee = self.world, self._motion, self._referee
         target = robot_target.tolist()
         camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
-        if GiverAction.from_array(giver_action).release and playback.holding and not referee.released:
+        if GiverAction.from_array(giver_action).release and motion.holding[0] and not referee.released:
             referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:
             planned = min(steps, PLANNED_STEPS)
-            is_voluntary = referee.release_reason is ReleaseReason.VOLUNTARY
-            world.set_reference(playback.plan(planned, giver_action, referee.released, is_opening=is_voluntary))
+            is_opening = referee.release_reason is ReleaseReason.VOLUNTARY
+            plan = motion.plan(_ROW, planned, giver_action[None], np.array([referee.released]), np.array([is_opening]))
+            world.set_reference(plan.references[0])
             steps -= planned
             if isinstance(world, BatchWorld) and not on_step and camera is None:
                 simulated = self._simulate_rollout(world, target, planned)
             else:
                 simulated = self._simulate_single_steps(world, target, planned, camera, on_step)
-            playback.commit(simulated)
+            motion.commit(plan, np.array([simulated]))
 
     def _simulate_rollout(self, world: BatchWorld, target: list[float], steps: int) -> int:
         """Simulate up to `steps` physics steps at once; return their number."""
@@ -153,9 +157,8 @@ class Episode:
 
     def observe(self) -> Observation:
         """Return the full state of the simulation as an observation."""
-        world, playback, referee = self._require_scene()
-        time = referee.steps * TIME_STEP
-        return observe(world.read_state(), playback.scene.info.object_ids, referee.released, time)
+        state, time = self.world.read_state(), self.steps * TIME_STEP
+        return observe(state, self.scene.info.object_ids, self._referee.released, time)
 
     def observe_for_policy(self, policy: object, state: Observation) -> Observation:
         """Return the receiver's observation in the observation mode that its policy declares.
@@ -179,10 +182,9 @@ class Episode:
         Args:
             state: The full state as `observe` returns it now.
         """
-        _, playback, _ = self._require_scene()
         if self._preview is None:
-            self._preview = MotionPreview(playback.scene, self.config.giver)
-        return observe_giver(state, playback, self._preview)
+            self._preview = MotionPreview(self.scene, self.config.giver)
+        return observe_giver(state, self._motion, self._preview)
 
     def seed_camera(self, seed: int) -> None:
         """Seed the random draws of the wrist camera; they depend on this seed, the physics step and the image."""
@@ -212,26 +214,28 @@ class Episode:
     @property
     def world(self) -> World:
         """Simulated world of the running episode."""
-        return self._require_scene()[0]
+        if self._world is None or self._scene is None:
+            raise ResetNeededError("no episode is running; call reset() first")
+        return self._world
 
     @property
     def scene(self) -> Scene:
         """Scene of the running episode."""
-        return self._require_scene()[1].scene
+        if self._scene is None:
+            raise ResetNeededError("no episode is running; call reset() first")
+        return self._scene
 
     @property
     def contacts(self) -> Contacts:
         """Contacts of robot, object and human hand in the last physics step."""
         if self._contacts is None:
-            world, _, referee = self._require_scene()
-            self._contacts = world.read_contacts(referee.released)
+            self._contacts = self.world.read_contacts(self._referee.released)
         return self._contacts
 
     @property
     def object_offered(self) -> bool:
         """Whether the person holds the object, picked up and not released."""
-        _, playback, referee = self._require_scene()
-        return playback.holding and not referee.released
+        return bool(self._motion.holding[0]) and not self._referee.released
 
     @property
     def status(self) -> EpisodeStatus:
@@ -257,18 +261,13 @@ class Episode:
         """Free the simulation."""
         if self._world is not None:
             self._world.close()
-        self._world = self._playback = None
+        self._world = self._scene = None
 
     def _get_wrist_camera(self) -> WristCamera:
         """Return the wrist camera, which is created at its first use in an episode."""
-        world, playback, _ = self._require_scene()
+        world, scene = self.world, self.scene
         if self._wrist_camera is None:
             self._wrist_camera = WristCamera(self._camera_config, self._physics, self.config.physics)
-            self._wrist_camera.reset(playback.scene, world)
+            self._wrist_camera.reset(scene, world)
             self._wrist_camera.seed(self._camera_seed)
         return self._wrist_camera
-
-    def _require_scene(self) -> tuple[World, Playback, Referee]:
-        if self._world is None or self._playback is None:
-            raise ResetNeededError("no episode is running; call reset() first")
-        return self._world, self._playback, self._referee

@@ -1,233 +1,247 @@
-"""Motion of the giver: reference motion of hand and objects, from the recording and the giver's actions."""
+"""Motion of givers: reference motion of hands and objects, from the recordings and the givers' actions."""
 
 import functools
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import TIME_STEP, GiverConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction
-from handover_marl.episode.wrist_offset import TrackedVector, apply_wrist_offset, track_set_point
-from handover_marl.geometry.arrays import Indices
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.episode.wrist_offset import apply_wrist_offsets, track_set_points
+from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices, get_namespace, make_constant
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
+Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+
 #: Number of physics steps for which the giver's motion is planned at a time.
 PLANNED_STEPS = 200
-_BASE_LINK = 5
+#: Pick-up frame of objects that are never picked up.
+NEVER = np.iinfo(np.int64).max
 #: Action of the giver that replays the recording.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
 NO_DEVIATION.flags.writeable = False
+_BASE_LINK = 5
 
 
-class _PlaybackState(NamedTuple):
-    """State of the playback of a recording after a physics step.
-
-    Attributes:
-        motion: Last reference motion; Euler angles continue from its last row without a jump.
-        clock: Playback time in frames.
-        frame: Current frame of the recording.
-        rate: Playback rate minus 1.
-        displacement: Displacement of the wrist (m).
-        rotation: Rotation vector of the wrist (rad).
-        has_deviated: Whether the wrist has ever been displaced or rotated.
-        opening_progress: Progress of the hand's opening, 0 to 1.
-    """
-
-    motion: ReferenceMotion
-    clock: float = 0.0
-    frame: int = 0
-    rate: float = 0.0
-    displacement: TrackedVector = TrackedVector()
-    rotation: TrackedVector = TrackedVector()
-    has_deviated: bool = False
-    opening_progress: float = 0.0
-
-
-class _Command(NamedTuple):
-    """Set-points of the giver for some physics steps.
+@dataclass(frozen=True, eq=False)
+class PlannedMotion:
+    """Planned motion of r givers in k physics steps.
 
     Attributes:
-        rate: Playback rate minus 1.
-        displacement: (3,) set-point of the wrist's displacement (m).
-        rotation: (3,) set-point of the wrist's rotation vector (rad).
-        is_released: Whether the object has been released.
-        is_opening: Whether the hand opens after a voluntary release.
+        rows: Indices (r,) of the givers.
+        references: Reference motion of each giver.
+        clocks: Playback times (r, k) after each step (frames).
+        frames: Frames (r, k) of the recordings.
+        rates: Playback rates minus 1 (r, k).
+        moving: Indices (d,) in `rows` of the givers with an offset of the wrist.
+        offsets: Displacements (m) and rotation vectors (rad) of the wrists, (k, d, 2, 3).
+        velocities: Their velocities (k, d, 2, 3).
+        opening_progress: Progress of the hands' opening (r, k), 0 to 1.
     """
 
-    rate: float
-    displacement: npt.NDArray[np.floating]
-    rotation: npt.NDArray[np.floating]
-    is_released: bool
-    is_opening: bool
+    rows: Indices
+    references: list[ReferenceMotion]
+    clocks: Array
+    frames: Indices
+    rates: Array
+    moving: Indices
+    offsets: Array
+    velocities: Array
+    opening_progress: Array
 
 
-class Playback:
-    """Playback of a recorded scene with the giver's deviations; it stays at the last frame.
+class GiverMotion:
+    """Playback of one recorded scene for each of n givers, with their deviations; it stays at the last frame.
 
-    `plan` returns the reference motion of the next physics steps, `commit` applies as many of them as
-    were simulated. Hand and held object deviate together, rigidly about the wrist, and only after the
-    object has been picked up, because until then the hand must reach it.
+    `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
+    held object deviate together, rigidly about the wrist, and only after the object has been picked up, because until
+    then the hand must reach it. The motion of a giver does not depend on the others.
 
     Args:
-        scene: Scene to play.
-        config: Limits of the deviation from the recording.
+        count: Number n of givers.
+        config: Limits of the deviation from the recordings.
 
     Attributes:
-        scene: Scene that is played.
+        frame: Current frame (n,) of each recording.
+        rate: Playback rates minus 1 (n,).
+        offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
+        opening_progress: Progress (n,) of each hand's opening, 0 to 1.
     """
 
-    def __init__(self, scene: Scene, config: GiverConfig) -> None:
-        self.scene = scene
+    def __init__(self, count: int, config: GiverConfig) -> None:
         self._config = config
-        self._pick_up_frame = find_pick_up_frame(scene)
-        self._wrist_in_base = find_wrist_in_base(scene)
-        self._last_frame = scene.n_frames - 1
-        self._hand_present = scene.is_hand_present(np.arange(scene.n_frames))
-        self._now = _PlaybackState(self.read_first_frame())
-        self._planned: tuple[_Command, ReferenceMotion, _PlaybackState] | None = None
+        self._scenes: list[Scene | None] = [None] * count
+        self._hand_present: list[Flags] = [np.zeros(0, dtype=bool)] * count
+        self._wrists_in_base = np.zeros((count, 3))
+        self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
+        self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
+        self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
+        self._has_deviated, self.opening_progress = np.zeros(count, dtype=bool), np.zeros(count)
+        # Last reference of hand base and object; their Euler angles continue from it without a jump.
+        self._last = np.zeros((count, 2, OBJECT_DOF), dtype=np.float32)
 
-    @property
-    def frame(self) -> int:
-        """Current frame of the recording, 0 at the start."""
-        return self._now.frame
-
-    @property
-    def holding(self) -> bool:
-        """Whether the person has picked up the object, so that displacements take effect."""
-        return self._pick_up_frame is not None and self.frame >= self._pick_up_frame
-
-    @property
-    def opening_progress(self) -> float:
-        """Progress of the hand's opening after a voluntary release, 0 to 1."""
-        return self._now.opening_progress
-
-    @property
-    def deviation(self) -> npt.NDArray[np.float32]:
-        """(7,) current playback rate minus 1, wrist displacement (m) and rotation vector (rad)."""
-        now = self._now
-        return np.array([now.rate, *now.displacement.value, *now.rotation.value], dtype=np.float32)
-
-    def read_first_frame(self) -> ReferenceMotion:
-        """Return the first frame of the recording as a reference motion of one row."""
-        return self._read_frames(np.array([0]))
-
-    def plan(
-        self,
-        steps: int,
-        action: npt.NDArray[np.float32] = NO_DEVIATION,
-        released: bool = False,
-        is_opening: bool = False,
-    ) -> ReferenceMotion:
-        """Return the reference motion of the next physics steps, without advancing the playback.
+    def reset(self, row: int, scene: Scene) -> ReferenceMotion:
+        """Start to play a scene, and return its first frame as a reference motion of one row.
 
         Args:
-            steps: Number of physics steps.
-            action: (8,) action of the giver; default: replay the recording.
-            released: Whether the object has been released, so that it does not follow the hand.
-            is_opening: Whether the hand opens after a voluntary release.
+            row: Index of the giver.
+            scene: Scene to play.
         """
-        wanted = GiverAction.from_array(action)
+        self._scenes[row] = scene
+        self._hand_present[row] = scene.is_hand_present(np.arange(scene.n_frames))
+        self._wrists_in_base[row] = find_wrist_in_base(scene)
+        pick_up = find_pick_up_frame(scene)
+        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
+        self._has_deviated[row] = False
+        for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self.opening_progress):
+            state[row] = 0
+        self._last[row] = scene.hand_dof[0, :BASE_JOINTS], scene.object_dof[0, 0]
+        return self._read_frames(row, np.array([0]))
+
+    @property
+    def holding(self) -> Flags:
+        """Whether each person has picked up the object, so that displacements take effect, (n,)."""
+        return np.asarray(self.frame >= self._pick_up)
+
+    @property
+    def deviation(self) -> Float32:
+        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad)."""
+        return np.concatenate([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1).astype(np.float32)
+
+    def plan(self, rows: Indices, steps: int, actions: Float32, released: Flags, is_opening: Flags) -> PlannedMotion:
+        """Return the motion of r givers in the next physics steps, without advancing the playback.
+
+        Args:
+            rows: Indices (r,) of the givers.
+            steps: Number of physics steps k.
+            actions: (r, 8) actions.
+            released: Whether each object has been released, so that it does not follow the hand, (r,).
+            is_opening: Whether each hand opens after a voluntary release, (r,).
+        """
+        rates = ramp_rates(self.rate[rows], actions[:, 0].astype(np.float64), self._config.rate_change, steps)
+        clocks = self._clock[rows, None] + np.cumsum(1.0 + rates, axis=1)
+        # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
+        frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
+        references = [self._read_frames(row, own) for row, own in zip(rows.tolist(), frames, strict=True)]
         # An object that is picked up during these steps must not move early.
-        holding = self.holding
-        command = _Command(wanted.rate, holding * wanted.displacement, holding * wanted.rotation, released, is_opening)
-        motion, state = self._compute_motion(command, steps)
-        self._planned = command, motion, state
-        return motion
+        set_points = np.where(self.holding[rows, None], actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
+        moving = np.flatnonzero(self._has_deviated[rows] | set_points.any(axis=(1, 2)))
+        offsets, velocities = np.zeros((steps, 0, 2, 3)), np.zeros((steps, 0, 2, 3))
+        if len(moving):
+            who, config = rows[moving], self._config
+            limits = np.array([[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]])
+            offsets, velocities = track_set_points(
+                self.offset[who], self._velocity[who], set_points[moving], steps, limits
+            )
+            self._apply_offsets(who, moving, references, offsets, released[moving])
+        progress = np.repeat(self.opening_progress[rows, None], steps, axis=1)
+        if is_opening.any():
+            self._open_hands(is_opening, references, progress)
+        return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, progress)
 
-    def commit(self, steps: int) -> None:
-        """Advance the playback by the number of planned steps that were simulated.
+    def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
+        """Advance the playback by the planned steps that were simulated.
 
-        Raises:
-            ValueError: No motion has been planned.
+        Args:
+            motion: Motion as returned by `plan`.
+            steps: Number of simulated steps (r,) of each giver.
         """
-        if self._planned is None:
-            raise ValueError("no motion has been planned; call plan() first")
-        command, motion, state = self._planned
-        self._planned = None
-        if steps:
-            # An episode may end before all planned steps are simulated.
-            self._now = state if steps == len(motion.hand) else self._compute_motion(command, steps)[1]
+        simulated = np.flatnonzero(steps)
+        rows, last = motion.rows[simulated], steps[simulated] - 1
+        self._clock[rows], self.frame[rows] = motion.clocks[simulated, last], motion.frames[simulated, last]
+        self.rate[rows] = motion.rates[simulated, last]
+        self.opening_progress[rows] = motion.opening_progress[simulated, last]
+        for index, step in zip(simulated.tolist(), last.tolist(), strict=True):
+            reference, row = motion.references[index], motion.rows[index]
+            self._last[row] = reference.hand[step, :BASE_JOINTS], reference.objects[step, 0]
+        moved = steps[motion.moving] > 0
+        index, who = np.flatnonzero(moved), motion.rows[motion.moving[moved]]
+        last = steps[motion.moving[moved]] - 1
+        self.offset[who], self._velocity[who] = motion.offsets[last, index], motion.velocities[last, index]
+        self._has_deviated[who] = True
 
-    def _compute_motion(self, command: _Command, steps: int) -> tuple[ReferenceMotion, _PlaybackState]:
-        now = self._now
-        frames, clock, rate = self._advance_clock(command.rate, steps)
-        motion = self._read_frames(frames, consecutive=now.rate == 0.0 == rate)
-        has_deviated = now.has_deviated or bool(command.displacement.any() or command.rotation.any())
-        displacement, rotation, progress = now.displacement, now.rotation, now.opening_progress
-        # After a deviation, Euler angles may differ from the recorded ones by full turns.
-        if has_deviated:
-            motion, displacement, rotation = self._offset_motion(motion, command)
-        if command.is_opening:
-            motion, progress = self._open_hand(motion)
-        state = _PlaybackState(motion, clock, int(frames[-1]), rate, displacement, rotation, has_deviated, progress)
-        return motion, state
+    def _apply_offsets(
+        self, who: Indices, moving: Indices, references: list[ReferenceMotion], offsets: Array, released: Flags
+    ) -> None:
+        """Move hands and held objects with their wrists' offsets, in the reference motions.
 
-    def _advance_clock(self, target_rate: float, steps: int) -> tuple[Indices, float, float]:
-        """Return the frames played in the next steps, and playback time and rate after them."""
-        now, last = self._now, self._last_frame
-        if target_rate == 0.0 == now.rate and now.clock.is_integer():
-            # Shortcut for a plain replay.
-            first = int(now.clock) + 1
-            return np.minimum(np.arange(first, first + steps), last), now.clock + steps, 0.0
-        rates = self._ramp_rate(target_rate, steps)
-        clock = now.clock + np.cumsum(1.0 + rates)
-        return np.minimum(_round_frames(clock), last).astype(int), float(clock[-1]), float(rates[-1])
-
-    def _ramp_rate(self, target_rate: float, steps: int) -> npt.NDArray[np.float64]:
-        """Return playback rates minus 1 that approach a target with limited slope."""
-        rate = self._now.rate
-        if target_rate == rate:
-            return np.full(steps, target_rate)
-        limits = np.arange(1, steps + 1) * (self._config.rate_change * TIME_STEP)
-        change = np.clip(target_rate - rate, -limits, limits)
-        is_limited = np.abs(change) < abs(target_rate - rate)
-        rates: npt.NDArray[np.float64] = np.where(is_limited, rate + change, target_rate)
-        return rates
-
-    def _offset_motion(
-        self, motion: ReferenceMotion, command: _Command
-    ) -> tuple[ReferenceMotion, TrackedVector, TrackedVector]:
-        steps, now, config = len(motion.hand), self._now, self._config
-        displacements, displacement = track_set_point(
-            now.displacement, command.displacement, steps, config.speed, config.acceleration
+        Args:
+            who: Numbers (d,) of the givers.
+            moving: Indices (d,) in `references` of the motions that change.
+            references: Reference motions.
+            offsets: Offsets (k, d, 2, 3) of the wrists.
+            released: Whether each object has been released, (d,).
+        """
+        recorded = [references[index] for index in moving.tolist()]
+        bodies = [np.stack([motion.hand[:, :BASE_JOINTS], motion.objects[:, 0]]) for motion in recorded]
+        # At rest, rows are equal from some row on: compute the first of them.
+        counts = [
+            _count_distinct_rows(offsets[:, number].reshape(len(offsets), 6), *both)
+            for number, both in enumerate(bodies)
+        ]
+        moved = apply_wrist_offsets(
+            [both[:, :count] for both, count in zip(bodies, counts, strict=True)],
+            self._wrists_in_base[who],
+            [offsets[:count, number] for number, count in enumerate(counts)],
+            self._last[who],
         )
-        rotations, rotation = track_set_point(
-            now.rotation, command.rotation, steps, config.turn_speed, config.turn_acceleration
-        )
-        bases, objects = motion.hand[:, :BASE_JOINTS], motion.objects[:, 0]
-        # Rows are equal at rest, for example after the recording's end: compute one of them.
-        if all((rows == rows[0]).all() for rows in (displacements, rotations, bases, objects)):
-            displacements, rotations, bases, objects = displacements[:1], rotations[:1], bases[:1], objects[:1]
-        bodies = [bases] if command.is_released else [bases, objects]
-        previous = [now.motion.hand[-1, :BASE_JOINTS], now.motion.objects[-1, 0]][: len(bodies)]
-        moved = apply_wrist_offset(bodies, self._wrist_in_base, displacements, rotations, previous)
-        moved_hand, moved_objects = motion.hand.copy(), motion.objects.copy()
-        moved_hand[:, :BASE_JOINTS] = moved[0]
-        if not command.is_released:
-            moved_objects[:, 0] = moved[1]
-        return ReferenceMotion(moved_objects, moved_hand, motion.hand_present), displacement, rotation
+        for number, index in enumerate(moving.tolist()):
+            before, count = recorded[number], counts[number]
+            hand = before.hand.copy()
+            hand[:count, :BASE_JOINTS], hand[count:, :BASE_JOINTS] = moved[number][0], moved[number][0, -1]
+            objects = before.objects
+            if not released[number]:
+                objects = objects.copy()
+                objects[:count, 0], objects[count:, 0] = moved[number][1], moved[number][1, -1]
+            references[index] = ReferenceMotion(objects, hand, before.hand_present)
 
-    def _open_hand(self, motion: ReferenceMotion) -> tuple[ReferenceMotion, float]:
-        """Move the finger angles towards zero, which is a flat hand in MANO."""
+    def _open_hands(self, is_opening: Flags, references: list[ReferenceMotion], progress: Array) -> None:
+        """Move the finger angles of opening hands towards zero, which is a flat hand in MANO."""
+        steps = progress.shape[1]
         pace = TIME_STEP / self._config.opening_time
-        progress = np.minimum(self._now.opening_progress + pace * np.arange(1, len(motion.hand) + 1), 1.0)
-        hand = motion.hand.copy()
-        hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[:, None]).astype(np.float32)
-        return ReferenceMotion(motion.objects, hand, motion.hand_present), float(progress[-1])
+        progress[is_opening] = np.minimum(progress[is_opening] + pace * np.arange(1, steps + 1), 1.0)
+        for index in np.flatnonzero(is_opening).tolist():
+            before = references[index]
+            hand = before.hand.copy()
+            hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[index, :, None]).astype(np.float32)
+            references[index] = ReferenceMotion(before.objects, hand, before.hand_present)
 
-    def _read_frames(self, frames: Indices, consecutive: bool = False) -> ReferenceMotion:
-        scene, first, last = self.scene, int(frames[0]), int(frames[-1])
-        # A slice needs no copy; at the recording's end, frames repeat and are not consecutive.
-        rows = slice(first, last + 1) if consecutive and last - first == len(frames) - 1 else frames
-        return ReferenceMotion(scene.object_dof[rows], scene.hand_dof[rows], self._hand_present[rows])
+    def _read_frames(self, row: int, frames: Indices) -> ReferenceMotion:
+        scene, first, last = self._scenes[row], int(frames[0]), int(frames[-1])
+        if scene is None:
+            raise ValueError(f"giver {row} has no scene; call reset() first")
+        # A slice needs no copy. At the recording's end, and at other speeds, frames are not consecutive.
+        is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
+        part = slice(first, last + 1) if is_consecutive else frames
+        return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._hand_present[row][part])
 
 
-def _round_frames(clock: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
-    return np.rint(np.round(np.asarray(clock, dtype=np.float64), 9))
+def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:
+    """Return playback rates minus 1 (r, k) after each of k steps that approach targets with limited slope.
+
+    Args:
+        rates: Current rates minus 1 (r,).
+        targets: Rates minus 1 (r,) to reach.
+        max_slope: Largest change of a rate (1/s).
+        steps: Number k of physics steps.
+    """
+    xp, change = get_namespace(rates), (targets - rates)[:, None]
+    limits = make_constant(tuple(range(1, steps + 1)), rates) * (max_slope * TIME_STEP)
+    limited = xp.minimum(xp.maximum(change, -limits), limits)
+    return xp.where(xp.abs(limited) < xp.abs(change), rates[:, None] + limited, targets[:, None])
+
+
+def _count_distinct_rows(*arrays: npt.NDArray[np.floating]) -> int:
+    """Return the number of rows up to the last one that differs from the row before it in any array."""
+    differs = np.zeros(len(arrays[0]), dtype=bool)
+    for array in arrays:
+        differs[1:] |= (array[1:] != array[:-1]).any(axis=1)
+    return int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 1
 
 
 def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import camera_observation_space
-from handover_marl.episode.giver_motion import Playback, find_wrist_in_base
+from handover_marl.episode.giver_motion import GiverMotion, find_wrist_in_base
 from handover_marl.episode.spaces import STATE, has_state
 from handover_marl.episode.wrist_offset import compute_wrist_positions
 from handover_marl.geometry.poses import quaternions_from_euler
@@ -189,21 +189,21 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
     return {**own, **camera}
 
 
-def observe_giver(state: Observation, playback: Playback, preview: MotionPreview) -> Observation:
+def observe_giver(state: Observation, motion: GiverMotion, preview: MotionPreview) -> Observation:
     """Return the giver's observation: full state, preview of the recording and current deviation.
 
     Args:
         state: The full state as `observe` returns it.
-        playback: Playback of the scene, with the current deviation.
+        motion: Motion of this one giver, with the current deviation.
         preview: Preview of the recording.
     """
-    wrist_poses, object_poses = preview.read_poses(playback.frame)
+    wrist_poses, object_poses = preview.read_poses(int(motion.frame[0]))
     return {
         **state,
         "replay_wrist_poses": wrist_poses,
         "replay_object_poses": object_poses,
-        "deviation": playback.deviation,
-        "holding": np.array([playback.holding], dtype=np.float32),
+        "deviation": motion.deviation[0],
+        "holding": motion.holding.astype(np.float32),
     }
 
 

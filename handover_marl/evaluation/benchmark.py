@@ -1,36 +1,44 @@
 """Evaluation of receivers and givers by the official protocol: one episode per scene of a split."""
 
 import contextlib
-from collections.abc import Callable, Collection, Sequence
+import hashlib
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
-from typing_extensions import Unpack
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.evaluation.config import (
     REPLAY,
+    REPLAY_CHOICES,
     REPLAYS_NONE,
     EvaluationConfig,
-    EvaluationOptions,
     ExecutionConfig,
     build_configs,
     resolve_config,
 )
-from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
-from handover_marl.evaluation.progress import BenchmarkProgress
-from handover_marl.evaluation.replays import ReplayWriter, check_replay_options
+from handover_marl.evaluation.episode_runner import EpisodeWriter, SceneTask, run_episodes
+from handover_marl.evaluation.replays import ReplayWriter
+from handover_marl.evaluation.reports.episode_tables import format_scene_cells
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import write_report
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder
-from handover_marl.evaluation.shards import Shard
-from handover_marl.evaluation.writers import EpisodeWriter
 from handover_marl.execution.options import PoolConfig, check_pool, forward_signature
 from handover_marl.execution.pool import Pool
 from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
+from handover_marl.visualization.replay_scene import require_replay_extra
+
+_SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
+# Widths of the columns of the progress display; the sum fits a terminal of 80 columns.
+_WIDTHS = {"scene id": 8, "object name": 22, "subject": 10, "side": 5, "outcome": 15, "steps": 5, "plan s": 6}
+_COLORS = {"success": "green", "contact": "red", "drop": "yellow", "timeout": "magenta"}
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config"))
@@ -39,7 +47,7 @@ def benchmark(
     split: str = "test",
     receiver: PolicyLike = "yang2021",
     execution: ExecutionConfig | None = None,
-    **options: Unpack[EvaluationOptions],
+    **options: Any,
 ) -> Report:
     """Evaluate a receiver by HandoverSim's official protocol.
 
@@ -76,7 +84,7 @@ def evaluate_pair(
     setup: str | None = None,
     split: str = "test",
     execution: ExecutionConfig | None = None,
-    **options: Unpack[EvaluationOptions],
+    **options: Any,
 ) -> Report:
     """Evaluate a giver with a receiver on the scenes of a split, under the official or other rules.
 
@@ -117,19 +125,20 @@ class Evaluation:
     """
 
     def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str = "") -> None:
+        check_name("replays", execution.replays, REPLAY_CHOICES)
         if execution.replays != REPLAYS_NONE:
-            check_replay_options(execution)
-        check_pool(execution.pool)
-        shard = None if execution.shard is None else Shard.parse(execution.shard)
+            if execution.folder is None:
+                raise OptionError("replays need an output folder; pass out= (--out DIR)")
+            require_replay_extra()
+        check_pool(execution)
         self.config, dataset = resolve_config(config, execution.trust)
-        split_ids = dataset.list_scenes(self.config.setup, config.split)
-        shard_text = ""
-        if shard is not None and self.config.scenes is not None:
-            scenes = self.config.scenes
-            shard_text = str(replace(shard, scenes=None if scenes == split_ids else scenes))
-            self.config = replace(self.config, scenes=shard.select(scenes))
+        split_ids = dataset.list_scenes(self.config.setup, self.config.split)
+        scenes, shard = self.config.scenes or (), execution.shard or ""
+        if shard:
+            self.config = replace(self.config, scenes=select_shard(shard, scenes))
+            shard += "" if scenes == split_ids else f" of {','.join(map(str, scenes))}"
         self._execution = execution
-        self._metadata = ResultMetadata.from_config(self.config, recorded, shard_text, len(split_ids))
+        self._metadata = ResultMetadata.from_config(self.config, recorded, shard, len(split_ids))
         self._n_split_scenes = len(split_ids)
         self.folder: ResultFolder | None = None
         if execution.folder is not None:
@@ -150,8 +159,14 @@ class Evaluation:
         Raises:
             HandoverError: The same errors as `benchmark`.
         """
-        all_writers = self._collect_writers(writers)
-        stored = self._read_stored_results()
+        folder, replays = self.folder, self._execution.replays
+        all_writers = tuple(writers)
+        if folder is not None:
+            # The result folder is the last: its files mark scenes as finished.
+            replay_writers = [] if replays == REPLAYS_NONE else [ReplayWriter(folder.path, replays)]
+            all_writers = (*writers, *replay_writers, folder)
+        found = [folder.read(task.index, task.fingerprint) if folder else None for task in self._tasks]
+        stored = {task: result for task, result in zip(self._tasks, found, strict=True) if result is not None}
         results = {
             task: result for task, result in stored.items() if all(writer.contains(result) for writer in all_writers)
         }
@@ -159,46 +174,83 @@ class Evaluation:
         # Without tasks there is no need to connect to a cluster.
         pool = (open_workers or self._open_pool)() if remaining else open_pool(PoolConfig(workers=1))
         with (
-            self._show_progress(results.values()) as progress,
+            _show_progress(len(self._tasks), results.values(), self._execution.progress) as show,
             contextlib.closing(run_episodes(self.config, remaining, pool, all_writers)) as finished,
         ):
-            for _, episode in finished:
-                _check_same_outcome(stored.get(episode.task), episode.result)
-                for writer, content in zip(all_writers, episode.contents, strict=True):
-                    writer.write(episode.result, content)
-                results[episode.task] = episode.result
-                if progress is not None:
-                    progress.add(episode.result)
+            for number, (result, contents) in finished:
+                task = remaining[number]
+                _check_same_outcome(stored.get(task), result)
+                for writer, content in zip(all_writers, contents, strict=True):
+                    writer.write(result, content)
+                results[task] = result
+                show(result)
         episodes = tuple(results[task] for task in self._tasks)
         report = Report(self._metadata, episodes, self._n_split_scenes, len(self._tasks) - len(remaining))
-        if self.folder is not None:
-            write_report(self.folder.path, report)
+        if folder is not None:
+            write_report(folder.path, report)
         return report
 
     def _open_pool(self) -> Pool:
-        return open_pool(self._execution.pool)
+        return open_pool(self._execution)
 
-    def _collect_writers(self, writers: Sequence[EpisodeWriter]) -> tuple[EpisodeWriter, ...]:
-        """Return all writers, the result folder last: its files mark scenes as finished."""
-        if self.folder is None:
-            return tuple(writers)
-        replays = self._execution.replays
-        replay_writers = [] if replays == REPLAYS_NONE else [ReplayWriter(self.folder.path, replays)]
-        return (*writers, *replay_writers, self.folder)
 
-    def _show_progress(
-        self, stored: Collection[EpisodeResult]
-    ) -> contextlib.AbstractContextManager[BenchmarkProgress | None]:
-        if not self._execution.progress:
-            return contextlib.nullcontext()
-        return BenchmarkProgress(len(self._tasks), stored)
+def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
+    """Return the scenes of a shard such as "3/16", the third of 16, in the given order.
 
-    def _read_stored_results(self) -> dict[SceneTask, EpisodeResult]:
-        """Read the results of an earlier run in the same folder."""
-        if self.folder is None:
-            return {}
-        found = {task: self.folder.read(task.index, task.fingerprint) for task in self._tasks}
-        return {task: result for task, result in found.items() if result is not None}
+    Scenes are distributed in a fixed pseudo-random order, so that objects, people and hands are as
+    mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
+
+    Raises:
+        OptionError: The text is not of this form, or there are fewer scenes than shards.
+    """
+    match = _SHARD.fullmatch(shard) if isinstance(shard, str) else None
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise OptionError(f"shard must be a number and a count, from 1/N to N/N, such as '3/16', got {shard!r}")
+    number, count = int(match[1]), int(match[2])
+    if len(scenes) < count:
+        raise OptionError(f"shard {shard} needs {count} scenes or more, got {len(scenes)}; take fewer shards")
+    shuffled = sorted(range(len(scenes)), key=lambda position: hashlib.sha256(b"%d" % position).digest())
+    return tuple(scenes[position] for position in sorted(shuffled[number - 1 :: count]))
+
+
+@contextlib.contextmanager
+def _show_progress(
+    n_scenes: int, stored: Collection[EpisodeResult], enabled: bool
+) -> Iterator[Callable[[EpisodeResult], None]]:
+    """Show a progress bar with the success rate on stderr; yield a function that adds a finished scene.
+
+    Args:
+        n_scenes: Number of scenes.
+        stored: Results of an earlier run in the same folder, shown first.
+        enabled: Whether to show anything.
+    """
+    if not enabled:
+        yield lambda result: None
+        return
+    console = Console(stderr=True, highlight=False)
+    successes: list[bool] = []
+
+    def print_row(cells: Sequence[str], style: str) -> None:
+        row = " ".join(cell.ljust(width) for cell, width in zip(cells, _WIDTHS.values(), strict=True))
+        console.print(row.rstrip(), style=style)
+
+    def add(result: EpisodeResult, style: str | None = None) -> None:
+        successes.append(result.success)
+        bar.update(task, advance=1, description=f"success {100 * sum(successes) / len(successes):5.1f} %")
+        scene, name, subject, side, outcome, steps, _, plan_s = format_scene_cells(result)
+        cells = (scene, name, subject.partition("-")[2], side, outcome, steps, plan_s)
+        print_row(cells, style or _COLORS.get(outcome, "red"))
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bar:
+        task = bar.add_task("success   -  ", total=n_scenes)
+        print_row(tuple(_WIDTHS), "bold")
+        if stored:
+            text = f"{len(stored)} of {n_scenes} episodes are from an earlier run in this folder:"
+            console.print(text, style="dim")
+        for result in stored:
+            add(result, "dim")
+        yield add
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:

@@ -1,24 +1,34 @@
-"""Comparison of two evaluations, paired by scene."""
+"""Comparison of two evaluations of the same scenes: of two result folders, or of two physics engines."""
 
 import os
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from handover_marl import __version__
-from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.fluency_tables import build_fluency_difference_table
-from handover_marl.evaluation.reports.pair_tables import (
+from handover_marl.errors import ResultsError, check_name
+from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
+from handover_marl.evaluation.reports.episode_tables import (
     build_difference_table,
+    build_fluency_difference_table,
     build_rate_table,
-    compute_rate_difference,
 )
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, format_percent_interval
 from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import forward_signature
+from handover_marl.policies.reference import PolicyLike
+from handover_marl.simulation.engines import EXACT, FAST, PHYSICS, check_physics
 from handover_marl.visualization.web_page import render_page
 
+AGREEMENT_FILE = "agreement.md"
 _NOTE = (
     "{n} scenes that both folders have, paired. 95 % intervals: Wilson; differences of rates Agresti and Min; AS and "
     "fluency metrics bootstrap."
@@ -49,20 +59,10 @@ class Comparison(TabularResult):
         """Pairs of results (A, B) of the scenes with different outcomes."""
         return [(first, second) for first, second in self.pairs if first.status != second.status]
 
-    def compute_difference(self, flag: EpisodeStatus = EpisodeStatus.SUCCESS) -> tuple[float, float, float]:
-        """Compute the difference of an outcome's rates, A minus B, with its 95 % interval (-1..1).
-
-        Args:
-            flag: Outcome whose rates are compared.
-        """
-        first, second = zip(*self.pairs, strict=True)
-        return compute_rate_difference(first, second, flag)
-
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""
-        names = ("A", "B")
         builders = (build_rate_table, build_difference_table, build_fluency_difference_table)
-        return [build(self.pairs, names) for build in builders]
+        return [build(self.pairs, ("A", "B")) for build in builders]
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build headings, note and tables."""
@@ -122,3 +122,121 @@ def render_comparison_page(
         changes=comparison.changes,
         replays=replays,
     )
+
+
+@dataclass(frozen=True)
+class Agreement(TabularResult):
+    """Outcomes of the same policies in two physics engines. `str(agreement)` is tables in Markdown.
+
+    Attributes:
+        exact: Report in exact physics.
+        other: Report of the same scenes in another physics.
+    """
+
+    exact: Report
+    other: Report
+
+    @property
+    def pairs(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
+        """Results (exact physics, other physics) of each scene."""
+        return list(zip(self.exact.episodes, self.other.episodes, strict=True))
+
+    @property
+    def n_same_outcome(self) -> int:
+        """Number of scenes with the same outcome in both physics engines."""
+        return sum(exact.status == other.status for exact, other in self.pairs)
+
+    @property
+    def rate(self) -> float:
+        """Share of scenes with the same outcome in both physics engines (0..1)."""
+        return self.n_same_outcome / len(self.exact.episodes)
+
+    @property
+    def step_differences(self) -> list[int]:
+        """Numbers of steps in the other physics minus those in exact physics, for the scenes with equal outcomes."""
+        return [other.steps - exact.steps for exact, other in self.pairs if exact.status == other.status]
+
+    @property
+    def confusion(self) -> Counter[tuple[str, str]]:
+        """Number of scenes for each pair of outcomes (exact physics, other physics)."""
+        return Counter((exact.status.label, other.status.label) for exact, other in self.pairs)
+
+    def write(self, folder: Path) -> None:
+        """Write the comparison of two physics engines to `agreement.md`.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other.metadata.physics} physics\n\n{self}\n")
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""
+        name, counts = self.other.metadata.physics, self.confusion
+        labels = sorted({label for pair in counts for label in pair})
+        rows = [[f"exact: {exact}", *(counts[exact, other] for other in labels)] for exact in labels]
+        return [
+            ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
+            build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
+            build_difference_table(self.pairs, (EXACT, name)),
+        ]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and the sentence on numbers of steps."""
+        metadata, n = self.exact.metadata, len(self.exact.episodes)
+        confusion, rates, differences = self.build_tables()
+        heading = (
+            f"{metadata.setup} {metadata.split}, {self.exact.extent}. Receiver {self.exact.policies_label}, "
+            f"data: {self.exact.data_label}.\n"
+            f"Exact and {self.other.metadata.physics} physics agree on the outcome of {self.n_same_outcome} of {n} "
+            f"scenes: {100 * self.rate:.2f} % (95 % interval {format_percent_interval(self.n_same_outcome, n)})."
+        )
+        steps = np.abs(self.step_differences)
+        if not len(steps):
+            return [heading, confusion, rates, differences]
+        median, percentile = np.percentile(steps, [50, 95])
+        sentence = (
+            f"Of the scenes with the same outcome, {np.mean(steps == 0):.0%} have the same number of steps. The "
+            f"numbers of steps (ms) differ by {median:g} in the median, by {percentile:g} or less in 95 %, and by "
+            f"{steps.max()} at most."
+        )
+        return [heading, confusion, rates, sentence, differences]
+
+
+@forward_signature(EvaluationConfig, ExecutionConfig)
+def compare_physics(
+    setup: str | EvaluationConfig | None = None,
+    split: str = "val",
+    receiver: PolicyLike = "yang2021",
+    giver: PolicyLike = REPLAY,
+    against: str = FAST,
+    execution: ExecutionConfig | None = None,
+    **options: Any,
+) -> Agreement:
+    """Compare outcomes of two physics engines on the same scenes.
+
+    Args:
+        setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
+            physics is ignored.
+        split: "train", "val" or "test".
+        receiver: The robot's policy, as for `benchmark`.
+        giver: The person's policy, as for `evaluate_pair`.
+        against: The physics to compare with exact physics, "fast" or "mujoco".
+        execution: Execution settings. The output folder gets the result folders `exact` and, for
+            instance, `fast`, and `agreement.md`.
+        options: Fields of `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+
+    Raises:
+        UnknownNameError: Unknown physics.
+        HandoverError: The same errors as `evaluate_pair`.
+    """
+    check_name("physics to compare with exact", against, [physics for physics in PHYSICS if physics != EXACT])
+    check_physics(against)
+    config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
+    exact, other = (
+        Evaluation(replace(config, physics=physics), execution.for_subfolder(physics)).run()
+        for physics in (EXACT, against)
+    )
+    result = Agreement(exact, other)
+    if execution.folder is not None:
+        result.write(execution.folder)
+    return result

@@ -4,14 +4,11 @@ Public functions and the command line take `EvaluationConfig` and `ExecutionConf
 objects or as keyword arguments.
 """
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any
-
-from typing_extensions import TypedDict
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
@@ -20,7 +17,7 @@ from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.spaces import get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.options import LOCAL, PoolConfig, check_boolean, check_path
+from handover_marl.execution.options import PoolConfig, check_boolean, check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 from handover_marl.simulation.camera.noise import CameraNoise
@@ -109,7 +106,7 @@ class EvaluationConfig:
 
 
 @dataclass(frozen=True)
-class ExecutionConfig:
+class ExecutionConfig(PoolConfig):
     """Configuration of the execution: workers and output; outcomes do not depend on it.
 
     Attributes:
@@ -128,9 +125,6 @@ class ExecutionConfig:
         OptionError: A switch is not a boolean, or the output folder not a path.
     """
 
-    workers: int | None = None
-    backend: str = LOCAL
-    ray_address: str | None = None
     shard: str | None = None
     out: str | None = None
     progress: bool = True
@@ -145,11 +139,6 @@ class ExecutionConfig:
             object.__setattr__(self, "out", str(check_path("out", self.out)))
 
     @property
-    def pool(self) -> PoolConfig:
-        """Configuration of the worker pool that simulates the scenes."""
-        return PoolConfig(self.workers, self.backend, self.ray_address)
-
-    @property
     def folder(self) -> Path | None:
         """Path of the output folder, or None if nothing is written."""
         return None if self.out is None else Path(self.out)
@@ -159,38 +148,6 @@ class ExecutionConfig:
         return self if self.out is None else replace(self, out=str(Path(self.out) / name))
 
 
-class EpisodeOptions(TypedDict, total=False):
-    """Keyword arguments of functions that render an episode: fields of `EvaluationConfig` and `ExecutionConfig`."""
-
-    dataset: str
-    data_dir: str | os.PathLike[str] | None
-    physics: str
-    robot: str
-    renderer: str
-    camera_model: str
-    camera_noise: str | CameraNoise | None
-    seed: int
-    progress: bool
-    trust: bool
-
-
-class EvaluationOptions(EpisodeOptions, total=False):
-    """Keyword arguments of evaluations: fields of both configurations except setup, split and policies.
-
-    The configurations are `EvaluationConfig` and `ExecutionConfig`.
-    """
-
-    scenes: Iterable[int] | None
-    world_config: WorldConfig
-    workers: int | None
-    backend: str
-    ray_address: str | None
-    shard: str | None
-    out: str | os.PathLike[str] | None
-    fresh: bool
-    replays: str
-
-
 def build_configs(
     setup: str | EvaluationConfig | None, options: Any, execution: ExecutionConfig | None = None, **arguments: Any
 ) -> tuple[EvaluationConfig, ExecutionConfig]:
@@ -198,7 +155,7 @@ def build_configs(
 
     Args:
         setup: Setup, None for the dataset's first, or a whole configuration, which no option may contradict.
-        options: Keyword arguments as in `EvaluationOptions`.
+        options: Fields of both configurations by name.
         execution: Execution configuration, or None to build it from `options`.
         arguments: Further fields of `EvaluationConfig`, ignored beside a whole configuration.
 
@@ -206,22 +163,17 @@ def build_configs(
         TypeError: Unknown option.
         OptionError: A configuration and one of its fields are both given, or a value is malformed.
     """
-    evaluation_fields = {field.name for field in fields(EvaluationConfig)}
     execution_fields = {field.name for field in fields(ExecutionConfig)}
-    unknown = sorted(options.keys() - evaluation_fields - execution_fields)
-    if unknown:
-        raise TypeError(f"unexpected keyword argument {unknown[0]!r}")
-    execution_options = {key: options[key] for key in options.keys() & execution_fields}
-    evaluation_options = {key: options[key] for key in options.keys() & evaluation_fields}
-    if isinstance(setup, EvaluationConfig):
-        _check_no_duplicates(evaluation_options, EvaluationConfig)
-        config = setup
-    else:
-        config = EvaluationConfig(setup=setup, **(evaluation_options | arguments))
-    if execution is None:
-        return config, ExecutionConfig(**execution_options)
-    _check_no_duplicates(execution_options, ExecutionConfig)
-    return config, execution
+    execution_options = {key: value for key, value in options.items() if key in execution_fields}
+    evaluation_options = {key: value for key, value in options.items() if key not in execution_fields}
+    for config, given in ((setup, evaluation_options), (execution, execution_options)):
+        if isinstance(config, (EvaluationConfig, ExecutionConfig)) and given:
+            raise OptionError(
+                f"pass either a config or keyword arguments, not both; set {min(given)} in the {type(config).__name__}"
+            )
+    if not isinstance(setup, EvaluationConfig):
+        setup = EvaluationConfig(setup=setup, **(evaluation_options | arguments))
+    return setup, execution or ExecutionConfig(**execution_options)
 
 
 def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[EvaluationConfig, Dataset]:
@@ -273,13 +225,6 @@ def require_policy_reference(policy: PolicyLike) -> PolicyReference:
     if not isinstance(policy, PolicyReference):
         raise TypeError("the configuration is not resolved; call resolve_config() first")
     return policy
-
-
-def _check_no_duplicates(options: dict[str, Any], config_class: type) -> None:
-    if options:
-        raise OptionError(
-            f"pass either a config or keyword arguments, not both; set {min(options)} in the {config_class.__name__}"
-        )
 
 
 def _check_seed(seed: object) -> int:

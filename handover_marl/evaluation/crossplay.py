@@ -1,22 +1,26 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
-import csv
 import hashlib
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from typing_extensions import Unpack
-
 from handover_marl.datasets import Dataset
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import Evaluation
-from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.reports.columns import (
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
+from handover_marl.evaluation.reports.episode_tables import (
+    FLUENCY_NOTE,
+    compute_rate_difference,
+    estimate_fluency,
+    format_fluency_row,
+)
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
+from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
     FLUENCY,
@@ -25,17 +29,6 @@ from handover_marl.evaluation.reports.columns import (
     REPORTED_STATUSES,
     TIMES,
     WAIT,
-)
-from handover_marl.evaluation.reports.fluency_tables import (
-    FLUENCY_NOTE,
-    estimate_fluency,
-    format_fluency_header,
-    format_fluency_row,
-)
-from handover_marl.evaluation.reports.pair_tables import compute_rate_difference
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
-from handover_marl.evaluation.reports.tables import (
     ReportTable,
     TabularResult,
     append_interval,
@@ -44,9 +37,8 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_rate,
     format_seconds,
 )
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
-from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import share_pool
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
@@ -54,9 +46,7 @@ from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_
 PolicyPair = tuple[str, str]
 CROSSPLAY_CSV = "crossplay.csv"
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
-_GAIN_HEADER = (N_EPISODES.title, "success gain, points", "contact gain, points")
 _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
-_MAX_CSV_BYTES = 10_000_000
 # File systems allow names of 255 bytes; a hash follows longer names.
 _MAX_NAME_BYTES = 200
 
@@ -130,30 +120,41 @@ class CrossPlay(TabularResult):
 
     def build_tables(self) -> list[ReportTable]:
         """Build the matrix of success rates and the tables of rates, gains and fluency metrics."""
+        baseline, titles = self.givers[0], [N_EPISODES.title, "success gain, points", "contact gain, points"]
+        combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
+        giver_gains = [
+            [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
+            for giver in self.givers[1:]
+            for receiver in self.receivers
+        ]
+        receiver_gains = [
+            [receiver, other, giver, *self._format_gains((giver, receiver), (giver, other))]
+            for giver in self.givers
+            for receiver, other in combinations
+        ]
+        fluency = [[*pair, *format_fluency_row(report.episodes)] for pair, report in self.reports.items()]
         return [
             self._build_matrix(),
             self._build_rate_table(),
-            self._build_giver_gains(),
-            self._build_receiver_gains(),
-            self._build_fluency_table(),
+            ReportTable(["giver", "other giver", "receiver", *titles], giver_gains, n_keys=3),
+            ReportTable(["receiver", "other receiver", "giver", *titles], receiver_gains, n_keys=3),
+            ReportTable(["giver", "receiver", *(column.title for column in FLUENCY)], fluency, n_keys=2),
         ]
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and note."""
-        return [self._format_heading(), *self.build_tables(), FLUENCY_NOTE]
-
-    @property
-    def _first_report(self) -> Report:
-        return next(iter(self.reports.values()))
-
-    def _format_heading(self) -> str:
         report = self._first_report
         metadata = report.metadata
-        return (
+        heading = (
             f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
             f"physics, data: {report.data_label}.\n"
             "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene."
         )
+        return [heading, *self.build_tables(), FLUENCY_NOTE]
+
+    @property
+    def _first_report(self) -> Report:
+        return next(iter(self.reports.values()))
 
     def _build_matrix(self) -> ReportTable:
         rows = []
@@ -176,32 +177,10 @@ class CrossPlay(TabularResult):
         columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
-    def _build_giver_gains(self) -> ReportTable:
-        baseline = self.givers[0]
-        rows = [
-            [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
-            for giver in self.givers[1:]
-            for receiver in self.receivers
-        ]
-        return ReportTable(["giver", "other giver", "receiver", *_GAIN_HEADER], rows, n_keys=3)
-
-    def _build_receiver_gains(self) -> ReportTable:
-        combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
-        rows = [
-            [receiver, other, giver, *self._format_gains((giver, receiver), (giver, other))]
-            for giver in self.givers
-            for receiver, other in combinations
-        ]
-        return ReportTable(["receiver", "other receiver", "giver", *_GAIN_HEADER], rows, n_keys=3)
-
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
         statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
         gains = [format_percent_difference(self.compute_gain(pair, baseline, status)) for status in statuses]
         return [len(self.reports[pair].episodes), *gains]
-
-    def _build_fluency_table(self) -> ReportTable:
-        rows = [[*pair, *format_fluency_row(report.episodes)] for pair, report in self.reports.items()]
-        return ReportTable(["giver", "receiver", *format_fluency_header()], rows, n_keys=2)
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))
@@ -211,7 +190,7 @@ def crossplay(
     setup: str | EvaluationConfig | None = None,
     split: str = "val",
     execution: ExecutionConfig | None = None,
-    **options: Unpack[EvaluationOptions],
+    **options: Any,
 ) -> CrossPlay:
     """Evaluate every giver with every receiver.
 
@@ -244,7 +223,7 @@ def crossplay(
             pair = giver.label, receiver.label
             pair_config = replace(config, giver=giver, receiver=receiver)
             evaluations[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair)))
-    with share_pool(execution.pool) as open_workers:
+    with share_pool(execution) as open_workers:
         reports = {pair: evaluation.run(open_workers=open_workers) for pair, evaluation in evaluations.items()}
     result = CrossPlay(
         tuple(giver.label for giver in resolved_givers),
@@ -274,28 +253,6 @@ def resolve_policies(
         if other.code_hash != reference.code_hash:
             raise OptionError(f"{agent}s must have different labels, got two with {reference.label!r}; rename one")
     return list(references.values())
-
-
-def read_crossplay_pairs(folder: Path) -> list[PolicyPair]:
-    """Read the labels (giver, receiver) of all pairs in a finished cross-play folder.
-
-    Raises:
-        ResultsError: `crossplay.csv` is missing or malformed.
-    """
-    path = folder / CROSSPLAY_CSV
-    try:
-        table = io.StringIO(read_plain_file(path, _MAX_CSV_BYTES).decode(), newline="")
-        pairs = [(row["giver"], row["receiver"]) for row in csv.DictReader(table)]
-    except FileNotFoundError as error:
-        raise ResultsError(
-            f"{path} does not exist: the cross-play is not finished; run the same command to resume"
-        ) from error
-    except (OSError, ValueError, KeyError, csv.Error) as error:
-        raise ResultsError(f"{path}: not a cross-play table ({shorten_text(error)})") from error
-    givers, receivers = (list(dict.fromkeys(column)) for column in zip(*pairs, strict=True)) if pairs else ([], [])
-    if not pairs or pairs != [(giver, receiver) for giver in givers for receiver in receivers]:
-        raise ResultsError(f"{path}: not a cross-play table (it must have every pair of giver and receiver once)")
-    return pairs
 
 
 def format_pair_folder(pair: PolicyPair) -> str:

@@ -7,11 +7,13 @@ installed there. Library and data are compared with the main machine's before a 
 
 import contextlib
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from platform import node
 from tempfile import TemporaryDirectory
+from typing import TypeAlias
 
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
 from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
@@ -22,10 +24,59 @@ from handover_marl.episode.metrics.motion_trace import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.writers import EpisodeWriter
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import Pool
 from handover_marl.policies.bundle import PolicyBundle
+from handover_marl.policies.policy import Policy
+
+
+class EpisodeRecorder(EpisodeCallback, ABC):
+    """Callback that records an episode while it is simulated and encodes it as one file."""
+
+    @abstractmethod
+    def encode(self, result: EpisodeResult) -> bytes:
+        """Return the recording of the last episode as bytes; empty if no file is needed.
+
+        Args:
+            result: Outcome of that episode.
+        """
+
+
+class EpisodeWriter(ABC):
+    """Writer of one file for each episode.
+
+    The main process writes; worker processes hold a pickled copy, which only creates recorders.
+    """
+
+    @abstractmethod
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of episodes in one worker process.
+
+        Args:
+            config: Resolved configuration of the evaluation.
+            receiver: The robot's policy in this process.
+        """
+
+    @abstractmethod
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the file of an episode exists already or is not needed.
+
+        Episodes without their file are simulated again.
+        """
+
+    @abstractmethod
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the file of an episode."""
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the file of an episode, unless its recorder returned nothing.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content:
+            write_atomically(self.get_path(result), content)
 
 
 @dataclass(frozen=True)
@@ -44,19 +95,8 @@ class SceneTask:
     fingerprint: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class FinishedEpisode:
-    """Outcome and recordings of one simulated scene.
-
-    Attributes:
-        task: Task that was run, which identifies the scene.
-        result: Outcome of the episode.
-        contents: Content of each writer's file, in the order of the writers.
-    """
-
-    task: SceneTask
-    result: EpisodeResult
-    contents: tuple[bytes, ...] = ()
+#: Result of an episode, and the content of each writer's file, in the order of the writers.
+FinishedEpisode: TypeAlias = tuple[EpisodeResult, tuple[bytes, ...]]
 
 
 class EpisodeRunner:
@@ -122,7 +162,7 @@ class EpisodeRunner:
             machine=self._machine,
             fluency=compute_fluency(self._trace_recorder.trace),
         )
-        return FinishedEpisode(task, result, tuple(recorder.encode(result) for recorder in self._recorders))
+        return result, tuple(recorder.encode(result) for recorder in self._recorders)
 
     def close(self) -> None:
         """Free the memory and the physics client of the simulation."""

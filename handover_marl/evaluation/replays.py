@@ -5,41 +5,16 @@ from pathlib import Path
 
 from handover_marl import __version__
 from handover_marl.datasets.registry import format_dataset_title
-from handover_marl.errors import OptionError, ResultsError, check_name
-from handover_marl.evaluation.config import (
-    REPLAY_CHOICES,
-    REPLAYS_ALL,
-    REPLAYS_NONE,
-    EvaluationConfig,
-    ExecutionConfig,
-    require_policy_reference,
-)
+from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
+from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import get_replay_path
-from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import remove_stale_temporaries, write_atomically
+from handover_marl.evaluation.results.result_folder import get_replay_path, prepare_subfolder
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.visualization.replay_page import build_replay_page, format_episode_caption
 from handover_marl.visualization.replay_recorder import ReplayRecorder
-from handover_marl.visualization.replay_scene import require_replay_extra
 
 _HEAD_BYTES = 1000  # The caption of a page lies within its first bytes.
-
-
-def check_replay_options(execution: ExecutionConfig) -> None:
-    """Check that the requested replay pages can be written, before anything is simulated.
-
-    Raises:
-        UnknownNameError: `execution.replays` is not one of `REPLAY_CHOICES`.
-        OptionError: No output folder is given, or the extra `replay` is not installed.
-    """
-    check_name("replays", execution.replays, REPLAY_CHOICES)
-    if execution.replays == REPLAYS_NONE:
-        return
-    if execution.folder is None:
-        raise OptionError("replays need an output folder; pass out= (--out DIR)")
-    require_replay_extra()
 
 
 def format_replay_facts(config: EvaluationConfig, models: str) -> str:
@@ -76,12 +51,7 @@ class ReplayWriter(EpisodeWriter):
 
     def __init__(self, folder: Path, replays: str) -> None:
         self._folder, self._include_successes = folder, replays == REPLAYS_ALL
-        pages = get_replay_path(folder, 0).parent
-        try:
-            pages.mkdir(exist_ok=True)
-            remove_stale_temporaries(pages)
-        except OSError as error:
-            raise ResultsError(f"cannot use {folder} for replays: {error.strerror or error}") from error
+        prepare_subfolder(get_replay_path(folder, 0).parent)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
@@ -91,23 +61,16 @@ class ReplayWriter(EpisodeWriter):
         """Return whether the page of exactly this episode exists, or is not requested."""
         if result.success and not self._include_successes:
             return True
-        if result.scene_id is None:
-            return False
-        caption = html.escape(format_episode_caption(result.scene_id, result.status, result.steps))
+        caption = html.escape(format_episode_caption(result.scene_id or 0, result.status, result.steps))
         try:
-            page = read_plain_file(get_replay_path(self._folder, result.scene_id))
+            page = read_plain_file(self.get_path(result))
         except (OSError, ValueError):
             return False
         return caption.encode() in page[:_HEAD_BYTES]
 
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the replay page of an episode.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        if content and result.scene_id is not None:
-            write_atomically(get_replay_path(self._folder, result.scene_id), content)
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the replay page of an episode."""
+        return get_replay_path(self._folder, result.scene_id or 0)
 
 
 class _ReplayPageRecorder(ReplayRecorder, EpisodeRecorder):

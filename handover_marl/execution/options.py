@@ -100,12 +100,12 @@ class PoolConfig:
     Attributes:
         workers: Number of worker processes; None for one per core of this machine or of the cluster.
         backend: "local" for processes of this machine, or "ray".
-        address: Address of the Ray cluster, as `ray.init` takes it; None lets Ray find or start one.
+        ray_address: Address of the Ray cluster, as `ray.init` takes it; None lets Ray find or start one.
     """
 
     workers: int | None = None
     backend: str = LOCAL
-    address: str | None = None
+    ray_address: str | None = None
 
 
 def check_pool(config: PoolConfig) -> None:
@@ -120,10 +120,10 @@ def check_pool(config: PoolConfig) -> None:
     resolve_worker_count(config.workers)
     if config.backend == RAY:
         require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
-    elif config.address is not None:
+    elif config.ray_address is not None:
         raise OptionError(
             "ray_address must be used with backend='ray', got "
-            f"{config.address!r} with backend {config.backend!r}; pass backend='ray'"
+            f"{config.ray_address!r} with backend {config.backend!r}; pass backend='ray'"
         )
 
 
@@ -152,9 +152,16 @@ def check_boolean(name: str, value: object) -> None:
         raise OptionError(f"{name} must be True or False, got {value!r}")
 
 
+def is_installed(module: str) -> bool:
+    """Check whether a top-level module is installed; one in the working directory, of the same name, does not count."""
+    spec = importlib.util.find_spec(module)
+    # Folders without __init__.py have no origin.
+    return spec is not None and spec.origin is not None and Path.cwd() not in Path(spec.origin).parents[:2]
+
+
 def is_pybullet_installed() -> bool:
     """Check whether PyBullet is installed, which has no wheels for Python after 3.13."""
-    return importlib.util.find_spec("pybullet") is not None
+    return is_installed("pybullet")
 
 
 def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -> None:
@@ -169,7 +176,7 @@ def require_modules(feature: str, extra: str, *modules: str, advice: str = "") -
     Raises:
         OptionError: A module is not installed.
     """
-    missing = [module for module in modules if importlib.util.find_spec(module) is None]
+    missing = [module for module in modules if not is_installed(module)]
     if missing:
         raise OptionError(f"{feature} needs {' and '.join(missing)}: pip install 'handover-marl[{extra}]'{advice}")
 

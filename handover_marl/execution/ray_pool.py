@@ -8,20 +8,26 @@ import os
 import socket
 import sys
 import uuid
-import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import node
 from typing import Any
 
-import cloudpickle
-
-from handover_marl import __version__
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import PoolConfig, resolve_worker_count
-from handover_marl.execution.pool import Job, OpenWorker, Pool, Result, Task
-from handover_marl.execution.worker import TaskFailure, activate_job, unpickle_result
+from handover_marl.execution.pool import (
+    Job,
+    OpenWorker,
+    Pool,
+    Result,
+    Task,
+    pickle_by_value,
+    pickle_result,
+    run_pickled_task,
+    unpickle_result,
+)
+from handover_marl.version import __version__
 
 # Packages that results depend on bit for bit. The optional ones may be missing on a node: physics
 # that need them raise an error there, and all others do not use them.
@@ -29,7 +35,6 @@ _PACKAGES = ("numpy", "scipy", "pybullet", "pybullet-arm64", "mujoco")
 _OPTIONAL, _MISSING = ("mujoco",), "none"
 _RETRIES = 1
 _CONNECTION_TIMEOUT_S = 20.0
-_POLL_S = 1.0
 
 
 class RayPool(Pool):
@@ -49,17 +54,17 @@ class RayPool(Pool):
         import ray
 
         if not ray.is_initialized():
-            address = config.address or os.environ.get("RAY_ADDRESS")
+            address = config.ray_address or os.environ.get("RAY_ADDRESS")
             try:
                 _check_server(address or "")
-                ray.init(config.address, include_dashboard=False, logging_level="error")
+                ray.init(config.ray_address, include_dashboard=False, logging_level="error")
             except Exception as error:  # Ray raises exceptions of several packages
                 raise WorkerError(
                     f"Ray cannot be reached at {address or 'the default address'} "
                     f"({type(error).__name__}: {error}); start it there (ray start --head), or "
                     "leave out ray_address for a Ray on this machine"
                 ) from error
-        cores = _count_cores()
+        cores = int(ray.cluster_resources().get("CPU", 0))
         self.n_workers = max(1, cores) if config.workers is None else resolve_worker_count(config.workers)
 
     def map_unordered(
@@ -69,7 +74,7 @@ class RayPool(Pool):
         import ray
 
         # Kept in the cluster's object store, so that it is sent to each node once.
-        job = ray.put(cloudpickle.dumps(Job(open_worker, describe)))
+        job = ray.put(pickle_by_value(Job(open_worker, describe)))
         spread = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")
         job_arguments = ([job], uuid.uuid4().hex, get_installed_versions(), list(map(str, sys.path)))
         submit = spread(run_ray_task).remote
@@ -79,18 +84,13 @@ class RayPool(Pool):
             while waiting or running:
                 while waiting and len(running) < self.n_workers:
                     index = waiting.pop()
-                    running[submit(*job_arguments, cloudpickle.dumps(tasks[index]))] = index
-                reference = _wait_for_one(list(running))
-                index = running[reference]
-                answer = _get(reference, describe(tasks[index]))
-                del running[reference]
-                yield index, unpickle_result(answer)
+                    running[submit(*job_arguments, pickle_by_value(tasks[index]))] = index
+                ((reference, *_), _) = ray.wait(list(running))
+                answer = _get(reference, describe(tasks[running[reference]]))
+                yield running.pop(reference), unpickle_result(answer)
         finally:
             for reference in running:
                 ray.cancel(reference, force=True)
-
-    def close(self) -> None:
-        """Do nothing: Ray ends its idle workers itself."""
 
 
 def run_ray_task(
@@ -116,9 +116,8 @@ def run_ray_task(
     try:
         check_versions(versions, get_installed_versions())
     except WorkerError as error:
-        failure: bytes = cloudpickle.dumps(TaskFailure(error))
-        return failure
-    return activate_job(job_id, load_job).run(task)
+        return pickle_result(error)
+    return run_pickled_task(job_id, load_job, task)
 
 
 def get_installed_versions() -> dict[str, str]:
@@ -154,20 +153,6 @@ def check_versions(expected: Mapping[str, str], installed: Mapping[str, str]) ->
         )
 
 
-def _wait_for_one(references: list[Any]) -> Any:
-    """Return the first reference whose task has ended; warn while the cluster has no core."""
-    import ray
-
-    warned = False
-    while True:
-        ended, _ = ray.wait(references, num_returns=1, timeout=_POLL_S)
-        if ended:
-            return ended[0]
-        if not warned and _count_cores() < 1:
-            warnings.warn("waiting for a node: the Ray cluster has no core", RuntimeWarning, stacklevel=2)
-            warned = True
-
-
 def _get(reference: Any, description: str) -> bytes:
     import ray
     from ray.exceptions import NodeDiedError, ObjectLostError, RayError, WorkerCrashedError
@@ -201,9 +186,3 @@ def _check_server(address: str) -> None:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdecimal():
         socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S).close()
-
-
-def _count_cores() -> int:
-    import ray
-
-    return int(ray.cluster_resources().get("CPU", 0))

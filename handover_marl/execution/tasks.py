@@ -1,11 +1,15 @@
-"""Pools of worker processes on this machine or a Ray cluster, and functions that apply them to tasks.
+"""Worker processes on this machine, and functions that apply pools to tasks.
 
-Local processes are started by the library loky. Unlike with multiprocessing, the caller's script is
-not imported again in the workers, so that it needs no `if __name__ == "__main__"`.
+Processes are started by the library loky. Unlike with multiprocessing, the caller's script is not imported again in
+the workers, so that it needs no `if __name__ == "__main__"`.
 """
 
 import functools
+import os
 import re
+import signal
+import threading
+import time
 import uuid
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -14,38 +18,32 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from typing import Any
 
-import cloudpickle
 from loky.process_executor import ProcessPoolExecutor
 from rich.console import Console
 from rich.progress import track
 
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import RAY, PoolConfig, check_pool, open_missing_descriptors, resolve_worker_count
-from handover_marl.execution.pool import Job, OpenWorker, Pool, Result, Task
-from handover_marl.execution.worker import run_local_task, start_local_worker, unpickle_result
+from handover_marl.execution.pool import (
+    Job,
+    OpenWorker,
+    Pool,
+    Result,
+    Task,
+    pickle_by_value,
+    run_pickled_task,
+    unpickle_result,
+)
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
-
-
-class _Crash:
-    """Death of a worker process.
-
-    Args:
-        indices: Indices of the tasks that were running.
-        error: Loky's exception, whose text names the exit codes.
-    """
-
-    def __init__(self, indices: Sequence[int], error: BaseException) -> None:
-        self.indices = indices
-        match = _EXIT_CODES.search(str(error))
-        self.exit_codes = f"exit code {match[1]}" if match else type(error).__name__
+_PARENT_CHECK_S = 0.2
 
 
 class LocalPool(Pool):
     """Pool of worker processes on the caller's machine; a single worker is the caller's process.
 
-    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks
-    are then run again, one at a time, so that the task that kills its worker is identified.
+    When a worker dies (e.g. killed because memory is short), loky ends all workers. Their tasks are then run again,
+    one at a time, so that the task that kills its worker is identified.
 
     Args:
         n_workers: Number of processes.
@@ -67,24 +65,30 @@ class LocalPool(Pool):
                     for index, task in enumerate(tasks):
                         yield index, function(task)
             return
-        job = uuid.uuid4().hex, cloudpickle.dumps(Job(open_worker, describe))
-        pending = dict(enumerate(tasks))
+        job = uuid.uuid4().hex, pickle_by_value(Job(open_worker, describe))
+        pending, suspects = dict(enumerate(tasks)), dict[int, Task]()
         while pending:
-            crash = yield from self._run_until_crash(job, pending, min(self.n_workers, len(pending)))
-            if crash is None:
-                continue
-            suspects = {index: pending.pop(index) for index in crash.indices}
-            listed = ", ".join(map(describe, suspects.values()))
-            warnings.warn(
-                f"a worker process died ({crash.exit_codes}) while {listed}; retrying", RuntimeWarning, stacklevel=2
-            )
-            crash = yield from self._run_until_crash(job, suspects, 1)
-            if crash is not None:
-                raise WorkerError(
-                    f"a worker process died twice while {describe(tasks[crash.indices[0]])} "
-                    f"({crash.exit_codes}); finished results are kept. Use fewer workers if "
-                    "memory is short, or workers=1 to see the failure in this process."
+            chosen = suspects or pending
+            n_workers = 1 if suspects else min(self.n_workers, len(pending))
+            running: dict[Future[bytes], int] = {}
+            try:
+                for index, result in self._run_tasks(job, dict(chosen), n_workers, running):
+                    del pending[index]
+                    yield index, result
+                suspects = {}
+            except BrokenProcessPool as error:
+                listed = ", ".join(describe(pending[index]) for index in running.values())
+                match = _EXIT_CODES.search(str(error))
+                reason = f"exit code {match[1]}" if match else type(error).__name__
+                if suspects:
+                    raise WorkerError(
+                        f"a worker process died twice while {listed} ({reason}); finished results are kept. Use fewer "
+                        "workers if memory is short, or workers=1 to see the failure in this process."
+                    ) from error
+                warnings.warn(
+                    f"a worker process died ({reason}) while {listed}; retrying", RuntimeWarning, stacklevel=2
                 )
+                suspects = {index: pending[index] for index in running.values()}
 
     def close(self) -> None:
         """End the processes, even in the middle of a task."""
@@ -92,44 +96,58 @@ class LocalPool(Pool):
             self._executor.shutdown(wait=True, kill_workers=True)
             self._executor = None
 
-    def _run_until_crash(
-        self, job: tuple[str, bytes], pending: dict[int, Any], n_workers: int
-    ) -> Generator[tuple[int, Any], None, _Crash | None]:
-        """Run tasks in processes and remove the finished tasks from `pending`.
+    def _run_tasks(
+        self, job: tuple[str, bytes], tasks: dict[int, Any], n_workers: int, running: dict[Future[bytes], int]
+    ) -> Generator[tuple[int, Any], None, None]:
+        """Run tasks in processes and yield (index, result) as tasks finish.
 
-        No more tasks are submitted than workers exist, so that the submitted ones are those that ran
-        when a worker died.
+        No more tasks are submitted than workers exist, so that those in `running` are the ones that ran when a worker
+        died.
         """
         executor = self._get_executor(n_workers)
-        running: dict[Future[bytes], int] = {}
-        waiting = list(reversed(pending))
-        finished = False
+        waiting = list(reversed(tasks))
+        is_finished = False
         try:
             while waiting or running:
                 while waiting and len(running) < n_workers:
-                    task = cloudpickle.dumps(pending[waiting[-1]])
-                    running[executor.submit(run_local_task, *job, task)] = waiting.pop()
+                    task = pickle_by_value(tasks[waiting[-1]])
+                    running[executor.submit(_run_task, *job, task)] = waiting.pop()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     answer = future.result()
-                    index = running.pop(future)
-                    del pending[index]
-                    yield index, unpickle_result(answer)
-            finished = True
-        except BrokenProcessPool as error:
-            return _Crash(list(running.values()), error)
+                    yield running.pop(future), unpickle_result(answer)
+            is_finished = True
         finally:
-            if not (finished and self._keep_workers):
+            if not (is_finished and self._keep_workers):
                 self.close()
-        return None
 
     def _get_executor(self, n_workers: int) -> ProcessPoolExecutor:
         """Return the running processes, or start new ones if there are not enough."""
         if self._executor is None or self._n_processes < n_workers:
             self.close()
             open_missing_descriptors()
-            self._executor = ProcessPoolExecutor(n_workers, initializer=start_local_worker)
+            self._executor = ProcessPoolExecutor(n_workers, initializer=_start_worker)
             self._n_processes = n_workers
         return self._executor
+
+
+def _start_worker() -> None:
+    """Prepare the current process as a worker.
+
+    Ctrl-C is left to the main process, which ends its workers. A worker exits when the main process is gone, even in
+    the middle of a task.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
+
+
+def _exit_with_parent(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_PARENT_CHECK_S)
+    os._exit(1)
+
+
+def _run_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
+    return run_pickled_task(job_id, lambda: pickled_job, pickled_task)
 
 
 def open_pool(config: PoolConfig, keep_workers: bool = False) -> Pool:

@@ -5,6 +5,7 @@ Several processes may share the folder: files are written atomically, and unread
 
 import hashlib
 import logging
+import os
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
-import platformdirs
 
 from handover_marl.errors import HandoverError
 from handover_marl.execution.files import write_arrays
@@ -26,7 +26,8 @@ _log = logging.getLogger(__name__)
 
 def get_cache_folder(kind: str) -> Path:
     """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set."""
-    return Path(platformdirs.user_cache_dir("handover_marl", appauthor=False)) / kind
+    folder = os.environ.get("XDG_CACHE_HOME")
+    return (Path(folder) if folder else Path.home() / ".cache") / "handover_marl" / kind
 
 
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:

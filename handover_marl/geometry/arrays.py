@@ -1,7 +1,7 @@
 """Array namespaces: the same code for NumPy arrays and for PyTorch tensors on any device.
 
-A namespace is that of the Python array API standard, as `array-api-compat` provides it. Functions that take arrays use
-the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
+A namespace is that of the Python array API standard: NumPy itself, or PyTorch as `array-api-compat` wraps it.
+Functions that take arrays use the namespace of their arguments; objects with arrays as state get an `ArrayFactory`.
 """
 
 import contextlib
@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import array_api_compat.numpy as numpy_namespace
 import numpy as np
 import numpy.typing as npt
 
@@ -39,7 +38,7 @@ def get_namespace(*arrays: object) -> Any:
             from array_api_compat import torch as torch_namespace
 
             return torch_namespace
-    return numpy_namespace
+    return np
 
 
 def as_arrays(*values: Any) -> tuple[Any, ...]:
@@ -48,7 +47,7 @@ def as_arrays(*values: Any) -> tuple[Any, ...]:
     Numbers and lists become arrays of their own number type.
     """
     xp = get_namespace(*values)
-    if xp is numpy_namespace:
+    if xp is np:
         return xp, *map(np.asarray, values)
     (device,) = {value.device for value in values if is_tensor(value)}
     return xp, *(value if is_tensor(value) else xp.asarray(np.asarray(value), device=device) for value in values)
@@ -91,7 +90,7 @@ def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
     """Stack arrays of one shape along a new last axis."""
     first = parts[0]
     xp = get_namespace(first)
-    if xp is not numpy_namespace:
+    if xp is not np:
         return xp.stack(parts, axis=-1)
     # Several times as fast as `np.stack`.
     stacked = np.empty((*first.shape, len(parts)), first.dtype)
@@ -175,7 +174,7 @@ class ArrayFactory:
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
         """Return values as an array, with their own number type by default; a tensor never shares NumPy's memory."""
         own = values if is_tensor(values) else np.asarray(values)
-        is_copied = None if is_tensor(own) or self.xp is numpy_namespace else True
+        is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)
         return self.xp.asarray(own, dtype=number_type, device=self.device, copy=is_copied)
 
@@ -184,7 +183,7 @@ class ArrayFactory:
 
 
 #: Creator of NumPy arrays.
-NUMPY_ARRAYS = ArrayFactory(numpy_namespace, "cpu")
+NUMPY_ARRAYS = ArrayFactory(np, "cpu")
 
 
 def make_tensor_factory(device: Any) -> ArrayFactory:

@@ -1,7 +1,6 @@
 """Signed distance fields (SDFs) on voxel grids, and a cache of the fields of object models."""
 
 import functools
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +23,6 @@ CACHE_KIND = "distance_fields"
 CELL = 0.006
 # Increased when the computation changes, so that cached fields of older versions are not used.
 _VERSION = 1
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +157,7 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
     return np.stack(gradient)
 
 
-def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
+def load_object_sdf(urdf: Path, margin: float, cell: float = CELL) -> DistanceField:
     """Load an object's signed distance field from the cache, or compute and cache the field.
 
     The field describes the surface of the object's collision shapes, in the object's frame.
@@ -168,23 +165,21 @@ def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     Args:
         urdf: URDF file of the object.
         margin: Distance by which the grid extends beyond the shapes (m).
+        cell: Spacing of the grid (m).
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.
     """
-    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin)
+    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin, cell)
 
 
 @functools.lru_cache(maxsize=32)
-def _load_object_sdf(urdf: Path, changed: int, margin: float) -> DistanceField:
-    path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {CELL} {margin}".encode())
+def _load_object_sdf(urdf: Path, changed: int, margin: float, cell: float) -> DistanceField:
+    path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {cell} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:
-        values, lower, cell = arrays["values"], arrays["lower"], arrays["cell"]
-        if values.ndim == 3 and values.dtype == np.float32 and lower.shape == (3,) and cell.shape == ():
-            return DistanceField(values, lower, float(cell))
-        _log.warning("%s: not a distance field; computing it again", path)
-    field = distance_field_from_mesh(*read_collision_mesh(urdf), margin, CELL)
+        return DistanceField(arrays["values"], arrays["lower"], float(arrays["cell"]))
+    field = distance_field_from_mesh(*read_collision_mesh(urdf), margin, cell)
     content: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
     save_cached_arrays(path, content, "distance field")
     return field

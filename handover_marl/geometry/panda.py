@@ -13,8 +13,6 @@ HAND_LINK = "panda_hand"
 CAMERA_LINK = "panda_hand_camera"
 FINGER_LINKS = ("panda_leftfinger", "panda_rightfinger")
 
-#: Pose of the camera link in the hand link as URDF attributes: position, and roll, pitch, yaw.
-HAND_FROM_CAMERA_LINK_URDF = ("0.036 0 0.036", "-1.57079632679 0 -1.57079632679")
 #: Pose (7,) of the camera link in the hand link, xyz and quaternion.
 HAND_FROM_CAMERA_LINK = (0.036, 0.0, 0.036, -0.5, 0.5, -0.5, 0.5)
 

@@ -56,15 +56,3 @@ class ActionScheme(ABC):
     @abstractmethod
     def compute_action(self, observation: Observation) -> Action:
         """Return the agent's action for the current outputs, an element of its action space."""
-
-
-class RawScheme(ActionScheme):
-    """Identity scheme: the outputs are the action in physical units and are not clipped."""
-
-    def set_outputs(self, outputs: Outputs) -> None:
-        """Store new network outputs (size,) without clipping."""
-        self.outputs = np.asarray(outputs, dtype=np.float64)
-
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the current network outputs as the action, float32."""
-        return self.outputs.astype(np.float32)

@@ -1,17 +1,18 @@
-"""Action schemes of givers, which convert network outputs to the giver's actions."""
+"""Action schemes of givers, which convert network outputs to the givers' actions."""
 
 from abc import abstractmethod
 
-import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
-
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE, GiverAction, giver_action_space
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
+from handover_marl.geometry.poses import compute_lengths, rotate_points
+from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.cooperative import HandoverPoseVariation
-from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
-from handover_marl.learning.features import compute_handover_frame
-from handover_marl.policies.policy import make_giver_action
+from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
+from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.policies.batch import make_giver_actions
+from handover_marl.policies.policy import PolicyContext
 
 
 class RawGiverScheme(RawScheme):
@@ -20,12 +21,14 @@ class RawGiverScheme(RawScheme):
     name, agent, size = "giver", "giver", GIVER_ACTION_SIZE
 
 
-class GiverScheme(ActionScheme):
+class GiverScheme(ArrayScheme):
     """Base class of invertible giver schemes, with which other givers can be imitated."""
 
+    agent = "giver"
+
     @abstractmethod
-    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
-        """Return the outputs (size,) in [-1, 1] whose action is nearest to a giver's action (8,)."""
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, size) in [-1, 1] whose actions are nearest to givers' actions (r, 8)."""
 
 
 class DeviationScheme(GiverScheme):
@@ -35,16 +38,27 @@ class DeviationScheme(GiverScheme):
     exceeds 0.5.
     """
 
-    name, agent, size = "deviation", "giver", GIVER_ACTION_SIZE
+    name, size = "deviation", GIVER_ACTION_SIZE
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the giver's action (8,): the outputs in physical units, within the action's bounds."""
-        space = giver_action_space(self.context.config.giver)
-        return np.clip(self.outputs * space.high, space.low, space.high).astype(np.float32)
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        space = giver_action_space(context.config.giver)
+        self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
-    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
-        """Return the outputs (8,) of a giver's action, divided by its bounds."""
-        return np.asarray(np.clip(action / giver_action_space(self.context.config.giver).high, -1.0, 1.0))
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the actions (r, 8): the outputs in physical units, within the actions' bounds."""
+        xp = self._arrays.xp
+        return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
+
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, 8) of givers' actions, divided by their bounds."""
+        return (actions / self._high).clip(-1.0, 1.0)
 
 
 class HandoverPoseScheme(GiverScheme):
@@ -55,7 +69,7 @@ class HandoverPoseScheme(GiverScheme):
     is released, because robots take resting objects best. If the gripper does not approach for two
     seconds, `HandoverPoseVariation` varies the pose.
 
-    | outputs | meaning at 1, in the frame of `compute_handover_frame` |
+    | outputs | meaning at 1, in the frame of `compute_handover_frames` |
     |---|---|
     | 0-2 | translation of the object: 0.25 m towards the gripper, 0.25 m to its left, 0.25 m up |
     | 3-5 | rotation of hand and object by 1 rad about these axes through the object's center |
@@ -70,76 +84,92 @@ class HandoverPoseScheme(GiverScheme):
         latest_decision_s: Episode time at which outputs are requested at the latest (s).
     """
 
-    name, agent, size = "offer", "giver", 7
+    name, size = "offer", 7
     max_output_translation, max_output_rotation, max_withdrawal = 0.25, 1.0, 0.3
     arrival_tolerance = 0.01
     latest_decision_s = 2.5
 
-    def reset(self) -> None:
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        self._pose_variation = HandoverPoseVariation(count, arrays)
+        self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
+        self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
+
+    def reset(self, row: int) -> None:
         """Clear the decision of the previous episode; the giver follows the recording."""
-        super().reset()
-        self._decided = self._chosen = False
-        self._shift, self._turn = np.zeros(3), np.zeros(3)
-        self._withdrawal: npt.NDArray[np.float64] | None = None
-        self._pose_variation = HandoverPoseVariation()
+        super().reset(row)
+        self._decided[row] = self._chosen[row] = self._withdrawn[row] = False
+        self._shift[row] = self._turn[row] = 0.0
+        self._pose_variation.reset(row)
 
-    def needs_outputs(self, observation: Observation) -> bool:
-        """Return whether the recorded hand is about to stop and no outputs were set yet."""
-        if self._decided or not observation["holding"][0] or not observation["hand_present"][0]:
-            return False
-        coming = observation["replay_wrist_poses"][2:, :3]
-        is_arriving = float(np.abs(coming - coming[-1]).max()) < self.arrival_tolerance
-        return is_arriving or float(observation["time"][0]) >= self.latest_decision_s
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether each recorded hand is about to stop and no outputs were set yet."""
+        xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
+        moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
+        is_arriving = moves < self.arrival_tolerance
+        is_late = xp.astype(observation["time"][:, 0], xp.float64) >= self.latest_decision_s
+        can = (observation["holding"][:, 0] != 0.0) & (observation["hand_present"][:, 0] != 0.0)
+        return ~self._decided[rows] & can & (is_arriving | is_late)
 
-    def set_outputs(self, outputs: Outputs) -> None:
-        """Store the outputs (7,) of this episode, clipped to [-1, 1]."""
-        super().set_outputs(outputs)
-        self._decided = True
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store the outputs (r, 7) of these episodes, clipped to [-1, 1]."""
+        super().set_outputs(rows, outputs)
+        self._decided[rows] = True
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the giver's action (8,): deviation from the recorded motion to the chosen pose.
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the actions (r, 8): deviation to the chosen poses, or withdrawal after the release."""
+        xp = self._arrays.xp
+        new = xp.nonzero(self._decided[rows] & ~self._chosen[rows])[0]
+        if len(new):
+            self._choose_poses(rows[new], {key: value[new] for key, value in observation.items()})
+        chosen, released = self._chosen[rows], observation["released"][:, 0] != 0.0
+        offers = xp.nonzero(chosen & ~released)[0]
+        if len(offers):
+            self._pose_variation.update(rows[offers], {key: value[offers] for key, value in observation.items()})
+        scale = self._pose_variation.scale[rows, None]
+        displacement, leaves = scale * self._shift[rows], chosen & released
+        if leaves.any():
+            self._withdraw(rows, observation, leaves & ~self._withdrawn[rows], displacement)
+            displacement = xp.where(leaves[:, None], self._withdrawal[rows], displacement)
+        rotation = scale * self._turn[rows]
+        return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
 
-        After the release, the deviation withdraws the hand.
-        """
-        if self._decided and not self._chosen:
-            self._choose_pose(observation)
-        if self._chosen and observation["released"][0]:
-            return self._withdraw(observation)
-        if self._chosen:
-            self._pose_variation.update(observation)
-        scale = self._pose_variation.scale
-        return make_giver_action(displacement=scale * self._shift, rotation=scale * self._turn)
-
-    def outputs_from_action(self, action: Action, observation: Observation) -> Outputs:
-        """Return the outputs (7,) that choose the handover pose of a giver's action (8,).
+    def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
+        """Return the outputs (r, 7) that choose the handover poses of givers' actions (r, 8).
 
         An action contains no withdrawal, so its output is 0: half of the full withdrawal.
         """
-        target = GiverAction.from_array(action)
-        center, axes, rotated = self._rotate_about_wrist(target.rotation, observation)
-        shift = axes.T @ (rotated + target.displacement - center) / self.max_output_translation
-        return np.asarray(np.clip([*shift, *(axes.T @ target.rotation / self.max_output_rotation), 0.0], -1.0, 1.0))
+        xp, displacement, turn = self._arrays.xp, actions[:, 1:4], widen(actions[:, 4:7])
+        center, axes, rotated = self._rotate_about_wrists(turn, observation)
+        shift = rotate_to_frame(axes, rotated + displacement - center) / self.max_output_translation
+        turn = rotate_to_frame(axes, turn) / self.max_output_rotation
+        return xp.concat([shift, turn, xp.zeros_like(turn[:, :1])], axis=1).clip(-1.0, 1.0)
 
-    def _choose_pose(self, observation: Observation) -> None:
-        _, axes = compute_handover_frame(observation)
-        self._turn = axes @ self.outputs[3:6] * self.max_output_rotation
-        center, _, rotated = self._rotate_about_wrist(self._turn, observation)
+    def _choose_poses(self, rows: AnyArray, observation: Observation) -> None:
+        outputs = self._outputs[rows]
+        _, axes = compute_handover_frames(observation)
+        turn = rotate_to_world(axes, outputs[:, 3:6]) * self.max_output_rotation
+        center, _, rotated = self._rotate_about_wrists(turn, observation)
         # Actions rotate about the wrist, so the translation compensates the object's motion.
-        self._shift = center + axes @ self.outputs[:3] * self.max_output_translation - rotated
-        self._chosen = True
+        self._shift[rows] = center + rotate_to_world(axes, outputs[:, :3]) * self.max_output_translation - rotated
+        self._turn[rows], self._chosen[rows] = turn, True
 
-    def _rotate_about_wrist(
-        self, rotation: npt.NDArray[np.floating], observation: Observation
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return origin (3,) and axes (3, 3) of the handover frame, and the origin rotated about the wrist."""
-        center, axes = compute_handover_frame(observation)
-        wrist = observation["replay_wrist_poses"][-1, :3].astype(np.float64)
-        return center, axes, wrist + Rotation.from_rotvec(rotation).apply(center - wrist)
+    def _rotate_about_wrists(self, turns: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """Return origins (r, 3) and axes (r, 3, 3) of the handover frames, and the origins rotated about the wrists."""
+        center, axes = compute_handover_frames(observation)
+        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
+        return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
-    def _withdraw(self, observation: Observation) -> Action:
-        if self._withdrawal is None:
-            away = observation["hand_keypoints"][0] - observation["gripper_pose"][:3]
-            length = (self.outputs[6] + 1.0) / 2.0 * self.max_withdrawal
-            shift = self._pose_variation.scale * self._shift
-            self._withdrawal = shift + length * away / max(float(np.linalg.norm(away)), 1e-6)
-        return make_giver_action(displacement=self._withdrawal, rotation=self._pose_variation.scale * self._turn)
+    def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
+        """Set the displacement of the hands that begin to withdraw."""
+        xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        size = xp.astype(compute_lengths(away), xp.float64)[:, None]
+        length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal
+        withdrawal = shift + length * away / size.clip(1e-6)
+        self._withdrawal[rows[begins]], self._withdrawn[rows[begins]] = withdrawal[begins], True

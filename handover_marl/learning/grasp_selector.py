@@ -4,16 +4,16 @@ Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 import functools
-from collections import OrderedDict
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, rotate_points
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
 
 Array = npt.NDArray[np.float64]
 
@@ -22,23 +22,23 @@ MAX_CLEARANCE = 0.2
 
 #: Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
 BACK_Z, TIP_Z = -0.05, 0.11
-# Entries of the observation on which the selection depends.
-_INPUTS = ("gripper_pose", "object_poses", "object_classes", "hand_present", "hand_keypoints")
-# Number of cached selections: environments that run side by side query in turns.
-_CACHE_SIZE = 256
+
+# Number of grasps per episode whose clearance is computed first: those of lowest cost without it.
+_FIRST_CANDIDATES = 24
 
 
 class LowestCostGraspSelector:
-    """Selector of the known grasp of lowest cost for single observations.
+    """Selector of the known grasp of lowest cost, for each of n episodes.
 
-    The cost of a grasp is the gripper's translation plus weighted rotation plus missing clearance to
-    the person's hand. Inverse kinematics is not solved, so the grasp may be out of reach. Grasps
-    rotated by half a turn about the approach axis are candidates too. A selection depends on the
-    observation alone and is cached, since features and action schemes of a policy query the same
-    selection.
+    The cost of a grasp is the gripper's translation plus weighted rotation plus missing clearance to the person's
+    hand. Inverse kinematics is not solved, so the grasp may be out of reach. Grasps rotated by half a turn about the
+    approach axis are candidates too. Selections are kept until the observation changes, since features and action
+    schemes query the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
 
     Attributes:
         rotation_weight: Weight of the gripper's rotation in the cost (m/rad).
@@ -49,77 +49,129 @@ class LowestCostGraspSelector:
     rotation_weight = 0.25
     desired_clearance, clearance_weight = 0.09, 4.0
 
-    def __init__(self, context: PolicyContext) -> None:
-        self._library, self._object_names = GraspLibrary(context.grasps), context.object_names
-        # Hand link poses (n, 7) and z axes (n, 3) of the grasps of each object class, in its frame.
-        self._known: dict[int, tuple[Array, Array] | None] = {}
-        self._cache: OrderedDict[bytes, tuple[Array, float] | None] = OrderedDict()
+    def __init__(self, context: PolicyContext, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._count, self._arrays = count, arrays
+        self._inputs: AnyArray | None = None
+        self._selected, self._clearances = arrays.zeros((count, 7)), arrays.zeros(count)
+        self._exists = arrays.zeros(count, "bool")
+        # Grasps (c, g, 7) and their z axes (c, g, 3).
+        self._table = GraspTable(functools.partial(_load_grasps, context), arrays)
 
-    def select(self, observation: Observation) -> tuple[Array, float] | None:
-        """Select a grasp of the object to hand over, or return None if no grasps of it are known.
-
-        Returns:
-            World pose (7,) of the hand link at the grasp, which is read-only, and the distance (m)
-            of the person's hand from the gripper there.
-        """
-        key = b"".join(np.asarray(observation[name]).tobytes() for name in _INPUTS)
-        if key not in self._cache:
-            self._cache[key] = self._compute(observation)
-            if len(self._cache) > _CACHE_SIZE:
-                self._cache.popitem(last=False)
-        return self._cache[key]
-
-    def _compute(self, observation: Observation) -> tuple[Array, float] | None:
-        known = self.load_known(int(observation["object_classes"][0]))
-        if known is None:
-            return None
-        grasps, axes = known
-        # In the object's frame, so that only gripper and hand have to be transformed.
-        object_pose = observation["object_poses"][0].astype(np.float64)
-        gripper = compose(invert_pose(object_pose), observation["gripper_pose"].astype(np.float64))
-        angles = 2.0 * np.arccos(np.minimum(np.abs(grasps[:, 3:] @ gripper[3:]), 1.0))
-        clearances = self._compute_clearances(grasps, axes, object_pose, observation)
-        missing = np.maximum(0.0, self.desired_clearance - clearances)
-        distances = np.linalg.norm(grasps[:, :3] - gripper[:3], axis=1)
-        best = int(np.argmin(distances + self.rotation_weight * angles + self.clearance_weight * missing))
-        selected = compose(object_pose, grasps[best])
-        selected.flags.writeable = False
-        return selected, float(clearances[best])
-
-    def load_known(self, object_class: int) -> tuple[Array, Array] | None:
-        """Return the known grasps of an object class with their half turns, and their z axes.
+    def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
+        """Select a grasp of the object to hand over in episodes.
 
         Args:
-            object_class: YCB class number.
+            rows: Indices (r,) of the episodes.
+            observation: Arrays (r, ...) of their observations.
 
         Returns:
-            Hand link poses (n, 7) and z axes (n, 3) in the object's frame, or None without grasps.
+            World poses (r, 7) of the hand link at the grasps; distances (r,) of the person's hand
+            from the gripper there (m); and whether there is a grasp, (r,).
         """
-        if object_class not in self._known:
-            self._known[object_class] = self._load(self._object_names[object_class])
-        return self._known[object_class]
+        xp = self._arrays.xp
+        inputs = xp.concat(
+            [
+                observation["gripper_pose"],
+                observation["object_poses"][:, 0],
+                observation["object_classes"][:, :1],
+                observation["hand_present"],
+                observation["hand_keypoints"].reshape(len(rows), -1),
+            ],
+            axis=1,
+        )
+        if self._inputs is None:
+            shape = (self._count, inputs.shape[1])
+            self._inputs = xp.full(shape, xp.nan, dtype=inputs.dtype, device=self._arrays.device)
+        changed = xp.nonzero(xp.any(self._inputs[rows] != inputs, axis=1))[0]
+        if len(changed):
+            who = rows[changed]
+            self._inputs[who] = inputs[changed]
+            self._compute(who, {key: values[changed] for key, values in observation.items()})
+        return self._selected[rows], self._clearances[rows], self._exists[rows]
 
-    def _load(self, object_name: str) -> tuple[Array, Array] | None:
-        poses = self._library.get_hand_poses_in_object(object_name)
-        if poses is None:
-            return None
-        poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
-        return poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0]))
+    def _compute(self, rows: AnyArray, observation: Observation) -> None:
+        xp = self._arrays.xp
+        index = self._table.find(observation["object_classes"][:, 0])
+        self._exists[rows] = index >= 0
+        known = xp.nonzero(index >= 0)[0]
+        if not len(known):
+            return
+        object_poses = xp.astype(observation["object_poses"][known, 0], xp.float64)
+        gripper = compose(invert_pose(object_poses), xp.astype(observation["gripper_pose"][known], xp.float64))
+        index = index[known]
+        grasps = self._table.arrays[0][index]
+        costs = self._compute_motion_costs(grasps, gripper)
+        costs[~self._table.is_grasp[index]] = xp.inf
+        joints = inverse_transform_points(object_poses[:, None], observation["hand_keypoints"][known])
+        present = observation["hand_present"][known, 0] != 0.0
+        best, clearances = self._find_best(costs, index, joints, present)
+        self._selected[rows[known]] = compose(object_poses, grasps[self._arrays.arange(len(known)), best])
+        self._clearances[rows[known]] = clearances
 
-    def _compute_clearances(self, grasps: Array, axes: Array, object_pose: Array, observation: Observation) -> Array:
-        """Return the smallest distances (n,) in m of the hand's joints to the gripper's axis."""
-        if not observation["hand_present"][0]:
-            return np.full(len(grasps), MAX_CLEARANCE)
-        joints = inverse_transform_points(object_pose, observation["hand_keypoints"])
-        offsets = joints - grasps[:, None, :3]
-        along = np.clip(np.einsum("gki,gi->gk", offsets, axes), BACK_Z, TIP_Z)
-        across = offsets - along[..., None] * axes[:, None]
-        distances = np.sqrt(np.einsum("gki,gki->gk", across, across).min(axis=1))
-        clearances: Array = np.minimum(distances, MAX_CLEARANCE)
-        return clearances
+    def _compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
+        """Return the costs (r, g) of the gripper's motions to grasps (r, g, 7), all in the object's frame."""
+        xp = get_namespace(grasps)
+        x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
+        angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
+        x, y, z = (grasps[..., axis] - gripper[:, None, axis] for axis in range(3))
+        return xp.sqrt(x * x + y * y + z * z) + self.rotation_weight * angles
+
+    def _find_best(
+        self, costs: AnyArray, index: AnyArray, joints: AnyArray, present: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
+        """Return the best grasp (r,) of each episode and the person's clearance there.
+
+        Clearances are computed for the grasps of lowest cost first. The others are not needed if the
+        best of these costs less than any other grasp without its clearance.
+
+        Args:
+            costs: Costs (r, g) without the clearance.
+            index: Index (r,) of each object class.
+            joints: Joints (r, 16, 3) of the persons' hands in the objects' frames (m).
+            present: Whether there is a hand, (r,).
+        """
+        xp, arrays, (count, number) = self._arrays.xp, self._arrays, costs.shape
+        best, clearances = arrays.zeros(count, "int64"), arrays.zeros(count)
+        left, candidates = arrays.arange(count), min(_FIRST_CANDIDATES, number)
+        while len(left):
+            order = _sort_by_cost(costs[left], min(candidates, number - 1))
+            bound = xp.inf if candidates >= number else costs[left, order[:, candidates]]
+            # Of equally good grasps, the first one counts.
+            some = xp.sort(order[:, :candidates], axis=1, stable=False)
+            distances = self._compute_clearances(index[left], some, joints[left])
+            distances[~present[left]] = MAX_CLEARANCE
+            missing = (self.desired_clearance - distances).clip(0.0)
+            totals = costs[left[:, None], some] + self.clearance_weight * missing
+            chosen = xp.argmin(totals, axis=1)
+            place = arrays.arange(len(left))
+            best[left], clearances[left] = some[place, chosen], distances[place, chosen]
+            left = left[~(totals[place, chosen] < bound)]
+            if candidates >= number:
+                break
+            candidates = number
+        return best, clearances
+
+    def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
+        """Return the smallest distances (r, k) in m of hand joints to the gripper's axis at k grasps."""
+        xp = get_namespace(joints)
+        origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
+        x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
+        u, v, w = (axes[..., None, axis] for axis in range(3))
+        along = (x * u + y * v + z * w).clip(BACK_Z, TIP_Z)
+        x, y, z = x - along * u, y - along * v, z - along * w
+        return xp.sqrt(xp.min(x * x + y * y + z * z, axis=-1)).clip(None, MAX_CLEARANCE)
 
 
-@functools.lru_cache(maxsize=16)
-def get_lowest_cost_grasp_selector(context: PolicyContext) -> LowestCostGraspSelector:
-    """Return the grasp selector of a policy context; all callers share one selector."""
-    return LowestCostGraspSelector(context)
+def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
+    """Return the indices (r, g) of grasps in an order in which those before a place cost at most what others cost."""
+    return costs.argsort(dim=1) if is_tensor(costs) else np.argpartition(costs, place, axis=1)
+
+
+@functools.lru_cache(maxsize=1024)
+def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
+    """Return hand link poses (n, 7) and z axes (n, 3) of a class's grasps and their half turns, in its frame."""
+    poses = GraspLibrary(context.grasps).get_hand_poses_in_object(context.object_names[object_class])
+    if poses is None:
+        return None
+    poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])
+    return poses, rotate_points(poses[:, 3:], np.array([0.0, 0.0, 1.0]))

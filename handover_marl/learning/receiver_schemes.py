@@ -1,19 +1,29 @@
 """Action schemes of receivers, which convert network outputs to joint targets."""
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
-from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs, RawScheme
-from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
+from handover_marl.geometry.poses import (
+    compute_lengths,
+    conjugate_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    rotate_points,
+)
+from handover_marl.geometry.rotations import (
+    compute_rotation_magnitudes,
+    quaternions_from_rotation_vectors,
+    rotation_vectors_from_quaternions,
+)
+from handover_marl.learning.array_features import rotate_to_world
+from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
-
-Array = npt.NDArray[np.float64]
 
 
 class RawReceiverScheme(RawScheme):
@@ -22,18 +32,41 @@ class RawReceiverScheme(RawScheme):
     name, agent, size = "receiver", "receiver", PANDA_DOF
 
 
-class JointPositionScheme(ActionScheme):
+class JointScheme(ArrayScheme):
+    """Base class of schemes whose actions are target joint positions within the limits."""
+
+    agent = "receiver"
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        self._low, self._high = arrays.asarray(LOWER_LIMITS), arrays.asarray(UPPER_LIMITS)
+
+    def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
+        """Return target positions (r, 9) from those of arms (r, 7) in rad and whether grippers close, (r,)."""
+        xp = self._arrays.xp
+        clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
+        fingers = xp.where(closed, CLOSED, OPEN)[:, None]
+        return xp.astype(xp.concat([clipped, fingers, fingers], axis=1), xp.float32)
+
+
+class JointPositionScheme(JointScheme):
     """Scheme of target joint positions, scaled from [-1, 1] to the joint limits."""
 
-    name, agent, size = "joints", "receiver", PANDA_DOF
+    name, size = "joints", PANDA_DOF
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
-        return np.asarray(low + (self.outputs + 1.0) / 2.0 * (high - low), dtype=np.float32)
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        xp, low = self._arrays.xp, self._low
+        return xp.astype(low + (self._outputs[rows] + 1.0) / 2.0 * (self._high - low), xp.float32)
 
 
-class JointDeltaScheme(ActionScheme):
+class JointDeltaScheme(JointScheme):
     """Scheme of position increments of the seven arm joints, and an output that closes the gripper.
 
     The gripper closes while the last output exceeds 0.
@@ -42,16 +75,17 @@ class JointDeltaScheme(ActionScheme):
         step: Joint increment at output 1 (rad).
     """
 
-    name, agent, size = "joint_delta", "receiver", ARM_DOF + 1
+    name, size = "joint_delta", ARM_DOF + 1
     step = 0.2
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        arm = observation["robot_joint_position"][:ARM_DOF] + self.step * self.outputs[:ARM_DOF]
-        return _joint_targets(arm, self.outputs[ARM_DOF] > 0.0)
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        outputs = self._outputs[rows]
+        arm = observation["robot_joint_position"][:, :ARM_DOF] + self.step * outputs[:, :ARM_DOF]
+        return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
 
 
-class CartesianDeltaScheme(ActionScheme):
+class CartesianDeltaScheme(JointScheme):
     """Scheme of motions of the hand link in its own frame, and an output that closes the gripper.
 
     The gripper closes while the last output exceeds 0. Joint increments follow from the motion by
@@ -64,28 +98,40 @@ class CartesianDeltaScheme(ActionScheme):
         damping: Damping factor of the least squares.
     """
 
-    name, agent, size = "cartesian_delta", "receiver", 7
+    name, size = "cartesian_delta", 7
     max_output_translation: float | tuple[float, float, float] = 0.08
     max_output_rotation, damping = 0.3, 0.05
 
-    def __init__(self, context: PolicyContext) -> None:
-        super().__init__(context)
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        self._damping = arrays.asarray(self.damping**2 * np.eye(6))
+        self._max_translation = arrays.asarray(self.max_output_translation)
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        translation = self.outputs[:3] * np.array(self.max_output_translation)
-        rotation = self.outputs[3:6] * self.max_output_rotation
-        return self._move(observation, translation, rotation, self.outputs[6] > 0.0)
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        outputs = self._outputs[rows]
+        translations = outputs[:, :3] * self._max_translation
+        rotations = outputs[:, 3:6] * self.max_output_rotation
+        return self._move(observation, translations, rotations, outputs[:, 6] > 0.0)
 
-    def _move(self, observation: Observation, translation: Array, rotation: Array, closed: bool) -> Action:
-        """Return joint targets that move the hand link by (3,) m and a (3,) rotation vector in its frame."""
-        arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
-        chain = self._robot.compute_chain_frames(arm[None])
-        jacobian, axes = self._robot.compute_jacobian(chain)[..., 0], chain.rotations[-1][..., 0]
-        gram = jacobian @ jacobian.T + self.damping**2 * np.eye(6)
-        change = jacobian.T @ np.linalg.solve(gram, np.concatenate([axes @ translation, axes @ rotation]))
-        return _joint_targets(arm + change, closed)
+    def _move(
+        self, observation: Observation, translations: AnyArray, rotations: AnyArray, closed: AnyArray
+    ) -> AnyArray:
+        """Return joint targets that move hand links by (r, 3) m and (r, 3) rotation vectors in their frames."""
+        xp = self._arrays.xp
+        arm = xp.astype(observation["robot_joint_position"][:, :ARM_DOF], xp.float64)
+        jacobian, axes = self._robot.compute_hand_jacobians(arm)
+        twist = xp.concat([rotate_to_world(axes, translations), rotate_to_world(axes, rotations)], axis=1)
+        gram = xp.stack([xp.sum(jacobian * jacobian[:, row, None], axis=2) for row in range(6)], axis=1)
+        weights = xp.linalg.solve(gram + self._damping, twist[..., None])
+        return self._limit_targets(arm + xp.sum(jacobian * weights, axis=1), closed)
 
 
 class GraspServoScheme(CartesianDeltaScheme):
@@ -124,63 +170,80 @@ class GraspServoScheme(CartesianDeltaScheme):
     lateral_tolerance, angle_tolerance = 0.01, 0.15
     standoff_per_offset, standoff_per_angle, max_standoff = 3.0, 0.3, 0.15
 
-    def __init__(self, context: PolicyContext) -> None:
-        super().__init__(context)
-        self._grasp_selector = get_lowest_cost_grasp_selector(context)
-        self._goal = np.array(context.protocol.goal_center)
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        self._goal = arrays.asarray(context.protocol.goal_center)
+        self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
+        self._closed = arrays.zeros(count, "bool")
 
-    def reset(self) -> None:
+    def reset(self, row: int) -> None:
         """Clear the state of the previous episode: the gripper is open and the arm waits."""
-        super().reset()
-        self._closed = False
+        super().reset(row)
+        self._closed[row] = False
 
-    def set_outputs(self, outputs: Outputs) -> None:
-        """Store new network outputs (7,), clipped to [-1, 1]."""
-        super().set_outputs(outputs)
-        self._closed = self._closed or bool(self.outputs[6] > self.close_threshold)
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, 7), clipped to [-1, 1]."""
+        super().set_outputs(rows, outputs)
+        self._closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
-    def needs_outputs(self, observation: Observation) -> bool:
-        """Return whether the waiting time is over."""
-        return float(observation["time"][0]) >= self.wait
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether the waiting time is over, in each of r episodes."""
+        xp = self._arrays.xp
+        return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait
 
-    def compute_action(self, observation: Observation) -> Action:
-        """Return the target positions (9,) of arm and fingers within the joint limits (rad, m)."""
-        if not self.needs_outputs(observation):
-            return np.array(WAITING_JOINTS, dtype=np.float32)
-        gripper = observation["gripper_pose"].astype(np.float64)
-        present = Rotation.from_quat(gripper[3:])
-        position, target = self._target(observation, gripper, present)
-        position = position + target.apply(self.outputs[:3] * np.array(self.max_output_translation))
-        target = target * Rotation.from_rotvec(self.outputs[3:6] * self.max_output_rotation)
-        translation = _limit_norm(present.inv().apply(position - gripper[:3]), self.max_translation)
-        rotation = _limit_norm((present.inv() * target).as_rotvec(), self.max_rotation)
-        return self._move(observation, translation, rotation, self._closed)
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        xp = self._arrays.xp
+        actions = xp.tile(self._waiting, (len(rows), 1))
+        acts = xp.nonzero(self.needs_outputs(rows, observation))[0]
+        if len(acts):
+            actions[acts] = self._servo_to_grasp(rows[acts], {key: value[acts] for key, value in observation.items()})
+        return actions
 
-    def _target(self, observation: Observation, gripper: Array, present: Rotation) -> tuple[Array, Rotation]:
-        """Return the target position (3,) in the world (m) and the target orientation."""
-        if observation["released"][0]:
-            return self._goal, present
-        chosen = self._grasp_selector.select(observation)
-        if chosen is None:
-            return gripper[:3], present
-        position, target = chosen[0][:3], Rotation.from_quat(chosen[0][3:])
-        standoff = self._standoff(gripper[:3] - position, present, target)
-        return position - target.apply([0.0, 0.0, standoff]), target
+    def _servo_to_grasp(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        xp, outputs = self._arrays.xp, self._outputs[rows]
+        gripper = xp.astype(observation["gripper_pose"], xp.float64)
+        present = normalize_quaternions(gripper[:, 3:])
+        position, target = self._find_targets(rows, observation, gripper, present)
+        position = position + rotate_points(target, outputs[:, :3] * self._max_translation)
+        target = multiply_quaternions(
+            target, quaternions_from_rotation_vectors(outputs[:, 3:6] * self.max_output_rotation)
+        )
+        inverse = conjugate_quaternions(present)
+        translation = _limit_norm(rotate_points(inverse, position - gripper[:, :3]), self.max_translation)
+        rotation = rotation_vectors_from_quaternions(multiply_quaternions(inverse, target))
+        return self._move(observation, translation, _limit_norm(rotation, self.max_rotation), self._closed[rows])
 
-    def _standoff(self, offset: Array, present: Rotation, target: Rotation) -> float:
-        """Return the standoff (m) for an offset (3,) from the grasp (m, world frame)."""
-        lateral = float(np.hypot(*target.inv().apply(offset)[:2]))
-        angle = float((present.inv() * target).magnitude())
-        standoff = self.standoff_per_offset * max(0.0, lateral - self.lateral_tolerance)
-        return min(standoff + self.standoff_per_angle * max(0.0, angle - self.angle_tolerance), self.max_standoff)
+    def _find_targets(
+        self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
+    ) -> tuple[AnyArray, AnyArray]:
+        """Return the target positions (r, 3) in the world (m) and the target orientations (r, 4)."""
+        xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
+        orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
+        standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
+        zeros = xp.zeros_like(standoff)
+        position = grasps[:, :3] - rotate_points(orientation, stack_last([zeros, zeros, standoff]))
+        released = observation["released"] != 0.0
+        position = xp.where(exists[:, None], position, gripper[:, :3])
+        return xp.where(released, self._goal, position), xp.where(released, present, orientation)
+
+    def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
+        """Return the standoffs (r,) in m for offsets (r, 3) from the grasps (m, world frame)."""
+        xp = self._arrays.xp
+        local = rotate_points(conjugate_quaternions(target), offsets)
+        angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))
+        lateral = xp.hypot(local[:, 0], local[:, 1])
+        standoff = self.standoff_per_offset * (lateral - self.lateral_tolerance).clip(0.0)
+        standoff = standoff + self.standoff_per_angle * (angle - self.angle_tolerance).clip(0.0)
+        return standoff.clip(None, self.max_standoff)
 
 
-def _limit_norm(vector: Array, length: float) -> Array:
-    norm = float(np.linalg.norm(vector))
-    return vector if norm <= length else vector * (length / norm)
-
-
-def _joint_targets(arm: npt.NDArray[np.floating], closed: bool) -> Action:
-    clipped = np.clip(arm, LOWER_LIMITS[:ARM_DOF], UPPER_LIMITS[:ARM_DOF])
-    finger = CLOSED if closed else OPEN
-    return np.array([*clipped, finger, finger], dtype=np.float32)
+def _limit_norm(vectors: AnyArray, length: float) -> AnyArray:
+    xp, norm = get_namespace(vectors), compute_lengths(vectors)[:, None]
+    return xp.where(norm <= length, vectors, vectors * (length / norm.clip(length)))

@@ -7,10 +7,13 @@ import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, check_name
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import Action, ActionScheme
+from handover_marl.learning.array_schemes import ArrayScheme, SequentialScheme, SingleScheme, add_axis
 from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_schemes import KIND, CheckedScheme, SchemeLike, make_custom_scheme
+from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.receiver_schemes import (
     CartesianDeltaScheme,
     GraspServoScheme,
@@ -21,7 +24,7 @@ from handover_marl.learning.receiver_schemes import (
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.policies.registry import import_reference
 
-_ALL: tuple[type[ActionScheme], ...] = (
+_ALL: tuple[type[ArrayScheme], ...] = (
     *(RawGiverScheme, DeviationScheme, HandoverPoseScheme),
     *(RawReceiverScheme, JointPositionScheme, JointDeltaScheme, CartesianDeltaScheme, GraspServoScheme),
 )
@@ -66,7 +69,30 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> Actio
     if not isinstance(own, str):
         return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
     count_outputs(agent, own)
-    return _SCHEMES[own](context)
+    return SingleScheme(_SCHEMES[own](context, LowestCostGraspSelector(context, 1), 1), context)
+
+
+def make_array_scheme(
+    agent: str,
+    choice: SchemeLike,
+    context: PolicyContext,
+    selector: LowestCostGraspSelector,
+    count: int,
+    arrays: ArrayFactory = NUMPY_ARRAYS,
+) -> ArrayScheme:
+    """Make an agent's action scheme for n episodes: built-in schemes work on arrays, others episode by episode.
+
+    Args:
+        agent: "giver" or "receiver".
+        choice: Action scheme, see `make_scheme`.
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
+    """
+    if isinstance(choice, str) and choice in list_schemes(agent):
+        return _SCHEMES[choice](context, selector, count, arrays)
+    return SequentialScheme([make_scheme(agent, choice, context) for _ in range(count)], arrays)
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
@@ -75,7 +101,8 @@ def outputs_from_action(scheme: ActionScheme, action: Action, observation: Obser
     Raises:
         OptionError: The scheme cannot be inverted.
     """
-    inner = scheme.scheme if isinstance(scheme, CheckedScheme) else scheme
+    inner = scheme.scheme if isinstance(scheme, SingleScheme) else None
     if not isinstance(inner, GiverScheme):
-        raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a scheme of the giver")
-    return np.asarray(inner.outputs_from_action(action, observation), dtype=np.float32)
+        raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a built-in scheme of the giver")
+    outputs = inner.outputs_from_actions(np.asarray(action)[None], add_axis(observation))[0]
+    return np.asarray(outputs, dtype=np.float32)

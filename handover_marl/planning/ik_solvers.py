@@ -5,11 +5,10 @@ results of HandoverSim's baselines bit for bit, and the library's own solver oth
 """
 
 import atexit
-import importlib
 import threading
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -121,8 +120,11 @@ def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
 
     Arguments and errors are the same as for `make_ik_solver`.
     """
-    stepper: IkStepper = _find_solver("BulletIKStep")(urdf, config)
-    return stepper
+    if not is_pybullet_installed():
+        return PandaIkSolver(urdf, config)
+    from handover_marl.simulation.bullet.kinematics import BulletIKStep
+
+    return BulletIKStep(urdf, config)
 
 
 class _ThreadSolvers(threading.local):
@@ -183,14 +185,16 @@ class ThreadIkSolver(IkSolver):
             if len(solvers) >= _MAX_SOLVERS:
                 solvers.pop(next(iter(solvers)))
             urdf, _, config = self._key
-            solvers[self._key] = _find_solver("BulletIKSolver")(urdf, config)
+            solvers[self._key] = _make_solver(urdf, config)
         return solvers[self._key]
 
 
-def _find_solver(bullet_class: str) -> Any:
+def _make_solver(urdf: Path, config: PandaConfig) -> IkSolver:
     if not is_pybullet_installed():
-        return PandaIkSolver
-    return getattr(importlib.import_module("handover_marl.simulation.bullet.kinematics"), bullet_class)
+        return PandaIkSolver(urdf, config)
+    from handover_marl.simulation.bullet.kinematics import BulletIKSolver
+
+    return BulletIKSolver(urdf, config)
 
 
 class PandaIkSolver(IkSolver):

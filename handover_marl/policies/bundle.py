@@ -6,12 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from platform import node
 
-from handover_marl.errors import DataNotFoundError, PolicyError
-from handover_marl.policies.hashing.source_hash import hash_library, hash_package, hash_packages
-from handover_marl.policies.reference import PolicyReference, read_policy_file
-
-# Key of the reference's own policy file among the options that name files.
-_FILE = ""
+from handover_marl.errors import PolicyError
+from handover_marl.policies.hashing import hash_object
+from handover_marl.policies.reference import PolicyReference
 
 
 @dataclass(frozen=True)
@@ -38,15 +35,8 @@ class PolicyBundle:
             DataNotFoundError: A file cannot be read.
             DataFormatError: A file is a pipe or device, or too large.
         """
-        policy_class = reference.policy_class
-        options = dict(reference.options)
-        paths = {
-            option: options[option] for option in policy_class.file_options if isinstance(options.get(option), str)
-        }
-        if reference.file is not None:
-            paths[_FILE] = reference.file
-        files = tuple(file for option, path in paths.items() for file in _read_files(option, Path(path).expanduser()))
-        return cls(reference, _hash_code(reference) if _is_importable(policy_class) else "", files)
+        code = _hash_code(reference) if _is_importable(reference.policy_class) else ""
+        return cls(reference, code, tuple(reference.read_files()))
 
     def unpack(self, folder: Path) -> PolicyReference:
         """Write the bundle's files to a folder; return a reference to the policy with these files.
@@ -71,10 +61,10 @@ class PolicyBundle:
             path.write_bytes(content)
             # The files of a folder are named "folder/file"; the option names the folder.
             given = str(path if "/" not in name else path.parent)
-            if option == _FILE:
-                policy_file = given
-            else:
+            if option:
                 options[option] = given
+            else:
+                policy_file = given
         return replace(self.reference, file=policy_file, options=tuple(sorted(options.items())))
 
     def _error(self, problem: str) -> PolicyError:
@@ -84,22 +74,9 @@ class PolicyBundle:
         )
 
 
-def _read_files(option: str, path: Path) -> list[tuple[str, str, bytes]]:
-    if not path.is_dir():
-        return [(option, path.name, read_policy_file(path))]
-    try:
-        inside = sorted(entry for entry in path.iterdir() if entry.is_file())
-    except OSError as error:
-        raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error})") from error
-    return [(option, f"{path.name}/{entry.name}", read_policy_file(entry)) for entry in inside]
-
-
 def _hash_code(reference: PolicyReference) -> str:
-    parts = [hash_library(), hash_packages(reference.policy_class)]
-    for package in reference.packages:
-        importlib.import_module(package)
-        parts.append(hash_package(package))
-    return "".join(parts)
+    packages = [importlib.import_module(package) for package in reference.packages]
+    return hash_object((reference.policy_class, packages))
 
 
 def _is_importable(policy_class: type) -> bool:

@@ -8,18 +8,16 @@ import hashlib
 import json
 import os
 import re
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import handover_marl.assets
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.policies.bundle import PolicyBundle
 from handover_marl.policies.reference import parse_policy, read_policy_file
 from handover_marl.policies.registry import check_stored_reference, list_available
 
@@ -33,7 +31,6 @@ PARTNER_SPLITS = (TRAIN, TEST, ALL)
 
 _SUFFIX, _REFERENCES_SUFFIX = ".json", ".references.json"
 _FOLDER = "{folder}"
-_KEYS = ("name", "version", "description", "givers", "receivers")
 _MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
 
 
@@ -127,16 +124,19 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
         UnsafeFileError: A policy is `module:Class`, and the file is not trusted.
     """
     path = _find_path(population)
-    content = _read_json(path)
-    if not isinstance(content, dict) or set(content) != set(_KEYS):
-        found = sorted(content) if isinstance(content, dict) else content
-        raise DataFormatError(f"{path}: keys must be {', '.join(_KEYS)}, got {shorten_text(found)}")
-    name, version, description = (_check_text(path, key, content[key]) for key in _KEYS[:3])
-    givers, receivers = (_parse_partners(path, key, content[key]) for key in _KEYS[3:])
-    found = Population(name, version, description, givers, receivers, "", path)
+    try:
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        partners = {key: tuple(Partner(**entry) for entry in content[key]) for key in ("givers", "receivers")}
+        found = Population(**content | partners, content_hash="", path=path)
+    except OSError as error:
+        raise DataNotFoundError(f"population {path} cannot be read ({error.strerror or error})") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise DataFormatError(f"{path}: not a readable population ({shorten_text(error)})") from error
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    for agent, partners in (("giver", givers), ("receiver", receivers)):
-        for partner in partners:
+    _check_texts(path, [found.name, found.version, found.description])
+    for agent, members in (("giver", found.givers), ("receiver", found.receivers)):
+        _check_partners(path, members)
+        for partner in members:
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
             for file in _read_policy_files(found, agent, partner):
                 digest.update(hashlib.sha256(file).digest())
@@ -155,14 +155,9 @@ def format_population(
         givers: Givers, partners of receivers.
         receivers: Receivers, partners of givers.
     """
-    content = {
-        "name": name,
-        "version": version,
-        "description": description,
-        "givers": [asdict(giver) for giver in givers],
-        "receivers": [asdict(receiver) for receiver in receivers],
-    }
-    return json.dumps(content, indent=1) + "\n"
+    content = {"name": name, "version": version, "description": description}
+    partners = {"givers": list(map(asdict, givers)), "receivers": list(map(asdict, receivers))}
+    return json.dumps(content | partners, indent=1) + "\n"
 
 
 def list_populations() -> tuple[str, ...]:
@@ -180,50 +175,29 @@ def _find_path(population: str | os.PathLike[str]) -> Path:
     return POPULATION_FOLDER / f"{population}{_SUFFIX}"
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(read_plain_file(path, _MAX_BYTES))
-    except OSError as error:
-        raise DataNotFoundError(f"population {path} cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError) as error:
-        raise DataFormatError(f"{path}: not a readable population ({shorten_text(error)})") from error
-
-
-def _parse_partners(path: Path, key: str, entries: object) -> tuple[Partner, ...]:
-    if not isinstance(entries, list):
-        raise DataFormatError(f"{path}: {key} must be a list, got {shorten_text(entries)}")
-    partners = tuple(_parse_partner(path, key, entry) for entry in entries)
-    splits = defaultdict(set)
+def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
     for partner in partners:
-        splits[partner.family].add(partner.split)
-    mixed = [family for family, found in splits.items() if len(found) > 1]
-    if mixed:
-        raise DataFormatError(f"{path}: every family of {key} must be in one split, got {mixed[0]!r} in two")
-    for what in ("name", "policy"):
-        values = [getattr(partner, what) for partner in partners]
-        repeated = [value for value in values if values.count(value) > 1]
+        _check_texts(path, astuple(partner))
+        if partner.split not in (TRAIN, TEST):
+            raise DataFormatError(f"{path}: split must be {TRAIN} or {TEST}, got {partner.split!r}")
+    families = Counter(family for family, _ in {(partner.family, partner.split) for partner in partners})
+    for what, values in (
+        ("family in one split", families.elements()),
+        ("name", (partner.name for partner in partners)),
+        ("policy", (partner.policy for partner in partners)),
+    ):
+        repeated = [value for value, count in Counter(values).items() if count > 1]
         if repeated:
-            raise DataFormatError(f"{path}: every {what} of {key} must be unique, got {repeated[0]!r} twice")
-    return partners
+            raise DataFormatError(f"{path}: every {what} must be unique, got {repeated[0]!r} twice")
 
 
-def _parse_partner(path: Path, key: str, entry: object) -> Partner:
-    names = [field.name for field in fields(Partner)]
-    if not isinstance(entry, dict) or set(entry) != set(names):
-        raise DataFormatError(f"{path}: each of {key} must have the keys {', '.join(names)}, got {shorten_text(entry)}")
-    values = {name: _check_text(path, f"{name} of {key}", entry[name]) for name in names}
-    if values["split"] not in (TRAIN, TEST):
-        raise DataFormatError(f"{path}: split of {key} must be {TRAIN} or {TEST}, got {values['split']!r}")
-    return Partner(**values)
-
-
-def _check_text(path: Path, name: str, value: object) -> str:
-    if not isinstance(value, str) or not value.strip() or not value.isprintable() or len(value) > _MAX_TEXT:
-        raise DataFormatError(
-            f"{path}: {name} must be text without control characters, at most {_MAX_TEXT} characters, got "
-            f"{shorten_text(ascii(value))}"
-        )
-    return value
+def _check_texts(path: Path, texts: Iterable[object]) -> None:
+    for text in texts:
+        if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MAX_TEXT:
+            raise DataFormatError(
+                f"{path}: values must be text without control characters, at most {_MAX_TEXT} characters, got "
+                f"{shorten_text(ascii(text))}"
+            )
 
 
 def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:
@@ -231,7 +205,7 @@ def _read_policy_files(population: Population, agent: str, partner: Partner) -> 
     policy = population.get_policy(partner)
     name, options, _ = policy.partition(":")
     if options and name in list_available(agent):
-        yield from (content for *_, content in PolicyBundle.pack(parse_policy(agent, policy)).files)
+        yield from (content for *_, content in parse_policy(agent, policy).read_files())
     else:  # The class may be one that is not installed here; which options name files is not known.
         for file in re.findall(rf"{_FOLDER}/([^:,=]+)", partner.policy):
             yield read_policy_file(population.path.parent / file)

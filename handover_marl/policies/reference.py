@@ -13,14 +13,11 @@
 
 import functools
 import json
-import pickle
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
-
-import cloudpickle
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
@@ -34,9 +31,9 @@ from handover_marl.errors import (
     UnknownNameError,
 )
 from handover_marl.execution.options import check_boolean
+from handover_marl.execution.pool import pickle_by_value, unpickle
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.policies.hashing.source_hash import hash_policy, is_library_class
-from handover_marl.policies.hashing.state_hash import hash_constructed_state, record_opened_files
+from handover_marl.policies.hashing import hash_object, hash_policy, is_library_class
 from handover_marl.policies.policy import (
     Policy,
     PolicyContext,
@@ -155,27 +152,46 @@ class PolicyReference:
             OptionError: An attribute of the policy has a wrong type, or its label cannot be printed.
             HandoverError: The policy cannot be constructed; see `make`.
         """
-        with record_opened_files() as opened:
-            policy = self.make(dataset, config, setup)
+        policy = self.make(dataset, config, setup)
         obs_mode, wait = self._read_attribute(policy, "obs_mode"), self._read_attribute(policy, "wait")
         check_obs_mode(obs_mode)
         listed = ",".join(f"{key}={_format_value(value)}" for key, value in self.options)
         label = self._check_text("label", self._read_attribute(policy, "label"))
         label = self._check_text("label", label + (f":{listed}" if listed else ""))
-        # The state of an instance; its class would be pickled differently in every process.
-        state = cloudpickle.dumps(vars(self._load())) if isinstance(self._load(), Policy) else b""
+        found = self._load()
+        state = vars(found) if isinstance(found, Policy) else self.options
         weights = self._check_text("weights_hash", self._read_attribute(policy, "weights_hash")).encode()
-        if self.file is not None:
-            weights += read_policy_file(Path(self.file).expanduser())
         if not is_library_class(type(policy)):
-            weights += hash_constructed_state(policy, opened)
+            weights += hash_object(policy, arrays_only=True).encode()
+        weights += b"".join(content for *_, content in self.read_files())
         return replace(
             self,
             label=label,
-            code_hash=hash_policy(type(policy), repr(self.options).encode() + state, weights),
+            code_hash=hash_policy(type(policy), state, weights),
             wait=None if wait is None else milliseconds_from_wait(wait) / 1000.0,
             obs_mode=obs_mode,
         )
+
+    def read_files(self) -> list[tuple[str, str, bytes]]:
+        """Read the policy file, and the files that options in `file_options` of the policy name.
+
+        Returns:
+            For each file the option that names it, "" for the policy file; its name, "folder/file" for the files of a
+            folder; and its content. Options that name nothing are left to the policy.
+
+        Raises:
+            DataNotFoundError: A file cannot be read.
+            DataFormatError: A file is a pipe or device, or too large.
+        """
+        found = [] if self.file is None else [("", Path(self.file).expanduser().name, Path(self.file).expanduser())]
+        for option, value in self.options:
+            is_path = option in self.policy_class.file_options and isinstance(value, str)
+            path = Path(value).expanduser() if is_path else None
+            if path is not None and path.is_dir():
+                found += [(option, f"{path.name}/{file.name}", file) for file in sorted(path.iterdir())]
+            elif path is not None and path.exists():
+                found.append((option, path.name, path))
+        return [(option, name, read_policy_file(path)) for option, name, path in found if not path.is_dir()]
 
     def _read_attribute(self, policy: Policy, name: str) -> Any:
         """Return an attribute of the policy, which may be a property of the user's class."""
@@ -199,7 +215,7 @@ class PolicyReference:
 
     def _load(self) -> Any:
         if self.pickled:
-            return pickle.loads(self.pickled)
+            return unpickle(self.pickled)
         if ":" in self.name:
             return import_reference(self.agent, self.name)
         return load_registered(self.agent, self.name)
@@ -300,7 +316,7 @@ def _parse_object(agent: str, policy: Any, extra: Mapping[str, Any], trust: bool
         raise OptionError(f"options must be passed with a class, got an instance of {name}; pass the class")
     check_policy_options(agent, policy_class, name, extra)
     try:
-        pickled = cloudpickle.dumps(policy)
+        pickled = pickle_by_value(policy)
     except Exception as error:  # pickling a user's object may raise anything
         raise OptionError(
             f"{agent} {name} cannot be sent to worker processes ({type(error).__name__}: {error}); "

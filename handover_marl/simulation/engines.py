@@ -1,6 +1,5 @@
 """Physics engines by name: creation of worlds, distance queries and grasp validators."""
 
-import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
-from handover_marl.execution.options import is_pybullet_installed, require_modules, require_pybullet
+from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
@@ -205,4 +204,4 @@ def make_grasp_validator(
 
 
 def _is_mujoco_installed() -> bool:
-    return importlib.util.find_spec("mujoco") is not None
+    return is_installed("mujoco")

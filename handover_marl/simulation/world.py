@@ -3,17 +3,19 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from typing_extensions import Self
 
 from handover_marl.config import CameraConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.reference_tracking import ReferenceMotion
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +182,7 @@ class BatchWorld(World):
         """Key that is equal for worlds that can be simulated in one rollout."""
 
     @classmethod
-    def prepare_rollout(cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]]) -> None:
+    def prepare_rollout(cls, worlds: "Sequence[Self]", robot_targets: Sequence[list[float]]) -> None:
         """Prepare the coming steps of several sleeping worlds, which may wake them.
 
         One call for many worlds is faster than many calls.
@@ -193,7 +195,7 @@ class BatchWorld(World):
     @classmethod
     @abstractmethod
     def simulate_rollout(
-        cls, worlds: Sequence[Self], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
+        cls, worlds: "Sequence[Self]", robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> RolloutResult:
         """Simulate several steps of worlds with the same rollout key.
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arm import ArmKinematics, LinkFrames
+from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.panda import GRIPPER_OUTLINE
 from handover_marl.geometry.poses import transform_points
@@ -18,11 +18,9 @@ from handover_marl.planning.planner import Plan
 
 Array = npt.NDArray[np.float64]
 
-_GRIPPER_OUTLINE = np.array(GRIPPER_OUTLINE)
 _DPI = 100
 # Elevation and azimuth of the two views (degrees): from the side and from above.
 _VIEWS = ((20.0, -20.0), (89.0, -90.0))
-_TOP_VIEW_ELEVATION = 80.0  # degrees
 _HALF_EXTENT = 0.45  # m from the target object to the edges of the figure
 
 
@@ -52,68 +50,58 @@ def draw_plan_figure(
     figure.suptitle(title)
     center = observation["object_poses"][0, :3]
     limits = [(value - _HALF_EXTENT, value + _HALF_EXTENT) for value in center]
+    meshes = [read_collision_mesh(urdf) for urdf in object_urdfs]
+    hand = hand_capsules_from_observation(observation)
+    lines = [] if plan is None else _list_plan_lines(plan, arm, world_from_base)
     for number, (elevation, azimuth) in enumerate(_VIEWS, start=1):
         axes = figure.add_subplot(1, len(_VIEWS), number, projection="3d")
-        _draw_objects(axes, observation, object_urdfs)
-        _draw_person_hand(axes, observation)
-        if plan is not None:
-            _draw_plan(axes, plan, arm, world_from_base)
+        for index, (vertices, faces) in enumerate(meshes):
+            pose, label = observation["object_poses"][index], ("object", "other objects")[index] if index < 2 else None
+            color = "tab:gray" if index else "tab:brown"
+            axes.plot_trisurf(
+                *transform_points(pose.astype(np.float64), vertices).T,
+                triangles=faces,
+                color=color,
+                alpha=0.35,
+                label=label,
+            )
+        for start, end, radius in () if hand is None else zip(hand.starts, hand.ends, hand.radii, strict=True):
+            label = None if axes.lines else "person's hand"
+            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=label)
+        for points, style in lines:
+            axes.plot(*points.T, **style)
         axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
         axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
         axes.set_box_aspect((1, 1, 1))
         axes.view_init(elevation, azimuth)
-        if elevation > _TOP_VIEW_ELEVATION:
-            # Seen along the z axis, its tick labels overlap.
-            axes.set(zlabel="", zticks=[])
+    # Seen along the z axis, its tick labels overlap.
+    axes.set(zlabel="", zticks=[])
     figure.axes[0].legend(loc="upper left", fontsize="small")
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
 
 
-def _draw_objects(axes: Any, observation: Observation, object_urdfs: Sequence[Path]) -> None:
-    for number, urdf in enumerate(object_urdfs):
-        vertices, faces = read_collision_mesh(urdf)
-        x, y, z = transform_points(observation["object_poses"][number].astype(np.float64), vertices).T
-        color, label = ("tab:brown", "object") if number == 0 else ("tab:gray", "other objects")
-        label_once = label if number < 2 else None
-        axes.plot_trisurf(x, y, z, triangles=faces, color=color, alpha=0.35, label=label_once)
+def _list_plan_lines(plan: Plan, arm: ArmKinematics, world_from_base: Array) -> list[tuple[Array, dict[str, Any]]]:
+    """Return the lines that show a plan: points (n, 3) in the world (m), and keywords of matplotlib's `plot`."""
 
+    def compute_chain(joints: Array) -> tuple[Array, Array]:
+        """Return the world positions (n, 1 + links, 3) of base and links, and the gripper's outlines (n, points, 3)."""
+        frames = arm.compute_chain_frames(joints)
+        origins = np.moveaxis(frames.origins, 2, 0)
+        rotations = np.moveaxis(frames.rotations[-1], 2, 0)
+        outlines = np.array(GRIPPER_OUTLINE) @ rotations.transpose(0, 2, 1) + origins[:, -1:]
+        chains = np.concatenate([np.zeros((len(joints), 1, 3)), origins], axis=1)
+        return transform_points(world_from_base, chains), transform_points(world_from_base, outlines)
 
-def _draw_person_hand(axes: Any, observation: Observation) -> None:
-    hand = hand_capsules_from_observation(observation)
-    if hand is None:
-        return
-    labels = ["person's hand"] + [None] * (len(hand.radii) - 1)
-    for start, end, radius, label in zip(hand.starts, hand.ends, hand.radii, labels, strict=True):
-        bone = np.stack([start, end]).T
-        axes.plot(*bone, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=label)
-
-
-def _draw_plan(axes: Any, plan: Plan, arm: ArmKinematics, world_from_base: Array) -> None:
-    def to_world(points: Array) -> Array:
-        return np.asarray(transform_points(world_from_base, points))
-
-    def arm_line(joints: Array) -> Array:
-        origins = arm.compute_chain_frames(joints[None]).origins[..., 0]
-        return to_world(np.concatenate([np.zeros((1, 3)), origins]))
-
-    for outline in _gripper_outlines(arm, plan.goals.goals):
-        axes.plot(*to_world(outline).T, color="tab:green", linewidth=0.8, alpha=0.6)
-    (chosen,) = _gripper_outlines(arm, plan.trajectory[-1:])
-    axes.plot(*to_world(chosen).T, color="tab:red", linewidth=2.5, label="chosen goal")
-    start, end = arm_line(plan.start).T, arm_line(plan.trajectory[-1]).T
-    axes.plot(*start, color="black", linewidth=3, alpha=0.5, label="arm at the start")
-    axes.plot(*end, color="tab:red", linewidth=3, alpha=0.3, label="arm at the end")
-    waypoints = np.concatenate([plan.start[None], plan.trajectory])
-    path = to_world(arm.compute_chain_frames(waypoints).origins[-1].T)
+    waypoints, outlines = compute_chain(np.concatenate([plan.start[None], plan.trajectory]))
     tail = plan.goals.tails.shape[1]
-    axes.plot(*path.T, color="tab:blue", marker=".", label="hand link at each waypoint")
-    axes.plot(*path[-tail:].T, color="tab:purple", linewidth=3, label="straight approach to the grasp")
-
-
-def _gripper_outlines(arm: ArmKinematics, joints: Array) -> Sequence[Array]:
-    """Return the gripper's outline, (p, 3) in the base frame (m), for each of (n, 7) joint angles."""
-    chain: LinkFrames = arm.compute_chain_frames(joints)
-    origins, rotations = chain.origins[-1], chain.rotations[-1]
-    return [_GRIPPER_OUTLINE @ rotations[..., number].T + origins[:, number] for number in range(len(joints))]
+    goal_style = {"color": "tab:green", "linewidth": 0.8, "alpha": 0.6}
+    return [
+        *((outline, goal_style) for outline in compute_chain(plan.goals.goals)[1]),
+        (outlines[-1], {"color": "tab:red", "linewidth": 2.5, "label": "chosen goal"}),
+        (waypoints[0], {"color": "black", "linewidth": 3, "alpha": 0.5, "label": "arm at the start"}),
+        (waypoints[-1], {"color": "tab:red", "linewidth": 3, "alpha": 0.3, "label": "arm at the end"}),
+        (waypoints[:, -1], {"color": "tab:blue", "marker": ".", "label": "hand link at each waypoint"}),
+        (waypoints[-tail:, -1], {"color": "tab:purple", "linewidth": 3, "label": "straight approach to the grasp"}),
+    ]

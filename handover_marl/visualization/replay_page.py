@@ -1,11 +1,10 @@
 """Web page that replays an episode in 3D beside its outcome, events and settings."""
 
-from handover_marl import __version__
 from handover_marl.config import TIME_STEP, CameraConfig
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.visualization.replay_recorder import EpisodeLog
+from handover_marl.version import __version__
+from handover_marl.visualization.replay_recorder import EpisodeLog, list_events
 from handover_marl.visualization.replay_scene import build_color_legend, build_viser_page
-from handover_marl.visualization.replay_text import list_events
 from handover_marl.visualization.web_page import render_page
 
 # As the camera of images, but a little nearer.

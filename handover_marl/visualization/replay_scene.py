@@ -2,8 +2,8 @@
 
 import contextlib
 import io
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -12,16 +12,14 @@ from handover_marl.config import TIME_STEP, CameraConfig
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
 from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.visualization.colors import LABEL_COLORS
+from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
 from handover_marl.visualization.replay_bodies import (
     LinkTrajectory,
     compute_link_trajectories,
     compute_robot_link_poses,
     find_nearest_point,
 )
-from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame
-from handover_marl.visualization.replay_text import describe_frame
+from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -77,17 +75,17 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
         scene.add_icosphere(
             "/goal", rules.goal_radius, _GOAL_COLOR, opacity=0.15, position=rules.goal_center, cast_shadow=False
         )
-        elements: list[_SceneElement] = [
-            *(_AnimatedLink(scene, link) for link in links),
-            _FingerContacts(scene, log),
-            _HandContactMarker(scene, links),
-            _PlannedPath(scene),
-            _ObservedCloud(scene, log),
-            _StatusLabel(scene, log),
+        elements = [
+            *(_add_link(scene, link) for link in links),
+            _add_finger_contacts(scene, log),
+            _add_hand_contact(scene, links),
+            _add_planned_path(scene),
+            _add_observed_points(scene, log),
+            _add_status(scene, log),
         ]
         for index, frame in enumerate(log.frames):
-            for element in elements:
-                element.show(index, frame)
+            for show in elements:
+                show(index, frame)
             if frame is not log.frames[-1]:
                 serializer.insert_sleep((log.frames[index + 1].step - frame.step) * TIME_STEP)
         serializer.insert_sleep(END_PAUSE_S)
@@ -131,157 +129,127 @@ def _run_server() -> Iterator[Any]:
             server.stop()
 
 
-class _SceneElement(Protocol):
-    """Element of the 3D scene whose changes over the frames viser records."""
-
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        """Update the element to its state at a frame."""
+# Function that shows an element of the scene as it is at a frame, whose index is given, too.
+_Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
-class _AnimatedLink:
-    """Mesh of a link that moves."""
+class _Element:
+    """Element of viser's scene, of which only changes are recorded, since they determine the size of the page.
 
-    def __init__(self, scene: "SceneApi", link: LinkTrajectory) -> None:
-        is_robot = link.label is SegmentationLabel.ROBOT
-        positions, rotations = link.poses[:, :3], link.poses[:, 3:]
-        self._poses = np.concatenate(
-            [_quantize(positions, _POSITION_STEP), _quantize(rotations, _ROTATION_STEP)], axis=1
-        )
-        self._is_present = link.is_present
-        self._handle = scene.add_mesh_simple(
-            f"/{link.name}",
-            link.mesh.vertices,
-            link.mesh.faces,
-            color=_ROBOT_COLOR if is_robot else _rgb_from_html(LABEL_COLORS[link.label]),
-            flat_shading=len(link.mesh.faces) < _FLAT_SHADING_FACES,
-            side="double",
-        )
-        self._shown: int | None = None
+    Args:
+        handle: Viser's handle of the element.
+    """
 
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        index = min(index, len(self._poses) - 1)
-        if index == self._shown:
-            return
-        pose, before = self._poses[index], None if self._shown is None else self._poses[self._shown]
-        if before is None or (pose[:3] != before[:3]).any():
-            self._handle.position = pose[:3]
-        if before is None or (pose[3:] != before[3:]).any():
-            self._handle.wxyz = np.roll(pose[3:], 1)
-        if self._shown is None or self._is_present[index] != self._is_present[self._shown]:
-            self._handle.visible = bool(self._is_present[index])
-        self._shown = index
+    def __init__(self, handle: Any) -> None:
+        self._handle, self._shown = handle, dict[str, Any]()
+
+    def set(self, **values: Any) -> None:
+        """Set properties of the element that have other values."""
+        for name, value in values.items():
+            if name not in self._shown or not np.array_equal(self._shown[name], value):
+                setattr(self._handle, name, value)
+                self._shown[name] = value
 
 
-class _FingerContacts:
-    """Contact points of fingers and object."""
+def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
+    color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else _rgb_from_html(LABEL_COLORS[link.label])
+    is_flat = len(link.mesh.faces) < _FLAT_SHADING_FACES
+    mesh = (f"/{link.name}", link.mesh.vertices, link.mesh.faces)
+    element = _Element(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
+    positions = _quantize(link.poses[:, :3], _POSITION_STEP)
+    rotations = _quantize(np.roll(link.poses[:, 3:], 1, axis=1), _ROTATION_STEP)
 
-    def __init__(self, scene: "SceneApi", log: EpisodeLog) -> None:
-        snapshots = [frame.snapshot for frame in log.frames]
-        self._fingers = compute_robot_link_poses(log, snapshots, FINGER_LINKS)
-        self._cloud = _PointCloud(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
+    def show(index: int, frame: ReplayFrame) -> None:
+        row = min(index, len(positions) - 1)
+        element.set(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
 
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        fingers = zip(self._fingers[index], frame.finger_points, strict=True)
-        self._cloud.show(np.concatenate([transform_points(finger, points) for finger, points in fingers]))
+    return show
 
 
-class _HandContactMarker:
-    """Sphere at the contact of robot and person; its position is approximated by the meshes."""
+def _add_finger_contacts(scene: "SceneApi", log: EpisodeLog) -> _Show:
+    """Add the contact points of fingers and object."""
+    poses = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], FINGER_LINKS)
+    show_points = _add_points(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
 
-    def __init__(self, scene: "SceneApi", links: Sequence[LinkTrajectory]) -> None:
-        self._links = links
-        self._handle = scene.add_icosphere(
-            "/touch", _HAND_CONTACT_RADIUS, _HAND_CONTACT_COLOR, opacity=0.6, visible=False
-        )
+    def show(index: int, frame: ReplayFrame) -> None:
+        fingers = zip(poses[index], frame.finger_points, strict=True)
+        show_points(np.concatenate([transform_points(finger, points) for finger, points in fingers]))
 
-    def show(self, index: int, frame: ReplayFrame) -> None:
+    return show
+
+
+def _add_hand_contact(scene: "SceneApi", links: Sequence[LinkTrajectory]) -> _Show:
+    """Add a sphere at the contact of robot and person; its position is approximated by the meshes."""
+    sphere = scene.add_icosphere("/touch", _HAND_CONTACT_RADIUS, _HAND_CONTACT_COLOR, opacity=0.6, visible=False)
+    element = _Element(sphere)
+
+    def show(index: int, frame: ReplayFrame) -> None:
         point = None
         if frame.touches_hand:
-            point = find_nearest_point(self._links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, index)
+            point = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, index)
         if point is not None:
-            self._handle.position = point
-        if self._handle.visible != (point is not None):
-            self._handle.visible = point is not None
+            element.set(position=point)
+        element.set(visible=point is not None)
+
+    return show
 
 
-class _PlannedPath:
-    """Planned path of the hand link, with the gripper's outline at its end."""
+def _add_planned_path(scene: "SceneApi") -> _Show:
+    """Add the planned path of the hand link, with the gripper's outline at its end."""
+    empty = np.zeros((1, 2, 3), dtype=np.float32)
+    style: Any = {"thickness": 3.0, "thickness_units": "screen", "visible": False}
+    element = _Element(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
 
-    def __init__(self, scene: "SceneApi") -> None:
-        empty = np.zeros((1, 2, 3), dtype=np.float32)
-        self._handle = scene.add_line_segments(
-            "/planned_path", empty, _PLAN_COLOR, thickness=3.0, thickness_units="screen", visible=False
-        )
-        self._shown: Array | None = None
-
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        path, shown = frame.planned_path, self._shown
-        if path is not None and (shown is None or not np.array_equal(shown, path)):
+    def show(index: int, frame: ReplayFrame) -> None:
+        path = frame.planned_path
+        if path is not None:
             outline = transform_points(path[-1], np.array(GRIPPER_OUTLINE))
             lines = np.concatenate([_segments(path[:, :3]), _segments(outline)])
-            self._handle.points = _quantize(lines, _POSITION_STEP).astype(np.float32)
-        if (path is None) != (shown is None):
-            self._handle.visible = path is not None
-        self._shown = path
+            element.set(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
+        element.set(visible=path is not None)
+
+    return show
 
 
-class _ObservedCloud:
-    """Latest observed points of the object and of the person's hand."""
-
-    def __init__(self, scene: "SceneApi", log: EpisodeLog) -> None:
-        self._recordings: list[tuple[int, Array, Array]] = []
-        if log.clouds:
-            snapshots = [cloud.snapshot for cloud in log.clouds]
-            hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0]
-            self._recordings = [
-                (cloud.step, transform_points(hand, cloud.object_points), transform_points(hand, cloud.hand_points))
-                for cloud, hand in zip(log.clouds, hands, strict=True)
-            ]
-        self._clouds = [
-            _PointCloud(
-                scene, f"/observed/{label.name.lower()}", _rgb_from_html(LABEL_COLORS[label]), 2 * _CLOUD_POINT_RADIUS
-            )
-            for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
-        ]
-        self._next = 0
-
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        before = self._next
-        while self._next < len(self._recordings) and self._recordings[self._next][0] <= frame.step:
-            self._next += 1
-        if self._next > before:
-            _, *positions = self._recordings[self._next - 1]
-            for cloud, points in zip(self._clouds, positions, strict=True):
-                cloud.show(points)
-
-
-class _PointCloud:
-    """Points that can be replaced; invisible while there are none."""
-
-    def __init__(self, scene: "SceneApi", name: str, color: Color, size: float) -> None:
-        empty = np.zeros((1, 3), dtype=np.float16)
-        self._handle = scene.add_point_cloud(
-            name, empty, color, point_size=size, point_shape="circle", point_shading="flat", visible=False
+def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
+    """Add the latest observed points of the object and of the person's hand."""
+    hands = compute_robot_link_poses(log, [cloud.snapshot for cloud in log.clouds], (HAND_LINK,)) if log.clouds else []
+    steps = np.array([cloud.step for cloud in log.clouds])
+    clouds = [
+        _add_points(
+            scene, f"/observed/{label.name.lower()}", _rgb_from_html(LABEL_COLORS[label]), 2 * _CLOUD_POINT_RADIUS
         )
+        for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+    ]
 
-    def show(self, points: Array) -> None:
-        """Show (n, 3) points (m)."""
+    def show(index: int, frame: ReplayFrame) -> None:
+        latest = int(np.searchsorted(steps, frame.step, side="right")) - 1
+        if latest >= 0:
+            parts = log.clouds[latest].object_points, log.clouds[latest].hand_points
+            for show_points, points in zip(clouds, parts, strict=True):
+                show_points(transform_points(hands[latest][0], points))
+
+    return show
+
+
+def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Callable[[Array], None]:
+    """Add a point cloud; return a function that replaces its points (n, 3) (m), and hides it if there are none."""
+    style: Any = {"point_size": size, "point_shape": "circle", "point_shading": "flat", "visible": False}
+    element = _Element(scene.add_point_cloud(name, np.zeros((1, 3), dtype=np.float16), color, **style))
+
+    def show(points: Array) -> None:
         if len(points):
-            self._handle.points = points.astype(np.float16)
-        if self._handle.visible != bool(len(points)):
-            self._handle.visible = bool(len(points))
+            element.set(points=points.astype(np.float16))
+        element.set(visible=bool(len(points)))
+
+    return show
 
 
-class _StatusLabel:
-    """Time and state of the episode, above the goal region."""
-
-    def __init__(self, scene: "SceneApi", log: EpisodeLog) -> None:
-        x, y, z = log.config.protocol.goal_center
-        self._log = log
-        self._handle = scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center")
-
-    def show(self, index: int, frame: ReplayFrame) -> None:
-        self._handle.text = describe_frame(self._log, frame)
+def _add_status(scene: "SceneApi", log: EpisodeLog) -> _Show:
+    """Add the time and the state of the episode, above the goal region."""
+    x, y, z = log.config.protocol.goal_center
+    element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
+    return lambda index, frame: element.set(text=describe_frame(log, frame))
 
 
 def _segments(points: Array) -> Array:

@@ -6,9 +6,8 @@ from PIL import Image, ImageColor
 
 from handover_marl.config import CameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
 from handover_marl.simulation.camera.optics import FAR
-from handover_marl.visualization.colors import LABEL_COLORS
 
 Picture = npt.NDArray[np.uint8]
 

@@ -1,8 +1,5 @@
 """Tests of the Panda with a camera on its hand."""
 
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.assets.robot_model import PANDA_URDF, write_camera_panda_urdf
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.geometry.kinematic_tree import read_tree
@@ -38,7 +35,7 @@ def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
 
 
 def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
-    plain, camera = joints(client, PANDA_URDF), joints(client, write_camera_panda_urdf())
+    plain, camera = joints(client, PANDA_URDF), joints(client, CAMERA_PANDA_URDF)
     assert set(camera) - set(plain) == {CAMERA_LINK}
     assert camera.pop(CAMERA_LINK)[1] == client.JOINT_FIXED
     assert camera == plain
@@ -46,7 +43,7 @@ def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
 
 
 def test_only_the_camera_is_added(client: BulletClient) -> None:
-    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, write_camera_panda_urdf())]
+    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, CAMERA_PANDA_URDF)]
     masses, shapes = [], []
     for body in bodies:
         links = range(-1, client.getNumJoints(body))
@@ -66,7 +63,7 @@ def test_only_the_camera_is_added(client: BulletClient) -> None:
 def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> None:
     low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     robot = np.random.default_rng(seed).uniform(low, high)
-    panda = PandaBody(client, write_camera_panda_urdf(), PandaConfig())
+    panda = PandaBody(client, CAMERA_PANDA_URDF, PandaConfig())
     panda.reset_joints(robot.tolist())
     hand, camera = panda.read_link_poses([panda.get_link(HAND_LINK), panda.get_link(CAMERA_LINK)]).astype(np.float64)
     relative = compose(invert_pose(hand), camera)
@@ -83,8 +80,8 @@ def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> Non
 
 
 def test_kinematic_tree_equals_bullets(client: BulletClient) -> None:
-    tree = read_tree(write_camera_panda_urdf())
-    body = load_urdf(client, write_camera_panda_urdf(), useFixedBase=True)
+    tree = read_tree(CAMERA_PANDA_URDF)
+    body = load_urdf(client, CAMERA_PANDA_URDF, useFixedBase=True)
     infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     names = [joint.link for joint in tree.joints]
     assert names == [info[LINK].decode() for info in infos]
@@ -102,75 +99,6 @@ def test_kinematic_tree_equals_bullets(client: BulletClient) -> None:
             assert abs(pose[3:] @ np.array(state[5])) == pytest.approx(1.0, abs=1e-6), names[link]
 
 
-def test_one_process_has_one_file() -> None:
-    path = write_camera_panda_urdf()
-    assert (
-        write_camera_panda_urdf()
-        == path
-        == open_dataset("synthetic", robot="panda_camera").load_scene(209).assets.panda
-    )
+def test_datasets_have_both_robots() -> None:
+    assert open_dataset("synthetic", robot="panda_camera").load_scene(209).assets.panda == CAMERA_PANDA_URDF
     assert open_dataset("synthetic", robot="panda").load_scene(209).assets.panda == PANDA_URDF
-    assert path.is_file()
-    assert PANDA_URDF.is_file()
-    assert CAMERA_LINK not in PANDA_URDF.read_text()
-
-
-def run(code: str) -> list[Path]:
-    """Run a program and return the paths that it printed."""
-    program = f"import os, sys\nfrom handover_marl.assets.robot_model import write_camera_panda_urdf\n{code}"
-    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=60)
-    assert not done.stderr
-    return [Path(line) for line in done.stdout.split()]
-
-
-def test_temporary_file_is_removed_at_exit() -> None:
-    (path,) = run("print(write_camera_panda_urdf())\nassert write_camera_panda_urdf().is_file()")
-    assert path != write_camera_panda_urdf()
-    assert not path.parent.exists()
-    assert write_camera_panda_urdf().is_file(), "each process has its own"
-
-
-FORKS = """
-path = write_camera_panda_urdf()
-for own in (False, True):
-    child = os.fork()
-    if not child:
-        if own:
-            print(write_camera_panda_urdf(), flush=True)
-            assert write_camera_panda_urdf() != path
-            assert write_camera_panda_urdf().is_file()
-        # Ends with all that is done at exit, other than os._exit.
-        sys.exit(0)
-    assert os.waitpid(child, 0)[1] == 0
-    assert path.is_file()
-print(path)
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_forked_children_keep_their_parents_file() -> None:
-    childs, parents = run(FORKS)
-    assert childs != parents
-    assert not childs.parent.exists()
-    assert not parents.parent.exists()
-
-
-@pytest.mark.parametrize(
-    "method",
-    [
-        "spawn",
-        "fork",
-        "forkserver",
-    ],
-)
-def test_child_processes_remove_their_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, method: str) -> None:
-    """Child processes, which vector environments start by any of these methods, remove their files at exit."""
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    run(
-        "import multiprocessing\n"
-        f"child = multiprocessing.get_context({method!r}).Process(target=write_camera_panda_urdf)\n"
-        "child.start()\n"
-        "child.join()\n"
-        "assert child.exitcode == 0"
-    )
-    assert not list(tmp_path.glob("handover_marl_*"))

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial import Delaunay
 
 from handover_marl.assets.building.object_files import load_collision_parts
 from handover_marl.assets.object_models import find_object_urdf
@@ -35,14 +36,13 @@ def test_poses_are_rigid(name: str) -> None:
 @pytest.mark.parametrize("name", GRASPABLE)
 def test_object_lies_between_the_open_fingers(name: str) -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.building.build_grasps import ConvexSolid
-
-    solid = ConvexSolid(load_collision_parts(name))
+    hulls = [Delaunay(part.vertices) for part in load_collision_parts(name)]
     across = np.linspace(-0.04, 0.04, 61)  # between the open fingers, along the gripper frame's x
     depths = np.linspace(0.084, 0.111, 12)  # along the finger pads
     local = np.stack([*np.meshgrid(across, [0.0], depths, indexing="ij"), np.ones((61, 1, 12))], axis=-1)[:, 0]
     for grasp in _grasps(name):
-        outside = solid.is_outside((local.reshape(-1, 4) @ grasp.T)[:, :3]).reshape(61, 12)
+        points = (local.reshape(-1, 4) @ grasp.T)[:, :3]
+        outside = np.all([hull.find_simplex(points) < 0 for hull in hulls], axis=0).reshape(61, 12)
         assert outside[[0, -1]].all()  # where the fingers are
         assert not outside.all()  # between their pads
 
@@ -77,14 +77,6 @@ def test_loaded_grasps_are_copies() -> None:
     first = _grasps("025_mug")
     first[:] = 0.0
     assert _grasps("025_mug").any()
-
-
-def test_rebuild_gives_the_shipped_grasps() -> None:
-    pytest.importorskip("trimesh")
-    from handover_marl.assets.building.build_grasps import Args, validate_object_grasps
-
-    rebuilt, _ = validate_object_grasps("009_gelatin_box", Args(n_grasps=3))
-    np.testing.assert_allclose(rebuilt, _grasps("009_gelatin_box")[:3], atol=1e-6)
 
 
 def test_bad_names_and_files(tmp_path: Path) -> None:

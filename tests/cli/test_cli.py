@@ -11,10 +11,11 @@ import tyro
 from handover_marl.cli import main
 from handover_marl.cli.options import parse_scenes
 from handover_marl.cli.streams import prepare_streams, print_result
-from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError
 from handover_marl.evaluation import episode_runner
 from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.execution.options import is_installed
+from handover_marl.policies.registry import import_reference
 
 
 def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,12 +169,17 @@ def test_help_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert "--receiver" in capsys.readouterr().out
 
 
-def test_help_without_docstrings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """As with `python -OO`."""
-    monkeypatch.setattr(WorldConfig, "__doc__", None)
-    with pytest.raises(SystemExit):
-        main(["pair", "--help"])
-    assert "--initial-joint-noise" in capsys.readouterr().out
+def test_modules_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Policies are imported from the working folder, but folders there do not count as optional packages."""
+    (tmp_path / "robots.py").write_text("from handover_marl.receivers.hold import HoldReceiver as Mine\n")
+    for name, file in (("minari", "__init__.py"), ("igl", "data.txt"), ("warp", "__init__.py")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / file).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    importlib.invalidate_caches()
+    assert not any(is_installed(name) for name in ("igl", "minari", "warp", "nowhere"))
+    assert import_reference("receiver", "robots:Mine").name == "hold"
 
 
 def test_parse_scenes() -> None:

@@ -20,10 +20,10 @@ from handover_marl.errors import ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.merge import merge
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, ResultMetadata, format_config, read_result_metadata
-from handover_marl.evaluation.verification.verify import verify
+from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
 from handover_marl.policies.policy import make_policy_context
+from tests.learning.grasps import select_grasp
 
 N_SCENES, CUP = 1500, 29
 
@@ -141,9 +141,9 @@ def test_policies_name_the_classes_of_the_data_set(many: Dataset) -> None:
     env = handover_marl.parallel_env(dataset="many:cups", physics="fast", scenes=SCENES)
     observation = env.reset(options={"scene_id": SCENES[0]})[0]["receiver"]
     env.close()
-    found = get_lowest_cost_grasp_selector(context).select(observation)
+    found = select_grasp(context, observation)
     as_mug = {**observation, "object_classes": np.where(observation["object_classes"] == CUP, 14, 0)}
-    expected = get_lowest_cost_grasp_selector(make_policy_context(SyntheticDataset())).select(as_mug)
+    expected = select_grasp(make_policy_context(SyntheticDataset()), as_mug)
     assert found is not None
     assert expected is not None
     np.testing.assert_array_equal(found[0], expected[0])

@@ -23,7 +23,7 @@ from tests.docs.pages import REPOSITORY
 
 #: Functions that the commands of the library call; they are replaced by a mock.
 TARGETS = (
-    "handover_marl.evaluation.agreement.compare_physics",
+    "handover_marl.evaluation.comparison.compare_physics",
     "handover_marl.evaluation.comparison.compare",
     "handover_marl.evaluation.crossplay.crossplay",
     "handover_marl.evaluation.reports.report_files.evaluate",
@@ -32,20 +32,19 @@ TARGETS = (
     "handover_marl.assets.building.custom_scenes.CustomSceneFolder",
     "handover_marl.datasets.dexycb.importer.import_dexycb",
     "handover_marl.evaluation.demonstrations.record.demonstrate",
-    "handover_marl.evaluation.demonstrations.to_lerobot.convert_to_lerobot",
-    "handover_marl.evaluation.demonstrations.to_minari.convert_to_minari",
-    "handover_marl.datasets.folder_check.examine_data_folder",
+    "handover_marl.evaluation.demonstrations.convert.convert_to_lerobot",
+    "handover_marl.evaluation.demonstrations.convert.convert_to_minari",
+    "handover_marl.cli.data_folders.check_data_folder",
     "handover_marl.evaluation.merge.merge",
-    "handover_marl.evaluation.rendering.plan.render_plan",
-    "handover_marl.evaluation.rendering.scene.render_scene",
+    "handover_marl.evaluation.rendering.render_plan",
+    "handover_marl.evaluation.rendering.render_scene",
     "handover_marl.evaluation.strangers.leaderboard.make_leaderboard",
     "handover_marl.evaluation.strangers.protocol.strangers",
     "handover_marl.evaluation.strangers.reference_update.update_references",
-    "handover_marl.evaluation.verification.verify.verify",
+    "handover_marl.evaluation.verification.verify",
 )
 #: Functions that would check or write files that a command names, and the values that their replacements return.
 NOT_WRITTEN = {
-    "handover_marl.evaluation.reports.scene_tables.format_episodes_csv": "",
     "handover_marl.visualization.video.check_output_path": Path("episodes.csv"),
     "handover_marl.cli.folders.write_atomically": None,
 }

@@ -22,18 +22,18 @@ from handover_marl.episode.camera_observations import camera_observation_space
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
-from handover_marl.evaluation.agreement import Agreement
-from handover_marl.evaluation.comparison import Comparison, render_comparison_page
+from handover_marl.evaluation.comparison import Agreement, Comparison, render_comparison_page
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports import columns
-from handover_marl.evaluation.reports.columns import Column
-from handover_marl.evaluation.reports.pages import render_report_page
+from handover_marl.evaluation.reports import tables
+from handover_marl.evaluation.reports.episode_tables import SCENE_HEADER, build_scene_table
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.scene_tables import SCENE_HEADER, build_scene_table
-from handover_marl.evaluation.verification.differences import Difference, EpisodeCheck, Verification
+from handover_marl.evaluation.reports.report_files import render_report_page
+from handover_marl.evaluation.reports.tables import Column
+from handover_marl.evaluation.verification import Difference, Verification
 from handover_marl.learning.features import list_features
 from handover_marl.learning.schemes import list_schemes
 from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks, name
+from tests.evaluation.quick import make_report
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
 BENCHMARK = REPOSITORY / "docs" / "reference" / "rules_and_metrics.md"
@@ -181,7 +181,7 @@ def documented_names(mark: str, column: int = 0) -> list[str]:
 
 
 def sample_report(physics: str = "exact", *statuses: int) -> Report:
-    stored = handover_marl.evaluate(REPOSITORY / "tests" / "data" / "v0_7_0" / "benchmark")
+    stored = make_report()
     metadata = dataclasses.replace(stored.metadata, physics=physics)
     episodes = zip(stored.episodes, statuses or (1, 2), strict=True)
     ended = tuple(dataclasses.replace(episode, status=EpisodeStatus(status)) for episode, status in episodes)
@@ -200,15 +200,15 @@ def sample_crossplay() -> CrossPlay:
             "official metrics",
             "",
             (
-                columns.N_EPISODES,
-                *columns.RATES,
-                *columns.COUNTS,
-                columns.AVERAGE_SUCCESS,
-                columns.WAIT,
-                *columns.TIMES,
+                tables.N_EPISODES,
+                *tables.RATES,
+                *tables.COUNTS,
+                tables.AVERAGE_SUCCESS,
+                tables.WAIT,
+                *tables.TIMES,
             ),
         ),
-        ("fluency metrics", "fluency.", columns.FLUENCY),
+        ("fluency metrics", "fluency.", tables.FLUENCY),
     ],
 )
 def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...]) -> None:
@@ -232,8 +232,7 @@ def test_every_printed_column_is_documented() -> None:
     first, other = sample_report(), sample_report("fast", 2, 1)
     compared = Comparison(first, other, tuple(zip(first.episodes, other.episodes, strict=True)))
     page = render_report_page(first) + render_comparison_page(compared)
-    check = EpisodeCheck(0, 209, (Difference("steps", "1", "2"),))
-    verified = str(Verification(first.metadata, (check,), (), 144)).split("\n\n")
+    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),), 144)).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
     tables = [
         *first.build_tables(),

@@ -19,7 +19,7 @@ from handover_marl.envs.vector.reward_batch import RewardBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, is_tensor, to_numpy
 from handover_marl.simulation.contacts import Contacts
-from tests.learning.batch.test_encodings import COUNT, draw_observation
+from tests.learning.array_encodings import COUNT, draw_observation
 from tests.tensors import make_device_tensors
 
 AGENTS = ("giver", "receiver")

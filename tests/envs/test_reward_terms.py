@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.envs.reward_terms import TERMS, TermRewardSource, TermWeights, compute_hand_distance, make_term
+from handover_marl.envs.reward_terms import TERMS, TermRewardSource, TermWeights, compute_hand_distance
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
@@ -43,7 +43,7 @@ def transition(before: Any = None, after: Any = None, **changes: Any) -> Transit
 
 
 def value(name: str, **changes: Any) -> float:
-    return make_term(name).compute(transition(**changes))
+    return TERMS[name].compute([transition(**changes)])
 
 
 def test_success_and_time() -> None:
@@ -62,24 +62,23 @@ def test_paths_are_distances(first: Any, second: Any) -> None:
 
 def test_hands_that_are_absent_have_no_terms() -> None:
     for name in ("hand_path", "hand_jerk", "clearance"):
-        term = make_term(name)
-        term.reset(transition(after=state(hand=False)))
         for before, after in ((True, False), (False, True), (False, False)):
             states = state(wrist=(0, 0, 0.1), hand=before), state(wrist=(0, 0, 0.9), hand=after)
-            assert term.compute(transition(*states)) == 0.0
+            assert TERMS[name].compute([transition(*states)] * (1 if name != "hand_jerk" else 3)) == 0.0
 
 
 @pytest.mark.parametrize(("name", "body"), [("gripper_jerk", "gripper"), ("hand_jerk", "wrist")])
 def test_jerk_of_a_cubic_motion_is_constant(name: str, body: str) -> None:
     """The motion x = t^3 has a jerk of 6 m/s^3, which integrates to 0.6 m/s^2 in a step of 0.1 s."""
-    term = make_term(name)
+    source = TermRewardSource(TermWeights(receiver={name: 1.0}))
     states = [state(**{body: (0.0, (0.1 * number) ** 3, 0.0)}) for number in range(8)]
     for _ in range(2):
-        term.reset(transition(after=states[0]))
-        values = [term.compute(transition(*pair)) for pair in itertools.pairwise(states)]
+        source.start(transition(after=states[0]))
+        values = [source.compute(transition(*pair))["receiver"][name] for pair in itertools.pairwise(states)]
         assert values[:2] == [0.0, 0.0]
         np.testing.assert_allclose(values[2:], 0.6, rtol=1e-3)
-    assert term.compute(transition(states[-2], states[-1], duration=0.03)) == 0.0, "a shorter last step"
+    shorter = source.compute(transition(states[-2], states[-1], duration=0.03))
+    assert shorter["receiver"][name] == 0.0, "a shorter last step"
 
 
 def test_forces_are_integrated() -> None:
@@ -122,4 +121,4 @@ def test_every_term_has_a_unit_and_a_row_in_the_table() -> None:
 
     rows = [line.split("|") for line in (module.__doc__ or "").splitlines() if line.startswith("| ")][1:]
     documented = {row[1].strip(): row[3].strip() for row in rows}
-    assert documented == {name: make_term(name).unit for name in TERMS}
+    assert documented == {name: term.unit for name, term in TERMS.items()}

@@ -172,7 +172,7 @@ def test_nothing_is_known_before_a_reset_and_after_closing(episode: Episode) -> 
     other = Episode("fast")
     episode.close()
     for one in (other, episode):
-        for read in (lambda e: e.world, lambda e: e.scene, lambda e: e.observe(), lambda e: e.object_offered):
+        for read in (lambda e: e.world, lambda e: e.scene, lambda e: e.observe()):
             with pytest.raises(ResetNeededError, match="no episode is running"):
                 read(one)
     other.close()

@@ -8,7 +8,6 @@ from gymnasium import spaces
 
 from handover_marl.config import GiverConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.giver_motion import Playback
 from handover_marl.episode.observations import (
     PROPRIOCEPTION,
     MotionPreview,
@@ -20,6 +19,7 @@ from handover_marl.episode.observations import (
     state_space,
 )
 from handover_marl.simulation.world import WorldState
+from tests.episode.one_giver import OneGiver
 
 SHAPES = {
     "robot_joint_position": (9,),
@@ -99,19 +99,19 @@ def test_values_of_the_state(with_hand: bool) -> None:
 
 def test_values_that_only_the_giver_observes() -> None:
     scene = SyntheticDataset().load_scene(209)
-    playback, preview = Playback(scene, GiverConfig()), MotionPreview(scene, GiverConfig())
+    giver, preview = OneGiver(scene), MotionPreview(scene, GiverConfig())
     state = observe(make_state(True), (3, 11), False, 0.0)
     action = np.array([-0.5, 0.1, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0], dtype=np.float32)
     holding: list[Any] = []
     for steps in (100, 2000, 300):
-        playback.plan(steps, action if steps == 300 else np.zeros(8, dtype=np.float32))
-        playback.commit(steps)
-        found = observe_giver(state, playback, preview)
+        giver.plan(steps, action if steps == 300 else np.zeros(8, dtype=np.float32))
+        giver.commit(steps)
+        found = observe_giver(state, giver.motion, preview)
         assert giver_observation_space().contains(found)
-        wrist_poses, object_poses = preview.read_poses(playback.frame)
+        wrist_poses, object_poses = preview.read_poses(giver.frame)
         np.testing.assert_array_equal(found["replay_wrist_poses"], wrist_poses)
         np.testing.assert_array_equal(found["replay_object_poses"], object_poses)
-        np.testing.assert_array_equal(found["deviation"], playback.deviation)
+        np.testing.assert_array_equal(found["deviation"], giver.deviation)
         assert all(found[key] is value for key, value in state.items())
         holding += found["holding"].tolist()
     assert holding == [0.0, 1.0, 1.0]

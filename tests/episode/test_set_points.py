@@ -4,18 +4,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.wrist_offset import TrackedVector, track_set_point
+from handover_marl.episode.wrist_offset import track_set_points
 
 components = st.floats(-0.5, 0.5)
 SPEED, ACCELERATION = 0.8, 5.0
+LIMITS = np.array([[SPEED, 2.5], [ACCELERATION, 15.0]])
 
 
 def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
     """Return the values (n, 3) while several set points are tracked in turn."""
-    vector, parts = TrackedVector(), [np.zeros((0, 3))]
+    value, velocity, parts = np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), [np.zeros((0, 3))]
     for set_point, steps in targets:
-        values, vector = track_set_point(vector, set_point, steps, SPEED, ACCELERATION)
-        parts.append(values)
+        goals = np.tile(np.array(set_point, dtype=float), (1, 2, 1))
+        values, velocities = track_set_points(value, velocity, goals, steps, LIMITS)
+        value, velocity = values[-1], velocities[-1]
+        parts.append(values[:, 0, 0])
     return np.concatenate(parts)
 
 
@@ -43,3 +46,11 @@ def test_there_is_no_overshoot() -> None:
 def test_the_number_of_steps_per_call_does_not_matter() -> None:
     goal = [0.1, -0.2, 0.05]
     np.testing.assert_array_equal(track((goal, 300)), track(*((goal, n) for n in (1, 99, 7, 193))))
+
+
+def test_an_offset_that_passes_its_set_point_returns() -> None:
+    value, velocity = np.array([[[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]]), np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, -1.0]]])
+    path, speeds = track_set_points(value, velocity, value, 1000, LIMITS)
+    assert np.abs(path - value).max() > 0.01
+    np.testing.assert_array_equal(path[-1], value)
+    assert not speeds[-1].any()

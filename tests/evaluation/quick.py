@@ -7,7 +7,13 @@ import numpy as np
 
 import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.episode.metrics.fluency import FluencyMetrics
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.tables import FLUENCY
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
 from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
@@ -38,3 +44,26 @@ def run(data: Path, out: Path | None = None, **options: Any) -> Report:
 
 def untimed(report: Report) -> list[tuple[Any, ...]]:
     return [(e.index, e.scene_id, e.status, e.steps, e.release_step, e.object_name) for e in report.episodes]
+
+
+def make_report() -> Report:
+    """Return a report of a success in scene 209 and a drop in scene 214, both with fluency metrics."""
+    known: dict[str, Any] = {"n_objects": 1, "models": "MANO hands", "machine": "a machine", "fingerprint": "data"}
+    episodes = []
+    for index, (scene, status) in enumerate(((209, EpisodeStatus.SUCCESS), (214, EpisodeStatus.OBJECT_DROP))):
+        metrics: dict[str, Any] = {column.key: 0.25 + index + number for number, column in enumerate(FLUENCY)}
+        fluency = FluencyMetrics(**metrics | {"gripper_jerk": None})
+        episodes.append(EpisodeResult(index, status, 4000 + index, 0.5 + index, scene, fluency=fluency, **known))
+    metadata = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "1.0")
+    return Report(metadata, tuple(episodes), metadata.split_size)
+
+
+def write_results(path: Path) -> Path:
+    """Write the result folder of `make_report`."""
+    report = make_report()
+    folder = ResultFolder(path, report.metadata)
+    for result in report.episodes:
+        times = np.zeros(result.steps)
+        times[0] = result.plan_s
+        folder.write(result, encode_result(result, np.zeros((result.steps, 9), np.float32), times))
+    return path

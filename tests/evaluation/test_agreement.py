@@ -5,7 +5,7 @@ import pytest
 from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import SceneError, UnknownNameError
-from handover_marl.evaluation.agreement import Agreement, compare_physics
+from handover_marl.evaluation.comparison import Agreement, compare_physics
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata

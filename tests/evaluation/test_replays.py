@@ -9,8 +9,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation import episode_runner
-from handover_marl.evaluation.config import ExecutionConfig
-from handover_marl.evaluation.replays import ReplayWriter, check_replay_options
+from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
 from tests.evaluation.quick import HORIZON, SHORT, run, untimed
@@ -94,8 +93,7 @@ def test_replays_of_failed_or_all_episodes(tmp_path: Path) -> None:
         writer = ReplayWriter(tmp_path, wanted)
         assert writer.contains(episode(0, 1)) is success_is_there
         assert writer.contains(episode(0, 4)) is False
-    check_replay_options(ExecutionConfig(out=str(tmp_path)))
     with pytest.raises(UnknownNameError, match="replays 'some'"):
-        check_replay_options(ExecutionConfig(out=str(tmp_path), replays="some"))
+        run(tmp_path, tmp_path, replays="some")
     with pytest.raises(OptionError, match="need an output folder"):
-        check_replay_options(ExecutionConfig(replays="failed"))
+        run(tmp_path, replays="failed")

@@ -12,7 +12,7 @@ import pytest
 
 from handover_marl.errors import ResultsError
 from handover_marl.receivers import Receiver
-from tests.evaluation.quick import QuickReceiver, run, untimed
+from tests.evaluation.quick import run
 
 MINE = """
 import numpy as np
@@ -108,66 +108,12 @@ def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Writ
         assert first["action"][0, 0] == np.float32(0.01)
 
 
-@pytest.mark.parametrize(
-    ("imports", "shift"),
-    [
-        ("from helpers_of_mine import SHIFT", "SHIFT"),
-        ("import helpers_of_mine", "helpers_of_mine.SHIFT"),
-        ("from helpers_of_mine import shift", "shift()"),
-    ],
-)
-@pytest.mark.parametrize("package", [False, True])
-def test_imported_code_is_hashed(
-    fake_data: Path, tmp_path: Path, write: Write, imports: str, shift: str, package: bool
-) -> None:
-    """The hash covers modules that the receiver imports from its own folder or package, as users change them, too."""
-    where = "mine__in__" if package else ""
-    imports = imports.replace("from helpers_of_mine", "from mine.helpers_of_mine") if package else imports
-    imports = imports.replace("import helpers_of_mine", "from mine import helpers_of_mine") if package else imports
-
-    def written(value: float) -> type[Receiver]:
-        files = {f"{where}robots_of_mine": mine(shift, imports)}
-        files[f"{where}helpers_of_mine"] = f"SHIFT = {value}\n\ndef shift():\n    return {value}\n"
-        files |= {"mine__in____init__": ""} if package else {}
-        return write("mine.robots_of_mine" if package else "robots_of_mine", **files)
-
-    run(fake_data, tmp_path / "out", receiver=written(0.0), scenes=[9])
-    goes_on(fake_data, tmp_path / "out", written(0.0))
-    is_refused(fake_data, tmp_path / "out", written(0.01))
-
-
-def test_base_classes_are_hashed(fake_data: Path, tmp_path: Path, write: Write) -> None:
-    child = "from bases_of_mine import Mine as Base\n\nclass Mine(Base):\n    pass\n"
-    run(
-        fake_data,
-        tmp_path / "out",
-        receiver=write(bases_of_mine=mine(0.0), robots_of_mine=child),
-        scenes=[9],
-    )
-    goes_on(fake_data, tmp_path / "out", write(bases_of_mine=mine(0.0), robots_of_mine=child))
-    is_refused(fake_data, tmp_path / "out", write(bases_of_mine=mine(0.01), robots_of_mine=child))
-
-
 def test_options_are_part_of_the_identity(fake_data: Path, tmp_path: Path, write: Write) -> None:
     kind = write(robots_of_mine=mine())
     run(fake_data, tmp_path / "out", receiver=(kind, {"more": 0.01}), scenes=[9])
     goes_on(fake_data, tmp_path / "out", "robots_of_mine:Mine:more=0.01")
     for other in (kind, (kind, {"more": 0.02}), "robots_of_mine:Mine"):
         is_refused(fake_data, tmp_path / "out", other, "receiver 'mine:more=0.01' in the folder")
-
-
-class WithState(QuickReceiver):
-    def __init__(self, shift: float) -> None:
-        self.shift = shift
-
-
-def test_state_of_an_instance_is_hashed(fake_data: Path, tmp_path: Path) -> None:
-    first = run(fake_data, tmp_path / "out", receiver=WithState(0.0), scenes=[9])
-    goes_on(fake_data, tmp_path / "out", WithState(0.0))
-    is_refused(fake_data, tmp_path / "out", WithState(0.01))
-    anew = run(fake_data, tmp_path / "out", receiver=WithState(0.01), scenes=[9], fresh=True)
-    assert (first.n_resumed, anew.n_resumed) == (0, 0)
-    assert untimed(first) == untimed(anew)
 
 
 SCRIPT = """

@@ -1,4 +1,4 @@
-"""Tests of reading archives from untrusted sources: links, paths outside and oversized files are never read."""
+"""Tests of reading archives from untrusted sources: links and paths outside are never read."""
 
 import contextlib
 import io
@@ -9,11 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
-from handover_marl.execution import archives
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.archives import find_plain_files, open_folder
 
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}
@@ -31,7 +28,7 @@ def tar(path: Path, mode: str, entries: dict[str, bytes] | None = None, *extra: 
 
 
 def zipped(path: Path, entries: dict[str, bytes] | None = None) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         for name, content in (CONTENT if entries is None else entries).items():
             archive.writestr(name, content)
     return path
@@ -108,40 +105,13 @@ def test_links_in_a_folder_are_ignored(tmp_path: Path) -> None:
     assert contents(source) == CONTENT
 
 
-def test_decompression_bombs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archives, "MAX_ARCHIVE_BYTES", 3_000_000)
-    for size, fits in ((900_000, True), (1_100_000, False)):
-        entries = {f"assets/{number}.obj": bytes(size) for number in range(3)}
-        for source in (tar(tmp_path / "a.tar.gz", "w:gz", entries), zipped(tmp_path / "a.zip", entries)):
-            if fits:
-                assert contents(source) == entries
-                continue
-            with pytest.raises(UnsafeFileError, match="more than 3 MB"):
-                contents(source)
-
-
 def test_other_files_as_archives(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="cannot read"):
-        contents(tmp_path / "nothing.tar.gz")
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(DataNotFoundError, match="neither a folder nor an archive"):
-        contents(tmp_path / "pipe")
-    (tmp_path / "text.tar.gz").write_text("<html>not found</html>")
-    with pytest.raises(DataFormatError, match="not a readable archive"):
-        contents(tmp_path / "text.tar.gz")
-
-
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data(), kind=st.sampled_from(["w", "w:gz", "zip"]))
-def test_damaged_archives_are_reported(data: st.DataObject, kind: str, tmp_path: Path) -> None:
-    """A truncated archive, or one with a changed byte, is read or raises an error of the library."""
-    source = tmp_path / "a"
-    zipped(source) if kind == "zip" else tar(source, kind)
-    whole = bytearray(source.read_bytes())
-    if data.draw(st.booleans()):
-        del whole[data.draw(st.integers(0, len(whole) - 1)) :]
-    else:
-        whole[data.draw(st.integers(0, len(whole) - 1))] ^= data.draw(st.integers(1, 255))
-    source.write_bytes(whole)
-    with contextlib.suppress(HandoverError):
-        contents(source)
+    for name in ("nothing.tar.gz", "pipe"):
+        with pytest.raises(DataNotFoundError, match="must be a folder or an archive"):
+            contents(tmp_path / name)
+    whole = zipped(tmp_path / "a.zip").read_bytes()
+    for text in (b"<html>not found</html>", whole[:-30], whole.replace(b"v 0 0 0", b"v 1 0 0")):
+        (tmp_path / "a.zip").write_bytes(text)
+        with pytest.raises(DataFormatError, match="not a readable archive"):
+            contents(tmp_path / "a.zip")

@@ -162,7 +162,7 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OptionError, match=r"workers must be .* got 0"):
         open_pool(PoolConfig(0))
     with pytest.raises(OptionError, match=r"ray_address must be .* got 'here:1' with backend 'local'"):
-        open_pool(PoolConfig(address="here:1"))
+        open_pool(PoolConfig(ray_address="here:1"))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"needs ray: pip install 'handover-marl\[ray\]'"):
         open_pool(PoolConfig(backend="ray"))

@@ -19,8 +19,7 @@ import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.errors import DataFormatError, DataNotFoundError, PolicyError, WorkerError
-from handover_marl.evaluation.progress import BenchmarkProgress
-from handover_marl.execution import ray_pool
+from handover_marl.evaluation import benchmark as evaluation
 from handover_marl.receivers import Receiver
 from tests.evaluation.test_workers import files
 from tests.fake_layout import write_layout
@@ -159,15 +158,15 @@ def assert_same(one: Path, other: Path) -> None:
 
 def test_nodes_that_join_later(cluster: Any, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run waits for nodes if it requests more workers than there are cores, also if there are none at first."""
-    wait, added = ray_pool._wait_for_one, []
+    wait, added = ray.wait, []
 
     def wait_and_add(references: list[Any]) -> Any:
         if not added:
-            assert not ray.wait(references, timeout=0.1)[0]
+            assert not wait(references, timeout=0.1)[0]
             added.append(add_node(cluster))
         return wait(references)
 
-    monkeypatch.setattr(ray_pool, "_wait_for_one", wait_and_add)
+    monkeypatch.setattr(ray, "wait", wait_and_add)
     try:
         play(cluster, tmp_path / "out", workers=3)
         assert_same(tmp_path / "out", alone)
@@ -254,7 +253,7 @@ def test_interruption_frees_the_cores(cluster: Any, nodes: list[Any], monkeypatc
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(BenchmarkProgress, "add", stopped)
+        patch.setattr(evaluation, "_check_same_outcome", stopped)
         with pytest.raises(KeyboardInterrupt):
             play(cluster, progress=True)
     until = time.monotonic() + 30.0

@@ -18,9 +18,8 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
 from tests.docs.test_results import check_outcome_row, list_outcome_rows
+from tests.evaluation.quick import write_results
 from tests.short_episodes import shorten_episodes
-
-FOLDER = Path(__file__).parents[1] / "data" / "v0_7_0" / "benchmark"
 
 
 def make_folder(path: Path, receiver: str, outcomes: Iterator[int], wait: str = "3") -> Path:
@@ -108,9 +107,9 @@ def test_other_data_are_not_in_one_table(pages: Path, tmp_path: Path) -> None:
         make_results.main(make_results.Args((folder,), out=pages))
 
 
-def test_a_partial_folder_is_refused(pages: Path) -> None:
+def test_a_partial_folder_is_refused(pages: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="whole split"):
-        make_results.add_evaluation(FOLDER, "a test")
+        make_results.add_evaluation(write_results(tmp_path / "partial"), "a test")
     assert not make_results.EPISODES.exists()
 
 

@@ -1,6 +1,5 @@
 import codecs
 import io
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +9,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.assets.object_models import OBJECTS_ROOT
 from handover_marl.errors import DataFormatError, SimulationError
-from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.simulation.bullet.client import connect, load_urdf
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -94,45 +92,26 @@ def test_polygons(tmp_path: Path) -> None:
     assert volume == pytest.approx(2.5 * np.sin(0.4 * np.pi))
 
 
-def test_byte_order_marks_do_not_reach_pybullet(tmp_path: Path) -> None:
-    path = write(tmp_path, f"\ufeff{TRIANGLE}v 0 0 1\nf 1 2 3\n")
-    assert len(read_obj(path).vertices) == 4
-    with pytest.raises(DataFormatError, match="must not begin with a byte order mark"):
-        check_mesh(path)
-
-
-READERS: dict[str, Callable[[Path], object]] = {
-    "read": read_obj,
-    "check": lambda path: check_mesh(path, solid=True),
-}
-
-
 @pytest.mark.parametrize(
-    ("readers", "text", "message"),
+    ("text", "message"),
     [
-        ("read check", TRIANGLE, "empty"),
-        ("read check", f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
-        ("read check", f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 2 3", "at least three corners"),
-        ("read", f"{TRIANGLE}f 1 2 4\n", "not there"),
-        ("read", f"{TRIANGLE}f 0 1 2\n", "not there"),
-        ("read", f"{TRIANGLE}f 1 2 -4\n", "not there"),
-        ("read", f"{TRIANGLE}f one two three\n", "not an OBJ file"),
-        ("check", "", "empty"),
-        ("check", "f 1 2 3\n", "not there"),
-        ("check", f"{TRIANGLE}f 1 2 3\n", "one plane"),
-        ("check", f"{TRIANGLE}v 0 0 inf\nf 1 2 3\n", "not finite"),
-        ("check", f"{TRIANGLE}v 0 0\nf 1 2 3\n", "three numbers"),
-        ("check", f"{TRIANGLE}v 0 0 a\nf 1 2 3\n", "not an OBJ file"),
-        ("check", f"{TRIANGLE}v 0 0 1\nf 1/1 2/2 3/3\nf 2/2", "at least three corners"),
+        ("", "empty"),
+        (TRIANGLE, "empty"),
+        (f"{TRIANGLE}v nan 0 0\nf 1 2 3\n", "not finite"),
+        (f"{TRIANGLE}v 0 0\nf 1 2 3\n", "three numbers"),
+        (f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 2 3", "at least three corners"),
+        (f"{TRIANGLE}f 1 2 4\n", "not there"),
+        (f"{TRIANGLE}f 0 1 2\n", "not there"),
+        (f"{TRIANGLE}f 1 2 -4\n", "not there"),
+        (f"{TRIANGLE}f one two three\n", "not an OBJ file"),
     ],
 )
-def test_damaged_files(tmp_path: Path, readers: str, text: str, message: str) -> None:
-    for reader in readers.split():
-        with pytest.raises(DataFormatError, match=message):
-            READERS[reader](write(tmp_path, text))
+def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DataFormatError, match=message):
+        read_obj(write(tmp_path, text))
 
 
-@pytest.mark.parametrize("corner", ["4", "0", "-4", "999999999"])
+@pytest.mark.parametrize("corner", ["4", "999999999"])
 def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path, corner: str) -> None:
     write(tmp_path, f"{TRIANGLE}f 1 2 {corner}\n")
     mesh = '<geometry><mesh filename="mesh.obj"/></geometry>'
@@ -141,26 +120,3 @@ def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path, corne
     client = connect()
     with pytest.raises(SimulationError, match=r"mesh\.obj: a face names a corner"):
         load_urdf(client, urdf)
-
-
-def test_shipped_meshes_are_whole() -> None:
-    paths = sorted(OBJECTS_ROOT.rglob("*.obj"))
-    assert len(paths) > 20
-    for path in paths:
-        check_mesh(path)
-        assert np.isfinite(read_obj(path).vertices).all()
-
-
-@settings(max_examples=30)
-@given(st.lists(st.integers(-6, 6), min_size=1, max_size=4))
-def test_check_and_reader_agree(tmp_path_factory: pytest.TempPathFactory, corners: list[int]) -> None:
-    path = write(tmp_path_factory.mktemp("obj"), TRIANGLE + "f " + " ".join(map(str, corners)) + "\n")
-
-    def refused(read: object) -> bool:
-        try:
-            read(path)  # type: ignore[operator]
-        except DataFormatError:
-            return True
-        return False
-
-    assert refused(check_mesh) == refused(read_obj)

@@ -10,11 +10,9 @@ from handover_marl.geometry.array_cache import load_cached_arrays
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.meshes import (
     check_collision_meshes,
-    check_model,
     read_collision_mesh,
     read_visual_meshes,
 )
-from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
 from tests.unreadable import UNREADABLE, check_refusal, refuses_within, replace_by
 
@@ -26,17 +24,15 @@ URDF_READERS: dict[str, Callable[[Path], object]] = {
     "check": check_collision_meshes,
 }
 MESH_READERS: dict[str, Callable[[Path], object]] = {
-    "check": lambda urdf: check_model(urdf, 0),
     "collision": read_collision_mesh,
     "visual": lambda urdf: read_visual_meshes(urdf, TREE),
 }
-TETRAHEDRON = "mtllib body.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
 def write_model(folder: Path, mesh: str) -> Path:
-    """Write a URDF of one link, its mesh in OBJ format whatever its suffix, and a material that names a texture."""
+    """Write a URDF of one link, its mesh in OBJ format whatever its suffix."""
     (folder / mesh).write_text(TETRAHEDRON)
-    (folder / "body.mtl").write_text("newmtl one\nmap_Kd body.png\n")
     shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
     urdf = folder / "body.urdf"
     urdf.write_text(
@@ -64,16 +60,6 @@ def test_unreadable_mesh(reader: str, mesh: str, kind: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
-@pytest.mark.parametrize("file", ["body.mtl", "body.png"])
-def test_unreadable_material(file: str, kind: str, tmp_path: Path) -> None:
-    write_model(tmp_path, "body.obj")
-    check_mesh(tmp_path / "body.obj", solid=True)
-    UNREADABLE[kind](tmp_path / file) if file == "body.png" else replace_by(kind, tmp_path / file)
-    with refuses_within(5.0, HandoverError, kind):
-        check_mesh(tmp_path / "body.obj", solid=True)
-
-
-@pytest.mark.parametrize("kind", UNREADABLE)
 def test_unreadable_cache_is_computed_again(kind: str, tmp_path: Path) -> None:
     UNREADABLE[kind](tmp_path / "cache.npz")
     assert load_cached_arrays(tmp_path / "cache.npz", ["values"], "field") is None
@@ -87,11 +73,3 @@ def test_what_is_no_urdf(content: bytes, tmp_path: Path) -> None:
     for read in (read_tree, check_collision_meshes):
         with pytest.raises(HandoverError, match=r"body\.urdf.*check the file"):
             read(tmp_path / "body.urdf")
-
-
-def test_missing_material_and_foreign_mesh_are_accepted(tmp_path: Path) -> None:
-    write_model(tmp_path, "body.obj")
-    (tmp_path / "body.mtl").unlink()
-    check_mesh(tmp_path / "body.obj", solid=True)
-    check_mesh(tmp_path / "camera.stl")
-    assert len(read_obj(tmp_path / "body.obj").faces) == 4

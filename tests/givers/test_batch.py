@@ -9,10 +9,10 @@ import pytest
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
-from handover_marl.givers.batch import make_giver_batch
+from handover_marl.givers.array_giver import make_giver_batch
 from handover_marl.givers.cooperative import CooperativeGiver
 from handover_marl.policies.batch import make_giver_actions
-from handover_marl.policies.policy import make_giver_action
+from handover_marl.policies.policy import Action, make_giver_action
 from tests.givers.test_givers import seen
 from tests.tensors import make_device_tensors, make_observe_function
 
@@ -30,6 +30,11 @@ NAMES = (
     "withdrawing",
     "withdrawing:max_speed=0.1,max_distance=0.6,withdrawal=0.3,return_after=0.2",
     "cooperative",
+    "displaced",
+    "early_release",
+    "interrupting",
+    "recording_spread",
+    "tired",
     "cooperative:approach_share=0.5,min_distance=0.3,max_displacement=0.1,max_rotation=0.3,rate=0.5,withdrawal=0.3",
 )
 
@@ -126,9 +131,10 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
             assert np.array(acted)[..., 7].any(), "no object was released"
 
 
-def test_a_subclass_has_no_batch() -> None:
+def test_a_subclass_that_acts_otherwise_has_no_batch() -> None:
     class Own(CooperativeGiver):
-        near_distance = 0.1
+        def act(self, observation: Observation) -> Action:
+            return make_giver_action()
 
     assert make_giver_batch(Own(), 2) is None
     assert make_giver_batch(CooperativeGiver(), 2) is not None

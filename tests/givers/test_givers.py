@@ -84,8 +84,8 @@ def test_rollouts_repeat_from_their_seed(episode: Episode, name: str) -> None:
         assert not np.array_equal(first, rollout(episode, name, 2))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_environment_takes_every_giver(name: str) -> None:
+@pytest.mark.parametrize("name", ["cooperative", "learned"])
+def test_the_environment_takes_givers(name: str) -> None:
     options = {"split": "val", "dataset": "synthetic", "physics": "fast", "control_period": 0.03}
     parallel_api_test(freeze(parallel_env(**options), "receiver", name), num_cycles=15)
     parallel_seed_test(lambda: freeze(parallel_env(**options), "receiver", name), num_cycles=5)

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.learning.features import GraspFeatures, GraspProximityFeatures, count_features, make_features
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.features import count_features, make_features
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import seen
+from tests.learning.grasps import select_grasp
 
 CONTEXT = make_policy_context(SyntheticDataset())
 
@@ -18,12 +18,12 @@ CONTEXT = make_policy_context(SyntheticDataset())
 def at_the_grasp(way: float = 0.0, turn: float = 0.0) -> np.ndarray:
     """Return features with the gripper `way` (m) behind the chosen grasp and turned by `turn` (rad)."""
     observation = seen(hand_keypoints=np.full((16, 3), 5.0, np.float32))
-    chosen = LowestCostGraspSelector(CONTEXT).select(observation)
+    chosen = select_grasp(CONTEXT, observation)
     assert chosen is not None
     turned = Rotation.from_quat(chosen[0][3:])
     place = chosen[0][:3] - turned.apply([0.0, 0.0, way])
     pose = [*place, *(turned * Rotation.from_rotvec([0.0, 0.0, turn])).as_quat()]
-    return GraspProximityFeatures(CONTEXT)(observation | {"gripper_pose": np.float32(pose)})
+    return make_features("receiver", "close", CONTEXT)(observation | {"gripper_pose": np.float32(pose)})
 
 
 @pytest.mark.parametrize("name", ["grasp", "close"])
@@ -42,8 +42,8 @@ def test_proximity_is_one_at_the_grasp_and_decays() -> None:
 
 def test_other_features_are_fingers_release_and_existence() -> None:
     joints = np.float32([0, 0, 0, -1, 0, 1, 0, 0.04, 0.0])
-    some = GraspProximityFeatures(CONTEXT)(seen(robot_joint_position=joints, released=np.float32([1.0])))
+    some = make_features("receiver", "close", CONTEXT)(seen(robot_joint_position=joints, released=np.float32([1.0])))
     np.testing.assert_allclose(some[8:], [1.0, -1.0, 1.0, 1.0])
     without = replace(CONTEXT, grasps=lambda name: None)
-    np.testing.assert_array_equal(GraspProximityFeatures(without)(seen())[[*range(8), 11]], 0.0)
-    np.testing.assert_array_equal(GraspFeatures(without).compute_grasp(seen()), 0.0)
+    np.testing.assert_array_equal(make_features("receiver", "close", without)(seen())[[*range(8), 11]], 0.0)
+    np.testing.assert_array_equal(make_features("receiver", "grasp", without)(seen())[-8:], 0.0)

@@ -43,7 +43,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[PandaConfig]:
         configs.append(config)
         return BulletIKSolver(urdf, config)
 
-    monkeypatch.setattr(ik_solvers, "_find_solver", lambda _: make)
+    monkeypatch.setattr(ik_solvers, "_make_solver", make)
     monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
     return configs
 
@@ -119,7 +119,7 @@ def test_queries_without_solution_are_searched_once(monkeypatch: pytest.MonkeyPa
             searched.append(starts[:, 0].tolist())
             return np.where(starts[:, :1] < 1.0, np.nan, starts[:, :7])
 
-    monkeypatch.setattr(ik_solvers, "_find_solver", lambda _: Failing)
+    monkeypatch.setattr(ik_solvers, "_make_solver", Failing)
     monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
     solver, starts, positions = make_ik_solver(URDF, PANDA), np.zeros((3, 9)), np.zeros((3, 3))
     starts[:, 0] = 0.1, 1.0, 0.2

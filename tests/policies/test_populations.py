@@ -64,14 +64,14 @@ def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: st
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"givers": {}}, "givers must be a list"),
-        ({"givers": [GIVERS[0], GIVERS[0]]}, "every name of givers must be unique, got 'recorded' twice"),
-        ({"givers": [GIVERS[0], GIVERS[0] | {"name": "other"}]}, "every policy of givers must be unique"),
-        ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "must be in one split, got 'timing' in two"),
-        ({"givers": [GIVERS[0] | {"split": "val"}]}, "split of givers must be train or test, got 'val'"),
-        ({"givers": [{"name": "a"}]}, "must have the keys name, family, split, policy, description"),
-        ({"name": "a\nb"}, "name must be text without control characters"),
-        ({"version": 1}, "version must be text"),
+        ({"givers": 3}, "not a readable population"),
+        ({"givers": [GIVERS[0], GIVERS[0]]}, "every name must be unique, got 'recorded' twice"),
+        ({"givers": [GIVERS[0], GIVERS[0] | {"name": "other"}]}, "every policy must be unique"),
+        ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "family in one split must be unique, got 'timing'"),
+        ({"givers": [GIVERS[0] | {"split": "val"}]}, "split must be train or test, got 'val'"),
+        ({"givers": [{"name": "a"}]}, "not a readable population .*missing 4 required"),
+        ({"name": "a\nb"}, "values must be text without control characters"),
+        ({"version": 1}, "values must be text"),
     ],
 )
 def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -85,7 +85,7 @@ def test_files_that_are_no_populations(tmp_path: Path) -> None:
         load_population(path)
     for text in ("{", "[]", json.dumps(make_content() | {"more": 1})):
         path.write_text(text)
-        with pytest.raises(DataFormatError, match=r"not a readable population|keys must be"):
+        with pytest.raises(DataFormatError, match="not a readable population"):
             load_population(path)
     with pytest.raises(UnknownNameError, match="unknown population 'nobody'; valid: "):
         load_population("nobody")

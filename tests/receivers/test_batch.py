@@ -15,8 +15,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import yang2021_controller
-from handover_marl.receivers.batch import make_receiver_batch
-from handover_marl.receivers.yang2021 import Yang2021Receiver
+from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 
 DATA = SyntheticDataset()
 CONTEXT = make_policy_context(DATA)
@@ -72,8 +71,7 @@ def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_
     rollouts = record_rollouts(limit)
     assert all(len(decisions) <= limit for decisions in rollouts)
     assert any(not action[7:].any() for decisions in rollouts for *_, action in decisions), "fingers have closed"
-    batch = make_receiver_batch(Yang2021Receiver(CONTEXT, wait=0.4), ROWS)
-    assert batch is not None
+    batch = Yang2021Batch(Yang2021Receiver(CONTEXT, wait=0.4), ROWS)
     # Per row: rollouts that have not ended, start time (ms) of the current one, and number of its next decision.
     waiting = [[first, second] for first, second in zip(rollouts[:ROWS], rollouts[ROWS:], strict=True)]
     starts, numbers = [0, 130, 470], [0] * ROWS
@@ -115,8 +113,7 @@ def test_an_object_without_grasps() -> None:
     episode.close()
     missing = DATA.object_names[int(state["object_classes"][0]) + 1]
     context = replace(CONTEXT, grasps=lambda name: None if name == missing else DATA.load_grasps(name))
-    batch = make_receiver_batch(Yang2021Receiver(context, wait=0.0), 3)
-    assert batch is not None
+    batch = Yang2021Batch(Yang2021Receiver(context, wait=0.0), 3)
     found = {key: np.stack([values] * 3) for key, values in state.items()}
     found["object_classes"][1, 0] += 1
     for row in range(3):
@@ -127,7 +124,3 @@ def test_an_object_without_grasps() -> None:
     np.testing.assert_array_equal(actions[1, :7], state["robot_joint_position"][:7])
     np.testing.assert_array_equal(actions[0], actions[2])
     assert np.abs(actions[0, :7] - state["robot_joint_position"][:7]).max() > 0.1
-
-
-def test_a_subclass_has_no_batch() -> None:
-    assert make_receiver_batch(RecordingReceiver(CONTEXT), 2) is None

@@ -17,7 +17,7 @@ from handover_marl.episode.loop import PolicyScheduler, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.evaluation.benchmark import benchmark
-from handover_marl.evaluation.rendering.plan import render_plan
+from handover_marl.evaluation.rendering import render_plan
 from handover_marl.geometry.link_trajectory import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import transform_points

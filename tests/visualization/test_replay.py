@@ -29,9 +29,14 @@ from handover_marl.visualization.replay_bodies import (
     load_simplified_meshes,
 )
 from handover_marl.visualization.replay_page import build_replay_page
-from handover_marl.visualization.replay_recorder import FRAME_STEPS, EpisodeLog, ReplayRecorder
+from handover_marl.visualization.replay_recorder import (
+    FRAME_STEPS,
+    EpisodeLog,
+    ReplayRecorder,
+    describe_frame,
+    list_events,
+)
 from handover_marl.visualization.replay_scene import END_PAUSE_S
-from handover_marl.visualization.replay_text import describe_frame, list_events
 from tests.evaluation.quick import QuickReceiver
 from tests.visualization.outside import outside
 

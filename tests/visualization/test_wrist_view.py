@@ -12,7 +12,7 @@ from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.evaluation.rendering.scene import render_scene
+from handover_marl.evaluation.rendering import render_scene
 from handover_marl.visualization.wrist_view import draw_wrist_view
 
 CAMERA = CameraConfig(width=320, height=240)

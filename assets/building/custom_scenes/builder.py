@@ -12,23 +12,21 @@ import numpy as np
 import numpy.typing as npt
 import trimesh
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
     MotionTable,
+    make_trajectory,
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.custom_scenes.robot_grasps import make_robot_grasps
-from handover_marl.assets.building.custom_scenes.splits import split_scenes
-from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
-from handover_marl.assets.building.object_files import merge_meshes, read_parts
+from handover_marl.assets.building.mesh_solid import load_mesh_solid
+from handover_marl.assets.building.robot_grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
-from handover_marl.assets.object_models import URDF_NAME, VISUAL_NAME, find_object_urdf
-from handover_marl.config import MAX_OBJECTS
+from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
+from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,
     MOTION_FOLDER,
@@ -44,14 +42,18 @@ from handover_marl.datasets.custom.scene_file import (
     SceneFile,
     check_class_name,
     check_file_name,
+    check_setup_name,
     read_scene_file,
 )
+from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
-from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
+#: Ways to divide scenes: by the object that is handed over, by the person, or at random.
+DIVISIONS = ("object", "person", "random")
 #: Hand of recordings without a choice: a man's at the 50th percentile of hand length.
 DEFAULT_HAND = 6
 
@@ -132,8 +134,9 @@ class CustomSceneFolder:
             raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        with _show_stage("convex parts", progress) as show:
-            item = make_object_mesh(source, config, show)
+        console = Console(stderr=True, quiet=not progress)
+        with console.status("convex parts"):
+            item = make_object_mesh(source, config)
         with self._prepare(OBJECT_FOLDER) as scratch:
             new = scratch / text
             new.mkdir()
@@ -207,8 +210,8 @@ class CustomSceneFolder:
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         self._check_bodies(table, others, hand)
-        mesh = self._load_mesh(object_name)
-        bodies = {body: self._read_vertices(item) for body, item in zip((OBJECT, *others), names, strict=True)}
+        urdfs = [self._find_urdf(item) for item in names]
+        bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         _check_ranges(check_objects, make_trajectory(table, others, None, None).object_dof, bodies)
         side_name: Side = "left" if side == "left" else "right"
         model, fingers = None, None
@@ -216,7 +219,7 @@ class CustomSceneFolder:
             model = make_hand_geometry(hand, side_name)
             fingers = table.fingers
             if fingers is None:
-                table, fingers = close_hand(table, mesh, hand, side_name)
+                table, fingers = close_hand(table, load_mesh_solid(urdfs[0]), hand, side_name)
         trajectory = make_trajectory(table, others, model, fingers)
         if trajectory.hand_span[0] >= 0:
             frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)
@@ -259,7 +262,8 @@ class CustomSceneFolder:
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
         with self._change() as content:
-            setup = split_scenes(content, name, by, val, test, seed)
+            _check("name", check_setup_name, name)
+            setup = _split_scenes(content, by, {"val": val, "test": test}, seed)
             replace(content, setups={**content.setups, name: setup}).write(self.folder)
         return setup
 
@@ -272,8 +276,8 @@ class CustomSceneFolder:
         dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
-            dataset.check_object(item)
-            read_parts(dataset.find_object_urdf(item.name).with_name(VISUAL_NAME))
+            check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
+            dataset.load_grasps(item.name)
         for scene_id in range(dataset.n_scenes):
             dataset.load_scene(scene_id)
         return dataset
@@ -288,18 +292,9 @@ class CustomSceneFolder:
         if hand is not None and table.wrist is None:
             raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
 
-    def _load_mesh(self, name: str) -> trimesh.Trimesh:
-        if name in CLASS_NAMES.values():
-            from handover_marl.assets.building.object_files import load_visual_mesh
-
-            return load_visual_mesh(name)
-        return merge_meshes(read_parts(self.folder / OBJECT_FOLDER / name / VISUAL_NAME))
-
-    def _read_vertices(self, name: str) -> npt.NDArray[np.float64]:
+    def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
-        return read_collision_mesh(
-            find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
-        )[0]
+        return find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
 
     @contextlib.contextmanager
     def _prepare(self, subfolder: str) -> Iterator[Path]:
@@ -340,10 +335,35 @@ def _check(argument: str, check: Callable[[object], str], value: object) -> str:
         raise OptionError(f"{argument} {error}") from None
 
 
-@contextlib.contextmanager
-def _show_stage(what: str, progress: bool) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is being made, its stage and the elapsed time; the number of stages is unknown."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not progress, transient=True) as bar:
-        task = bar.add_task(what)
-        yield lambda stage: bar.update(task, description=f"{what}: {stage}")
+def _split_scenes(
+    content: SceneFile, by: str, shares: Mapping[str, Iterable[str] | float], seed: int
+) -> dict[str, tuple[int, ...]]:
+    check_name("by", by, DIVISIONS)
+    keys = [
+        {"object": scene.objects[0], "person": scene.subject, "random": str(number)}[by]
+        for number, scene in enumerate(content.scenes)
+    ]
+    groups = list(dict.fromkeys(keys))
+    drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
+    home: dict[str, str] = {}
+    for split, chosen in shares.items():
+        if isinstance(chosen, (int, float)):
+            if not 0.0 <= chosen < 1.0:
+                raise OptionError(f"{split} must be a share from 0 to 1 or names, got {chosen!r}")
+            count = round(chosen * len(groups)) or int(chosen > 0.0)
+            members = [key for key in drawn if key not in home][:count]
+        else:
+            members = [str(key) for key in chosen]
+        for key in members:
+            check_name(by, key, groups)
+            if key in home:
+                raise OptionError(f"val and test must not share a name, got {key!r} in both; remove it from one")
+            home[key] = split
+    setup = {
+        split: tuple(number for number, key in enumerate(keys) if home.get(key, "train") == split) for split in SPLITS
+    }
+    if not setup["train"]:
+        raise OptionError(
+            f"the train split must not be empty, got all {len(keys)} scenes in val and test; lower the shares"
+        )
+    return setup

@@ -1,33 +1,20 @@
 """Fingers of a shipped hand that close on an object, for recordings of the wrist alone."""
 
-import functools
-import hashlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.building.human_grasps_candidates import (
-    GraspTarget,
-    make_grasp_target,
-    sample_reference_openings,
-)
-from handover_marl.assets.building.human_grasps_closing import (
-    SKIN_YIELD,
-    close_fingers,
-    compute_body_clearance,
-    compute_clearances,
-)
-from handover_marl.assets.hand_model import Side, make_hand_geometry
-from handover_marl.assets.hand_postures import Palms, Posture
-from handover_marl.assets.hand_spheres import HandSpheres
+from handover_marl.assets.building.mesh_solid import MeshSolid
+from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_postures import Palms
+from handover_marl.datasets.generated.hands import HandTemplates, make_hand_templates
+from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, close_fingers
 from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
-from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays, save_cached_arrays
-from handover_marl.geometry.distance_field import DistanceField
 from handover_marl.geometry.poses import compose, invert_pose
 
 Array = npt.NDArray[np.float64]
@@ -35,25 +22,19 @@ Array = npt.NDArray[np.float64]
 _PICK_UP_DISTANCE = 0.005  # m, as in the giver's motion
 _CLOSING_TIME = 0.4  # s
 _MIN_TOUCHING = 2  # digits
-_MAX_CLOSED = 200  # postures whose fingers are closed
+_N_OPENINGS, _MAX_CLOSED = 1500, 200  # postures, and postures whose fingers are closed
 #: Largest distance (m) by which a recorded wrist is moved.
 MAX_SHIFT = 0.021
 _MAX_PALM_OVERLAP = 0.004  # m
-_CACHE_KIND, _DESCRIPTION = "hand-grasps", "data of hand grasps"
-# Increased whenever other postures are sampled.
-_OPENINGS_VERSION = 1
+_CLOSING = HumanGraspConfig()
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _MIRRORED_ANGLES = np.tile([1.0, -1.0, -1.0], 15)
-
-
-def _list_shifts() -> list[Array]:
-    """Return translations of the wrist along the fingers and along the palm's normal, the smallest first."""
-    steps = np.arange(-4, 5) * 0.005
-    shifts = [np.array([along, across, 0.0]) for along in steps for across in steps]
-    return sorted((shift for shift in shifts if np.linalg.norm(shift) < MAX_SHIFT), key=np.linalg.norm)
-
-
-_SHIFTS = _list_shifts()
+# Translations of the wrist along the fingers and along the palm's normal, the smallest first.
+_STEPS = 0.005 * np.arange(-4, 5)
+_SHIFTS = sorted(
+    (np.array([along, across, 0.0]) for along in _STEPS for across in _STEPS if np.hypot(along, across) < MAX_SHIFT),
+    key=np.linalg.norm,
+)
 
 
 def find_pick_up_row(table: MotionTable) -> int:
@@ -78,12 +59,12 @@ class HandGrasp:
     shift: Array
 
 
-def close_hand(table: MotionTable, mesh: trimesh.Trimesh, hand: int, side: Side) -> tuple[MotionTable, Array]:
+def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Make finger joint angles of a hand that is open at first and closed when the object is picked up.
 
     Args:
         table: Recorded poses with a wrist.
-        mesh: Surface of the object in its frame (m).
+        solid: Object.
         hand: Number of the shipped hand.
         side: Hand of the giver.
 
@@ -99,7 +80,7 @@ def close_hand(table: MotionTable, mesh: trimesh.Trimesh, hand: int, side: Side)
     first, end = table.wrist_rows
     row = min(max(find_pick_up_row(table), first), end - 1)
     object_from_wrist = compose(invert_pose(table.bodies[OBJECT][row]), table.wrist[row - first])
-    grasp = find_hand_grasp(mesh, object_from_wrist, hand, side, f"row {row + 1}")
+    grasp = find_hand_grasp(solid, object_from_wrist, hand, side, f"row {row + 1}")
     if grasp.shift.any():
         wrist = compose(table.wrist, np.array([*grasp.shift, 0.0, 0.0, 0.0, 1.0]))
         distance = 1000.0 * float(np.linalg.norm(grasp.shift))
@@ -110,14 +91,14 @@ def close_hand(table: MotionTable, mesh: trimesh.Trimesh, hand: int, side: Side)
     return table, np.asarray((1.0 - progress) * grasp.opened + progress * grasp.closed)
 
 
-def find_hand_grasp(mesh: trimesh.Trimesh, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
+def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
     """Return the open hand and the hand closed on the object at a pose of the wrist.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
     when they close. If there is no such posture, the wrist is moved by as little as needed.
 
     Args:
-        mesh: Surface of the object in its frame (m).
+        solid: Object.
         object_from_wrist: (7,) pose of the wrist in the object's frame.
         hand: Number of the shipped hand.
         side: Hand of the giver.
@@ -126,27 +107,37 @@ def find_hand_grasp(mesh: trimesh.Trimesh, object_from_wrist: Array, hand: int, 
     Raises:
         DataFormatError: The wrist is not beside the object, or inside of it.
     """
-    target = _load_target(mesh)
     position, rotation = object_from_wrist[:3], Rotation.from_quat(object_from_wrist[3:]).as_matrix()
-    if side == "left":
+    is_left = side == "left"
+    if is_left:
         # A left hand grasps as a right hand grasps the mirrored object.
-        target, position = target.mirror(), position * _MIRROR
-        rotation = rotation * np.outer(_MIRROR, _MIRROR)
-    spheres = HandSpheres(make_hand_geometry(hand, "right"))
+        solid, position, rotation = solid.mirror(), position * _MIRROR, rotation * np.outer(_MIRROR, _MIRROR)
+    templates = make_hand_templates(SUBJECT_SIZES[hand - 1], _N_OPENINGS)
     for shift in _SHIFTS:
-        free = _find_free_postures(target, spheres, position + rotation @ shift, rotation)
+        palm = Palms((position + rotation @ shift)[None], rotation[None])
+        if _measure_palm(solid, templates, palm) < -_MAX_PALM_OVERLAP:
+            continue
+        rows = np.arange(len(templates.openings))
+        gaps = solid.compute_distances(palm[0 * rows].transform(templates.get_open_hands(rows))) - templates.radii
+        nearest = gaps.min(axis=(1, 2))
+        free = np.flatnonzero(nearest > -_CLOSING.skin_yield)
         if not len(free):
             continue
-        angles = _close_best(target, spheres, position + rotation @ shift, rotation, free)
-        if angles is None:
+        free = free[np.argsort(nearest[free], kind="stable")[:_MAX_CLOSED]]
+        closed = close_fingers(solid, templates, palm[0 * free], free, _CLOSING)
+        touching = closed.gaps.min(axis=2) < 2.0 * _CLOSING.skin_yield
+        # The thumb counts twice: without it nothing is opposite the fingers. Of equal postures the tightest is taken,
+        # whose links are nearest to the object on average (m).
+        looseness = np.maximum(closed.gaps, 0.0).mean(axis=(1, 2))
+        best = int(np.argmax(touching.sum(axis=1) + touching[:, 4] - np.minimum(looseness, 0.9)))
+        if touching[best].sum() < _MIN_TOUCHING:
             # The hand is not inside of the object but too far from it: moving it would take longer than it is worth.
             break
-        opened, closed = angles
-        if side == "left":
-            return HandGrasp(opened * _MIRRORED_ANGLES, closed * _MIRRORED_ANGLES, shift * _MIRROR)
-        return HandGrasp(opened, closed, shift)
-    palm = Palms(position[None], rotation[None])
-    distance = 1000.0 * float(compute_body_clearance(target.field, palm, spheres.palm)[0])
+        signs = _MIRRORED_ANGLES if is_left else np.ones(45)
+        opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
+        angles = closed.posture.compute_joint_angles()[best]
+        return HandGrasp(opened * signs, angles * signs, shift * _MIRROR if is_left else shift)
+    distance = 1000.0 * _measure_palm(solid, templates, Palms(position[None], rotation[None]))
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(
         f"wrist must be where the fingers reach around the object when it is picked up ({place}), got a palm {where}; "
@@ -155,64 +146,7 @@ def find_hand_grasp(mesh: trimesh.Trimesh, object_from_wrist: Array, hand: int, 
     )
 
 
-def _find_free_postures(
-    target: GraspTarget, spheres: HandSpheres, position: Array, rotation: Array
-) -> npt.NDArray[np.intp]:
-    """Return the open postures outside of the object, at most `_MAX_CLOSED`, those nearest to it first."""
-    palm = Palms(position[None], rotation[None])
-    if compute_body_clearance(target.field, palm, spheres.palm)[0] < -_MAX_PALM_OVERLAP:
-        return np.zeros(0, dtype=np.intp)
-    openings = _load_openings()
-    gaps = compute_clearances(
-        target.field, spheres, _repeat_palm(position, rotation, len(openings)), openings.compute_joint_angles()
-    ).min(axis=(1, 2))
-    free = np.flatnonzero(gaps > -SKIN_YIELD)
-    return free[np.argsort(gaps[free], kind="stable")[:_MAX_CLOSED]]
-
-
-def _close_best(
-    target: GraspTarget, spheres: HandSpheres, position: Array, rotation: Array, free: npt.NDArray[np.intp]
-) -> tuple[Array, Array] | None:
-    """Return the angles (45,) of the best of some open postures and of the closed hand; None if no finger touches."""
-    palms, openings = _repeat_palm(position, rotation, len(free)), _load_openings()[free]
-    closed = close_fingers(target.field, spheres, palms, openings)
-    clearances = compute_clearances(target.field, spheres, palms, closed.compute_joint_angles())
-    touching = clearances.reshape(len(palms), 5, -1).min(axis=2) < 2 * SKIN_YIELD
-    # The thumb counts twice: without it nothing is opposite the fingers. Of equal postures the tightest is taken, whose
-    # links are nearest to the object on average (m).
-    looseness = np.maximum(clearances, 0.0).mean(axis=(1, 2))
-    best = int(np.argmax(touching.sum(axis=1) + touching[:, 4] - np.minimum(looseness, 0.9)))
-    if touching[best].sum() < _MIN_TOUCHING:
-        return None
-    return openings.compute_joint_angles()[best], closed.compute_joint_angles()[best]
-
-
-def _repeat_palm(position: Array, rotation: Array, count: int) -> Palms:
-    return Palms(np.tile(position, (count, 1)), np.tile(rotation, (count, 1, 1)))
-
-
-def _load_target(mesh: trimesh.Trimesh) -> GraspTarget:
-    """Return an object with its distance field, from the user's cache if it has been computed before."""
-    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    digest = hashlib.sha256(np.ascontiguousarray(vertices).tobytes() + np.ascontiguousarray(faces).tobytes())
-    path = get_cache_folder(_CACHE_KIND) / f"field-{digest.hexdigest()[:24]}.npz"
-    arrays = load_cached_arrays(path, ("values", "lower", "cell"), _DESCRIPTION)
-    if arrays is not None:
-        return GraspTarget(mesh, DistanceField(arrays["values"], arrays["lower"], float(arrays["cell"])))
-    target = make_grasp_target(mesh)
-    field = target.field
-    save_cached_arrays(path, {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}, _DESCRIPTION)
-    return target
-
-
-@functools.cache
-def _load_openings() -> Posture:
-    """Return the open postures of the reference hand, which take seconds to sample, from the user's cache."""
-    names = [field.name for field in fields(Posture)]
-    path = get_cache_folder(_CACHE_KIND) / f"openings-{_OPENINGS_VERSION}.npz"
-    arrays = load_cached_arrays(path, names, _DESCRIPTION)
-    if arrays is None:
-        posture = sample_reference_openings().posture
-        arrays = {name: getattr(posture, name) for name in names}
-        save_cached_arrays(path, arrays, _DESCRIPTION)
-    return Posture(**arrays)
+def _measure_palm(solid: MeshSolid, templates: HandTemplates, palm: Palms) -> float:
+    """Return the smallest distance (m) of the palm from the object."""
+    centers, radii = templates.spheres.palm
+    return float((solid.compute_distances(palm.transform(centers[None])) - radii).min())

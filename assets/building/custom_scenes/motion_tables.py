@@ -1,4 +1,4 @@
-"""Tables of recorded poses: CSV and NPZ files at any rate.
+"""Tables of recorded poses: CSV and NPZ files at any rate, and their trajectories at 1 kHz.
 
 A CSV file has one header line with the columns `time`, `object_x`, `object_y`, `object_z`, `object_qx`, `object_qy`,
 `object_qz`, `object_qw`, the same for `wrist` and for every other object by its class name, and optionally
@@ -6,8 +6,6 @@ A CSV file has one header line with the columns `time`, `object_x`, `object_y`, 
 for each other object by its class name, and `fingers` (T, 45). Poses are position and quaternion.
 """
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.config import TABLE_HEIGHT
+from handover_marl.assets.hand_model import HandGeometry
+from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
 from handover_marl.datasets.custom.ranges import (
     DURATION,
     MAX_DISTANCE,
@@ -26,6 +25,7 @@ from handover_marl.datasets.custom.ranges import (
     MAX_SPEED,
     MAX_TURN_SPEED,
 )
+from handover_marl.datasets.synthetic.resampling import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_arrays, read_plain_file
@@ -92,11 +92,7 @@ class MotionConfig:
                     f"unit quaternion xyzw, got {self.frame!r}"
                 )
             object.__setattr__(self, "frame", tuple(map(float, pose)))
-        if (
-            isinstance(self.max_gap, bool)
-            or not isinstance(self.max_gap, (int, float))
-            or not 0.0 <= self.max_gap <= 2.0
-        ):
+        if not isinstance(self.max_gap, (int, float)) or not 0.0 <= self.max_gap <= 2.0:
             raise OptionError(f"max_gap must be a time from 0 to 2 s, got {self.max_gap!r}")
 
     @property
@@ -166,59 +162,35 @@ def _read_file(path: Path) -> dict[str, Any]:
 def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:
     """Return the arrays of a CSV file; empty cells are NaN."""
     try:
-        text = data.decode("utf-8-sig")
-        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-        rows = list(csv.reader(io.StringIO("\n".join(lines)), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataFormatError(f"{path}: not a CSV file of UTF-8 text ({error}); export it again") from error
-    if len(rows) < 2:
-        raise DataFormatError(f"{path}: must have a header line and rows, got {len(rows)} lines; export it again")
-    header = [cell.strip() for cell in rows[0]]
-    if len(set(header)) < len(header):
+        lines = [line for line in data.decode("utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+        header = [cell.strip() for cell in lines[0].split(",")]
+        if len(lines) < 2:
+            raise ValueError("it has no rows")
+        values = np.loadtxt(
+            lines[1:], delimiter=",", ndmin=2, encoding="utf-8", converters=lambda cell: float(cell.strip() or "nan")
+        )
+        columns = dict(zip(header, values.T, strict=True))
+    except (ValueError, IndexError) as error:
+        raise DataFormatError(f"{path}: not a CSV file of numbers ({shorten_text(error)}); export it again") from error
+    if len(columns) < len(header):
         twice = next(cell for cell in header if header.count(cell) > 1)
         raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
-    values = np.full((len(rows) - 1, len(header)), np.nan)
-    for number, row in enumerate(rows[1:]):
-        if len(row) != len(header):
+
+    def take(names: Sequence[str]) -> Array:
+        missing = [name for name in names if name not in columns]
+        if missing:
             raise DataFormatError(
-                f"{path}: row {number + 1} must have {len(header)} cells, got {len(row)}; export it again"
+                f"{path}: column {shorten_text(missing[0])!r} is missing; it belongs to {', '.join(names[:7])}"
             )
-        for column, cell in enumerate(row):
-            try:
-                values[number, column] = float(cell) if cell.strip() else np.nan
-            except ValueError:
-                raise DataFormatError(
-                    f"{path}: row {number + 1}, column {header[column]!r} must be a number, got {shorten_text(cell)!r}"
-                ) from None
-    return _group_columns(path, header, values)
+        return np.stack([columns.pop(name) for name in names], axis=1)
 
-
-def _group_columns(path: Path, header: Sequence[str], values: Array) -> dict[str, Any]:
-    columns = dict(zip(header, values.T, strict=True))
-    arrays: dict[str, Any] = {}
-    if TIME in columns:
-        arrays[TIME] = columns.pop(TIME)
-    fingers = {name: columns.pop(name) for name in list(columns) if name.startswith("finger_")}
-    if fingers:
-        names = [f"finger_{number}" for number in range(N_FINGER_ANGLES)]
-        _require_columns(path, names, fingers)
-        arrays["fingers"] = np.stack([fingers[name] for name in names], axis=1)
-    bodies = list(dict.fromkeys(name.rpartition("_")[0] for name in columns))
-    for body in bodies:
-        names = [f"{body}_{part}" for part in _PARTS]
-        _require_columns(
-            path, names, {name: column for name, column in columns.items() if name.rpartition("_")[0] == body}
-        )
-        arrays[body] = np.stack([columns[name] for name in names], axis=1)
+    arrays: dict[str, Any] = {TIME: columns.pop(TIME)} if TIME in columns else {}
+    if any(name.startswith("finger_") for name in columns):
+        arrays["fingers"] = take([f"finger_{number}" for number in range(N_FINGER_ANGLES)])
+    while columns:
+        body = next(iter(columns)).rpartition("_")[0]
+        arrays[body] = take([f"{body}_{part}" for part in _PARTS])
     return arrays
-
-
-def _require_columns(path: Path, names: Sequence[str], columns: Mapping[str, Array]) -> None:
-    missing = [name for name in names if name not in columns]
-    unknown = [name for name in columns if name not in names]
-    if missing or unknown:
-        what = f"column {missing[0]!r} is missing" if missing else f"column {shorten_text(unknown[0])!r} is unknown"
-        raise DataFormatError(f"{path}: {what}; a pose has the columns {', '.join(names[:7])}")
 
 
 class _TableReader:
@@ -363,7 +335,8 @@ class _TableReader:
         filled: Array = poses.copy()
         for column in range(3):
             filled[missing, column] = np.interp(time[missing], time[valid], poses[valid, column])
-        filled[missing, 3:] = interpolate_rotations(time[valid], poses[valid, 3:], time[missing]).as_quat()
+        turns = Slerp(time[valid], Rotation.from_quat(poses[valid, 3:]))
+        filled[missing, 3:] = turns(time[missing]).as_quat()
         self._repairs.append(f"{key}: {len(missing)} rows without a pose interpolated")
         return filled
 
@@ -395,9 +368,44 @@ class _TableReader:
         return np.asarray(angles, dtype=np.float64)
 
 
-def interpolate_rotations(times: Array, quaternions: Array, at: Array) -> Rotation:
-    """Return rotations at some times by slerp between quaternions xyzw (n, 4), whose signs may differ."""
-    from scipy.spatial.transform import Slerp
+@dataclass(frozen=True, eq=False)
+class SceneTrajectory:
+    """Motion of a scene as in its file, see `handover_marl.datasets.custom.dataset`.
 
-    rotations: Rotation = Slerp(times, Rotation.from_quat(quaternions))(np.clip(at, times[0], times[-1]))
-    return rotations
+    Attributes:
+        object_dof: (T, n, 6) float32.
+        hand_dof: (T, 51) float32.
+        hand_span: First and last frame with the hand, -1 without one.
+    """
+
+    object_dof: npt.NDArray[np.float32]
+    hand_dof: npt.NDArray[np.float32]
+    hand_span: tuple[int, int]
+
+
+def make_trajectory(
+    table: MotionTable, others: Sequence[str], model: HandGeometry | None, fingers: Array | None
+) -> SceneTrajectory:
+    """Resample recorded poses to 1 kHz.
+
+    Args:
+        table: Recorded poses.
+        others: Class names of the other objects, in the order of the scene.
+        model: Hand of the person, or None without a hand.
+        fingers: (n, 45) finger joint angles (rad) in the rows with the wrist, or None without a hand.
+    """
+    times: Array = np.arange(int(np.floor(table.time[-1] / TIME_STEP + 1e-6)) + 1) * TIME_STEP
+    poses = [table.bodies[name] for name in (OBJECT, *others)]
+    objects = [resample_poses(table.time, pose[:, :3], Rotation.from_quat(pose[:, 3:]), times) for pose in poses]
+    hand, span = np.zeros((len(times), HAND_DOF), dtype=np.float32), (-1, -1)
+    if table.wrist is not None and model is not None and fingers is not None:
+        recorded = table.time[slice(*table.wrist_rows)]
+        frames = np.flatnonzero((times >= recorded[0] - 1e-9) & (times <= recorded[-1] + 1e-9))
+        span = (int(frames[0]), int(frames[-1]))
+        rotations = Rotation.from_quat(table.wrist[:, 3:])
+        # The axes of the hand's base are those of the wrist.
+        base = table.wrist[:, :3] - rotations.apply(model.palm_offset)
+        shown = np.clip(times[frames], recorded[0], recorded[-1])
+        hand[frames, :6] = resample_poses(recorded, base, rotations, shown)
+        hand[frames, 6:] = resample_fingers(recorded, fingers, shown)
+    return SceneTrajectory(np.stack(objects, axis=1), hand, span)

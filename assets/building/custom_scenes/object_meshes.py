@@ -1,6 +1,5 @@
 """Objects from triangle meshes: checks, repairs, convex parts and mass."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +9,6 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.building.custom_scenes.convex_parts import decompose_mesh
 from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
 from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
 from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
@@ -19,6 +17,7 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import read_obj
 
 Array = npt.NDArray[np.float64]
@@ -96,15 +95,12 @@ class ObjectMesh:
     repairs: tuple[str, ...]
 
 
-def make_object_mesh(
-    source: "str | Path | trimesh.Trimesh", config: MeshConfig, show: Callable[[str], object] | None = None
-) -> ObjectMesh:
+def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
     """Read a mesh, repair it, and divide it into convex parts.
 
     Args:
         source: Mesh file of any format that trimesh reads, or a mesh.
         config: Units, mass and limits.
-        show: Function that is called with the stage of the search for convex parts.
 
     Raises:
         DataFormatError: The mesh has no solid body, or not the size of an object.
@@ -114,7 +110,10 @@ def make_object_mesh(
     require_modules("an own object", "assets,import", "coacd", "trimesh")
     name = str(source) if isinstance(source, (str, Path)) else "the mesh"
     mesh, repairs = _repair_mesh(_read_mesh(source), config, name)
-    parts = decompose_mesh(mesh, config.concavity, name, show)
+    corners = decompose_convex(np.asarray(mesh.vertices), np.asarray(mesh.faces), config.concavity)
+    if not corners:
+        raise DataFormatError(f"{name}: CoACD finds no body in it; export a closed surface")
+    parts = tuple(trimesh.Trimesh(*compute_convex_hull(part), process=False) for part in corners)
     volume = sum(float(part.volume) for part in parts)
     mass = config.mass if config.mass is not None else (config.density or 300.0) * volume
     if not MASS[0] <= mass <= MASS[1]:

@@ -1,4 +1,4 @@
-"""Valid ranges of the values in a folder of custom scenes, checked when something is added and when it is read."""
+"""Valid ranges of the values in a folder of custom scenes, checked when something is added."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT
-from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import compute_rotation_angles, quaternions_from_euler, transform_points
 
 Array = npt.NDArray[np.float64]
@@ -31,52 +30,7 @@ _MAX_ANGLE = 1000.0  # rad; angles are unwrapped
 _MAX_REACH = 1.2  # m from the robot's base, where the handed-over object ends; the Panda reaches 0.855 m
 _MAX_SINK = 0.03  # m below the table's surface
 _MAX_HAND_DISTANCE = 1.0  # m, the smallest in a scene, between the hand's base and the handed-over object
-_MAX_GRASP_DISTANCE = 0.05  # m between the fingertips and the box around the object
-_MAX_ROTATION_ERROR = 1e-3
 _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's surface, 'table' on it; z points up"
-
-
-def check_vertices(vertices: Array) -> None:
-    """Check the size and the place of an object by the vertices (v, 3) in its frame (m).
-
-    Raises:
-        ValueError: The object is too large, too small, or too far from the origin of its frame.
-    """
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    extent, offset = float((high - low).max()), float(np.linalg.norm(low + high)) / 2.0
-    # Convex parts may stand out a little.
-    if not 0.9 * EXTENT[0] <= extent <= 1.1 * EXTENT[1]:
-        raise ValueError(f"the largest extent must be {EXTENT[0]} to {EXTENT[1]} m, got {extent:.3g} m")
-    if offset > 1.1 * MAX_OFFSET:
-        raise ValueError(f"the body must be within {MAX_OFFSET} m of its frame's origin, got {offset:.3g} m")
-
-
-def check_grasps(grasps: Array, vertices: Array) -> None:
-    """Check robot grasps of an object.
-
-    Args:
-        grasps: (n, 4, 4) gripper poses in the object's frame (m).
-        vertices: (v, 3) vertices of the object in its frame (m).
-
-    Raises:
-        ValueError: A grasp is no pose, or its fingertips are not at the object.
-    """
-    if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
-        raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
-    rotations = grasps[:, :3, :3]
-    errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    is_pose = (errors < _MAX_ROTATION_ERROR) & (np.linalg.det(rotations) > 0.0)
-    is_pose &= np.abs(grasps[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1) < _MAX_ROTATION_ERROR
-    if not is_pose.all():
-        raise ValueError(f"grasps must be poses, got a matrix without a rotation in grasp {np.argmin(is_pose)}")
-    tips = grasps[:, :3, 3] + rotations @ FINGERTIPS
-    outside = np.maximum(vertices.min(axis=0) - tips, tips - vertices.max(axis=0))
-    distances = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
-    if len(grasps) and distances.max() > _MAX_GRASP_DISTANCE:
-        raise ValueError(
-            f"fingertips must be within {_MAX_GRASP_DISTANCE} m of the object, got {distances.max():.3g} m in grasp "
-            f"{np.argmax(distances)}"
-        )
 
 
 def check_objects(objects: npt.NDArray[np.floating], bodies: Mapping[str, Array]) -> None:

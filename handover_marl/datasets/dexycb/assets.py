@@ -59,11 +59,7 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
         if replace_stand_ins and is_stand_in_file(path):
             write_atomically(path, content)
         create_exclusively(path, content)
-        try:
-            is_equal = has_content(path, content)
-        except OSError as error:
-            raise ResultsError(f"cannot read {path} ({error.strerror or error}); check its rights") from error
-        if not is_equal:
+        if not has_content(path, content):
             raise ResultsError(
                 f"{path} exists with other content, perhaps made from other data. It was left as it is; remove it, or "
                 "give another folder."
@@ -79,10 +75,6 @@ def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[s
 
     Returns:
         Contents by relative path: `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`.
-
-    Raises:
-        OptionError: `betas` are not ten finite numbers within +-`MAX_ABS_BETA`.
-        DataFormatError: The model leaves a link without a triangle.
     """
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
@@ -107,8 +99,6 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
 
     Raises:
         UnknownNameError: The subject is not in DexYCB.
-        OptionError: `betas` are not ten finite numbers within +-`MAX_ABS_BETA`.
-        DataFormatError: The model leaves a link without a triangle.
         ResultsError: A file exists with other content, or cannot be written.
     """
     check_name("subject", subject, SUBJECTS)
@@ -121,11 +111,6 @@ def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight
     """Return the vertices (v, 3) and faces (f, 3) of a joint's link, in the model's order."""
     kept = model.weights[:, joint] > min_weight
     faces = model.faces[kept[model.faces].all(axis=1)]
-    if not len(faces):
-        raise DataFormatError(
-            f"MANO's {model.side} hand has no triangle of joint {joint} by its weights; take the model file from the "
-            "original mano_v1_2.zip"
-        )
     renumbered = np.cumsum(kept) - 1
     return vertices[kept], renumbered[faces]
 

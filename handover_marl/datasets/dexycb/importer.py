@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 from handover_marl.datasets.dexycb.assets import (
@@ -14,14 +13,14 @@ from handover_marl.datasets.dexycb.assets import (
     write_object_assets,
     write_table_assets,
 )
-from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, check_hand_sides
+from handover_marl.datasets.dexycb.mano import SIDES, ManoModel
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
-from handover_marl.datasets.dexycb.scenes import find_first_betas, import_scenes, read_hand_betas, read_mano_models
+from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scenes, read_mano_models
 from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES
-from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, SceneError
+from handover_marl.errors import DataNotFoundError, ResultsError, SceneError
 from handover_marl.execution.files import remove_stale_temporaries
 from handover_marl.execution.options import check_path, resolve_worker_count
 
@@ -120,13 +119,11 @@ def import_dexycb(
         assets.is_dir()
     except OSError as error:
         raise ResultsError(f"cannot write {target} ({error.strerror or error}); choose another folder") from error
-    notes = [*layout.ignored, *check_hand_sides(models["right"], models["left"])]
-    if archive is not None:
-        notes += install_third_party(archive, assets)
-    hands, faults = _write_models(layout.sequences, models, assets)
+    notes = [] if archive is None else install_third_party(archive, assets)
+    betas, faults = find_first_betas(layout.sequences), list[str]()
+    hands = _write_models(betas, models, assets)
     remove_stale_temporaries(target / CACHE_FOLDER)
     imported: list[int] = []
-    betas = find_first_betas(layout.sequences)
     try:
         with closing(import_scenes(chosen, folder, betas, target, n_workers, progress)) as results:
             for sequence, fault in results:
@@ -179,19 +176,16 @@ def _select_sequences(sequences: Sequence[SequenceFolder], scenes: Iterable[int]
     return [sequence for sequence in sequences if sequence.scene_id in wanted]
 
 
-def _write_models(
-    sequences: Sequence[SequenceFolder], models: dict[str, ManoModel], assets: Path
-) -> tuple[list[str], list[str]]:
-    """Write all models; return the names of the hands' folders, and error messages."""
+def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:
+    """Write all models; return the names of the hands' folders."""
     write_object_assets(assets)
     write_table_assets(assets)
-    hands, faults = [], []
-    for subject, recordings in groupby(sequences, lambda sequence: sequence.subject):
-        try:
-            betas = read_hand_betas(list(recordings))
-            hands += [write_hand_assets(assets, subject, models[side], betas).name for side in SIDES]
-        except ResultsError:
-            raise
-        except HandoverError as error:
-            faults.append(f"hands of {subject}: {error}")
-    return hands, faults
+    # HandoverSim uses the parameters of the subject's first recording for both hands.
+    first = dict[str, tuple[float, ...]]()
+    for (subject, _), values in betas.items():
+        first.setdefault(subject, values)
+    return [
+        write_hand_assets(assets, subject, models[side], first[subject]).name
+        for subject in sorted(first)
+        for side in SIDES
+    ]

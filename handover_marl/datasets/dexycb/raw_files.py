@@ -1,4 +1,4 @@
-"""Recordings in a folder of raw DexYCB, and their scene numbers.
+"""Recordings in a folder of raw DexYCB, their scene numbers and their content.
 
 <raw>/<subject>/<sequence>/meta.yml, pose.npz   (camera folders are not read)
 <raw>/calibration/                              camera extrinsics and hand shapes
@@ -8,21 +8,28 @@ recordings. Known DexYCB names have their official rank, even if other recording
 subject with other names must have all 100 recordings.
 """
 
-import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
+import numpy as np
+
+from handover_marl.config import HAND_DOF
+from handover_marl.datasets.dexycb.mano import N_BETAS
+from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
 from handover_marl.datasets.official_files import is_folder
-from handover_marl.errors import DataNotFoundError
+from handover_marl.datasets.scene_files import check_scene_meta
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.reading import read_arrays, read_yaml
 from handover_marl.geometry.ycb import SUBJECTS
 
 SEQUENCES_PER_SUBJECT = 100
-META_FILE = "meta.yml"
-POSE_FILE = "pose.npz"
-_SEQUENCE_NAME = re.compile(r"\d{8}_\d{6}")
+_MAX_YAML_BYTES = 64_000  # official files have a few thousand
+_MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand
 
 
 @dataclass(frozen=True)
@@ -55,14 +62,12 @@ class RawLayout:
     """Recordings found in a folder of raw DexYCB.
 
     Attributes:
-        sequences: Recordings that can be imported, in the order of their scene numbers.
-        missing: Messages on what cannot be imported, with path, reason and advice.
-        ignored: Messages on files and hidden entries among the recordings, one per subject.
+        sequences: Recordings, in the order of their scene numbers.
+        missing: Messages on what is missing, with path, reason and advice.
     """
 
     sequences: tuple[SequenceFolder, ...]
     missing: tuple[str, ...]
-    ignored: tuple[str, ...]
 
 
 @cache
@@ -74,99 +79,176 @@ def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
 
 
 def find_sequences(raw: Path) -> RawLayout:
-    """Find all recordings in a folder of raw DexYCB, complete or not.
+    """Find all recordings in a folder of raw DexYCB.
 
     Raises:
-        DataNotFoundError: The folder is missing, or holds neither a subject nor the calibration.
+        DataNotFoundError: The folder is missing, or holds no calibration.
     """
-    if not is_folder(raw) or not any(is_folder(raw / name) for name in (*SUBJECTS, "calibration")):
-        raise DataNotFoundError(
-            f"{raw} is no raw DexYCB folder: it holds neither calibration/ nor a subject such as {SUBJECTS[0]}/. Give "
-            "the folder that DexYCB's archives were expanded into."
-        )
-    subjects = [_find_subject(raw / subject, number) for number, subject in enumerate(SUBJECTS)]
-    sequences = [sequence for subject in subjects for sequence in subject.sequences]
-    missing = [message for subject in subjects for message in subject.missing]
-    ignored = tuple(message for subject in subjects for message in subject.ignored)
     if not is_folder(raw / "calibration"):
-        # One message instead of one per recording.
-        sequences = []
-        missing.insert(
-            0,
-            f"{raw / 'calibration'} is missing, without which no recording can be imported; expand DexYCB's "
-            "calibration.tar.gz there",
+        raise DataNotFoundError(
+            f"{raw} is no raw DexYCB folder: it holds no calibration/. Give the folder that DexYCB's archives, also "
+            "calibration.tar.gz, were expanded into."
         )
-    return RawLayout(tuple(sequences), tuple(missing), ignored)
+    sequences, missing = [], []
+    for number, subject in enumerate(SUBJECTS):
+        folder, known = raw / subject, read_sequence_names()[subject]
+        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if is_folder(folder) else []
+        names = found if len(found) == SEQUENCES_PER_SUBJECT and not {*found} & {*known} else known
+        sequences += [
+            SequenceFolder(SEQUENCES_PER_SUBJECT * number + rank, f"{subject}/{name}", folder / name)
+            for rank, name in enumerate(names)
+            if name in found
+        ]
+        absent = [name for name in names if name not in found]
+        if absent:
+            missing.append(
+                f"{folder} lacks {len(absent)} of {SEQUENCES_PER_SUBJECT} recordings, such as {absent[0]}; expand "
+                f"DexYCB's {subject}.tar.gz there"
+            )
+    return RawLayout(tuple(sequences), tuple(missing))
 
 
-def _find_subject(folder: Path, number: int) -> RawLayout:
-    try:
-        entries = sorted(folder.iterdir())
-        folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
-    except OSError as error:
-        reason = "is missing" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        return RawLayout((), (f"{folder} {reason}; expand DexYCB's {folder.name}.tar.gz there",), ())
-    others = [entry.name for entry in entries if entry not in folders]
-    ignored = (f"{folder}: ignored {_format_names(others)}, which HandoverSim would have counted",) if others else ()
-    ranks, faults = _rank_sequences(folder.name, [entry.name for entry in folders])
-    found = [
-        SequenceFolder(SEQUENCES_PER_SUBJECT * number + ranks[entry.name], f"{folder.name}/{entry.name}", entry)
-        for entry in folders
-        if entry.name in ranks
-    ]
-    incomplete = {sequence: _describe_missing_files(sequence) for sequence in found}
-    return RawLayout(
-        tuple(sequence for sequence in found if not incomplete[sequence]),
-        (*(f"{folder} {fault}" for fault in faults), *(message for message in incomplete.values() if message)),
-        ignored,
+@dataclass(frozen=True)
+class SequenceMeta:
+    """Content of a recording's meta.yml.
+
+    Attributes:
+        extrinsics: Name of the extrinsic calibration.
+        ycb_ids: YCB class numbers of the objects.
+        ycb_grasp_ind: Index of the handed-over object in `ycb_ids`.
+        side: Hand, "right" or "left".
+        mano_calib: Name of the calibration of the hand's shape.
+    """
+
+    extrinsics: str
+    ycb_ids: tuple[int, ...]
+    ycb_grasp_ind: int
+    side: str
+    mano_calib: str
+
+
+@dataclass(frozen=True, eq=False)
+class RawSequence:
+    """Recording with its calibration.
+
+    Attributes:
+        meta: Content of meta.yml.
+        world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
+        betas: MANO's ten shape parameters of the hand.
+        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of
+            `meta.ycb_ids`.
+        hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
+            (m); zero in frames without a hand.
+    """
+
+    meta: SequenceMeta
+    world_from_tag: Float64
+    betas: tuple[float, ...]
+    objects: Float32
+    hand: Float32
+
+
+def read_sequence(sequence: SequenceFolder) -> RawSequence:
+    """Read a recording and its calibration.
+
+    Raises:
+        DataNotFoundError: A file is missing.
+        DataFormatError: A file is damaged, or has a motion that HandoverSim cannot resample.
+    """
+    meta = read_meta(sequence)
+    objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
+    extrinsics = sequence.calibration / f"extrinsics_{meta.extrinsics}" / "extrinsics.yml"
+    pose = _get(extrinsics, _get(extrinsics, _read_mapping(extrinsics), "extrinsics"), "apriltag")
+    return RawSequence(
+        meta=meta,
+        world_from_tag=_check_numbers(extrinsics, pose, 12).reshape(3, 4),
+        betas=read_betas(sequence.calibration, meta.mano_calib),
+        objects=objects,
+        hand=hand,
     )
 
 
-def _rank_sequences(subject: str, names: list[str]) -> tuple[dict[str, int], list[str]]:
-    """Return the ranks of a subject's recordings by name, and messages on faults of the names."""
-    known = {name: rank for rank, name in enumerate(read_sequence_names()[subject]) if name in set(names)}
-    # Other recordings may share a few names with DexYCB's by chance.
-    if 2 * len(known) > len(names):
-        return known, _describe_differences(subject, known, names)
-    invalid = [name for name in names if not _SEQUENCE_NAME.fullmatch(name)]
-    if invalid:
-        return {}, [f"holds {_format_names(invalid)}, which no recording is called; remove what is not DexYCB's"]
-    if len(names) != SEQUENCES_PER_SUBJECT:
-        remedy = "complete the download" if len(names) < SEQUENCES_PER_SUBJECT else "remove what is not DexYCB's"
-        return {}, [
-            f"holds {len(names)} recordings instead of {SEQUENCES_PER_SUBJECT}, so that their scene numbers, which "
-            f"are ranks, are unknown; {remedy}"
-        ]
-    return {name: rank for rank, name in enumerate(names)}, []
+def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
+    """Read MANO's ten shape parameters of a hand.
+
+    Args:
+        calibration: DexYCB's folder `calibration/`.
+        mano: Name of the shape calibration, e.g. "20200709_140042_subject-01_right".
+
+    Raises:
+        DataNotFoundError: The calibration file is missing.
+        DataFormatError: The calibration file has no ten numbers.
+    """
+    path = calibration / f"mano_{mano}" / "mano.yml"
+    return tuple(_check_numbers(path, _get(path, _read_mapping(path), "betas"), N_BETAS).tolist())
 
 
-def _describe_differences(subject: str, known: dict[str, int], names: list[str]) -> list[str]:
-    faults = []
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        faults.append(
-            f"holds {_format_names(unknown)} beside DexYCB's recordings, which was left out; remove what is not "
-            "DexYCB's"
-        )
-    absent = [name for name in read_sequence_names()[subject] if name not in known]
-    if absent:
-        faults.append(
-            f"lacks {_format_names(absent)}, {len(absent)} of {SEQUENCES_PER_SUBJECT} recordings; expand DexYCB's "
-            f"{subject}.tar.gz again"
-        )
-    return faults
+def read_meta(sequence: SequenceFolder) -> SequenceMeta:
+    """Read a recording's meta.yml.
 
-
-def _describe_missing_files(sequence: SequenceFolder) -> str:
+    Raises:
+        DataNotFoundError: The file is missing.
+        DataFormatError: The file lacks a key, or has an invalid object or hand.
+    """
+    path = sequence.folder / "meta.yml"
+    content = _read_mapping(path)
+    ids, grasped, sides, calibrations, extrinsics = (
+        _get(path, content, key) for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
+    )
     try:
-        missing = [name for name in (META_FILE, POSE_FILE) if not (sequence.folder / name).is_file()]
+        check_scene_meta(path, ids, grasped, sides)
+        (calibration,) = calibrations
+    except (TypeError, ValueError) as error:
+        raise _damaged_file_error(path, shorten_text(error)) from error
+    return SequenceMeta(str(extrinsics), tuple(ids), grasped, sides[0], str(calibration))
+
+
+def _read_mapping(path: Path) -> object:
+    try:
+        return read_yaml(path, _MAX_YAML_BYTES)
     except OSError as error:
-        return f"{sequence.folder} cannot be read ({error.strerror}); check its rights"
-    if not missing:
-        return ""
-    return f"{sequence.folder} lacks {' and '.join(missing)}; expand DexYCB's {sequence.subject}.tar.gz again"
+        raise DataNotFoundError(
+            f"{path} cannot be read ({error.strerror or error}); the download may be incomplete, expand DexYCB's "
+            "archives again"
+        ) from error
+    except ValueError as error:
+        raise _damaged_file_error(path, str(error)) from error
 
 
-def _format_names(names: list[str]) -> str:
-    listed = ", ".join(map(repr, names[:3]))
-    return listed if len(names) <= 3 else f"{listed} and {len(names) - 3} more"
+def _get(path: Path, content: object, key: str) -> Any:
+    if not isinstance(content, dict) or key not in content:
+        raise _damaged_file_error(path, f"it has no {key}")
+    return content[key]
+
+
+def _check_numbers(path: Path, values: object, count: int) -> Float64:
+    try:
+        numbers = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise _damaged_file_error(path, f"{shorten_text(values)} where {count} numbers belong")
+    return numbers
+
+
+def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
+    try:
+        arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise _damaged_file_error(path, shorten_text(error)) from error
+    objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+    n = len(objects)
+    if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
+        raise _damaged_file_error(path, f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
+    if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
+        raise _damaged_file_error(path, "a pose is not finite")
+    if not can_original_resample(n) or np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+        raise DataFormatError(
+            f"{path}: {n} frames, or few with a hand, for which HandoverSim's conversion fails; DexYCB's recordings "
+            "have 66 to 76"
+        )
+    return objects, hand[:, 0]
+
+
+def _damaged_file_error(path: Path, fault: str) -> DataFormatError:
+    return DataFormatError(f"{path}: not as DexYCB writes it ({fault}); expand DexYCB's archives again")

@@ -4,9 +4,7 @@ The import of a scene depends on no other scene, so scenes can be imported in pa
 """
 
 import functools
-import io
 import json
-import os
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +14,11 @@ import numpy as np
 
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_model
 from handover_marl.datasets.dexycb.motion import compute_hand_trajectory, compute_object_trajectory
-from handover_marl.datasets.dexycb.raw_files import SEQUENCES_PER_SUBJECT, SequenceFolder, read_sequence_names
-from handover_marl.datasets.dexycb.raw_sequence import RawSequence, read_betas, read_meta, read_sequence
+from handover_marl.datasets.dexycb.raw_files import RawSequence, SequenceFolder, read_betas, read_meta, read_sequence
 from handover_marl.datasets.dexycb.rotations import Float32, TagFrame
 from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
-from handover_marl.execution.files import create_exclusively, has_content
+from handover_marl.execution.files import has_content, write_arrays, write_atomically
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import map_with_progress
@@ -35,7 +32,7 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
 
     HandoverSim places the root joint of a subject's hand model by the parameters of the first
     recording. In DexYCB the parameters of all recordings of a subject are equal, so unreadable
-    recordings are skipped.
+    recordings are skipped. Of a subject, the side of the first readable recording is first.
 
     Args:
         sequences: Recordings in the order of their scene numbers.
@@ -51,35 +48,6 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
         except (DataNotFoundError, DataFormatError):
             continue
     return first
-
-
-def read_hand_betas(sequences: Sequence[SequenceFolder]) -> tuple[float, ...]:
-    """Return MANO's shape parameters for the models of a subject's two hands.
-
-    HandoverSim uses the parameters of the subject's first recording for both hands. In DexYCB the parameters
-    of all recordings of a subject are equal, so a later one is used if the first is damaged.
-
-    Args:
-        sequences: Recordings of one subject, at least one, in the order of their scene numbers.
-
-    Raises:
-        DataNotFoundError: The first recording, its meta.yml or its calibration is missing.
-        DataFormatError: One of these files is damaged.
-    """
-    faults = []
-    for sequence in sequences:
-        is_known = sequence.folder.name in read_sequence_names()[sequence.subject]
-        if sequence.scene_id % SEQUENCES_PER_SUBJECT and not is_known:
-            break
-        try:
-            return read_betas(sequence.calibration, read_meta(sequence).mano_calib)
-        except (DataNotFoundError, DataFormatError) as error:
-            faults.append(error)
-    if faults:
-        raise faults[0]
-    raise DataNotFoundError(
-        f"{sequences[0].folder.parent} lacks its first recording, which has the hand's shape; complete the download"
-    )
 
 
 def read_mano_models(folder: Path) -> dict[str, ManoModel]:
@@ -218,41 +186,33 @@ def write_scene(scene: CachedScene, cache: Path) -> None:
     """
     arrays = {"pose_y": np.ascontiguousarray(scene.pose_y), "pose_m": np.ascontiguousarray(scene.pose_m)}
     pose = cache / f"pose_{scene.scene_id:03d}.npz"
-    if not os.path.lexists(pose):
-        stream = io.BytesIO()
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-        create_exclusively(pose, stream.getvalue())
-    _check_pose(pose, arrays)
     # The meta file is written last: it marks the scene as complete.
     meta, text = cache / f"meta_{scene.scene_id:03d}.json", json.dumps(scene.meta).encode()
-    create_exclusively(meta, text)
-    _check_meta(meta, text)
+    if not pose.exists():
+        write_arrays(pose, arrays)
+    elif not _has_arrays(pose, arrays):
+        raise _make_mismatch_error(pose)
+    if not meta.exists():
+        write_atomically(meta, text)
+    elif not has_content(meta, text):
+        raise _make_mismatch_error(meta)
 
 
-def _check_pose(path: Path, expected: dict[str, Float32]) -> None:
-    # The bytes of the archive depend on the time and the compressor, so arrays are compared.
-    try:
-        found = read_arrays(path, tuple(expected), MAX_MOTION_BYTES)
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise _mismatch_error(path) from error
-    for name, array in expected.items():
-        same = found[name].dtype == array.dtype and found[name].shape == array.shape
-        # As bytes, since 0.0 equals -0.0.
-        if not same or found[name].tobytes() != array.tobytes():
-            raise _mismatch_error(path)
-
-
-def _check_meta(path: Path, expected: bytes) -> None:
-    try:
-        same = has_content(path, expected)
-    except OSError as error:
-        raise _mismatch_error(path) from error
-    if not same:
-        raise _mismatch_error(path)
-
-
-def _mismatch_error(path: Path) -> DataFormatError:
+def _make_mismatch_error(path: Path) -> DataFormatError:
     return DataFormatError(
         f"{path} exists, but differs from the result of this recording; remove it to have it written again, or "
         "choose another folder"
+    )
+
+
+def _has_arrays(path: Path, expected: dict[str, Float32]) -> bool:
+    # The bytes of the archive depend on the time and the compressor, so arrays are compared.
+    try:
+        found = read_arrays(path, tuple(expected), MAX_MOTION_BYTES)
+    except Exception:  # NumPy and zipfile raise exceptions of many types on damaged files
+        return False
+    # As bytes, since 0.0 equals -0.0.
+    return all(
+        found[name].shape == array.shape and found[name].tobytes() == array.tobytes()
+        for name, array in expected.items()
     )

@@ -15,10 +15,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial import QhullError
 
-from handover_marl.assets.robot_model import PANDA_URDF, format_panda_urdf
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dexycb.assets import write_missing_files
 from handover_marl.datasets.official_files import (
@@ -33,20 +31,14 @@ from handover_marl.execution.archives import find_plain_files, open_folder
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
-from handover_marl.geometry.model_files.meshes import compute_convex_hull, select_extreme_points
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
-Array = npt.NDArray[np.float64]
-
 #: File name of HandoverSim's archive of third-party files.
 ARCHIVE_NAME: Final = "assets-3rd-party-20220511.tar.gz"
 
-_MAX_CORNERS = 64  # of a convex part, as in HandoverSim's files
-_CONCAVITY = 0.05  # CoACD's default threshold
-# Less search than CoACD's default, which takes longer for hardly better parts.
-_SEARCH_OPTIONS = {"mcts_iterations": 60, "mcts_max_depth": 2, "mcts_nodes": 15}
 _MAX_MODEL_BYTES = 100_000_000  # DexYCB's models have a few million
 _VISUAL_FILES = ("textured_simple.obj", "textured_simple.obj.mtl", "texture_map.png")
 _COLLISION_FILE = "model_normalized_convex.obj"
@@ -159,7 +151,7 @@ def _write_convex_parts(assets: Path, workers: int, progress: bool) -> list[str]
 
 def _write_object_convex_parts(assets: Path, name: str) -> str:
     try:
-        content = decompose_convex(assets / name / _VISUAL_FILES[0]).encode()
+        content = format_convex_parts(assets / name / _VISUAL_FILES[0]).encode()
         write_missing_files(assets, {f"{name}/{_COLLISION_FILE}": content})
     except DataFormatError as error:
         return str(error)
@@ -183,35 +175,21 @@ def _copy_models(models: Path, assets: Path) -> list[str]:
     return faults
 
 
-def decompose_convex(model: Path) -> str:
+def format_convex_parts(model: Path) -> str:
     """Return an OBJ text with the convex parts of a mesh by CoACD, one OBJ object per part.
 
     Raises:
         DataFormatError: The file is not a mesh of a solid body.
     """
-    import coacd  # type: ignore[import-untyped]
-
     mesh = read_obj(model)
-    coacd.set_log_level("error")
-    parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=_CONCAVITY, seed=0, **_SEARCH_OPTIONS)
+    parts = decompose_convex(mesh.vertices, mesh.faces)
     if not parts:
         raise DataFormatError(f"{model}: CoACD finds no body in it; copy DexYCB's models again")
     texts, first = [f"# {STAND_IN}: convex parts by CoACD\n"], 1
-    for number, (points, _) in enumerate(parts):
-        try:
-            corners = _reduce_corners(np.asarray(points, dtype=np.float64))
-        except QhullError:  # a part without volume
-            continue
+    for number, corners in enumerate(parts):
         texts.append(f"o convex_{number}\n{format_obj(corners, compute_convex_hull(corners)[1], first)}")
         first += len(corners)
     return "".join(texts)
-
-
-def _reduce_corners(points: Array) -> Array:
-    """Return at most 64 corners of a part's hull; CoACD's own reduction cuts off millimetres."""
-    return compute_convex_hull(np.round(select_extreme_points(compute_convex_hull(points)[0], _MAX_CORNERS), 6) + 0.0)[
-        0
-    ]
 
 
 def _write_grasps(assets: Path) -> None:
@@ -236,6 +214,7 @@ def _write_panda(assets: Path) -> None:
     }
     write_missing_files(assets, meshes)
     for robot in missing:
-        text = format_panda_urdf(f"package://{_PANDA_MESH_FOLDER}", camera=robot == PANDA_CAMERA)
-        content = f"<!-- {STAND_IN}: PyBullet's Panda -->\n{text}".encode()
+        text = (CAMERA_PANDA_URDF if robot == PANDA_CAMERA else PANDA_URDF).read_text()
+        robot_element = text[text.index("<robot") :].replace("package://", f"package://{_PANDA_MESH_FOLDER}/")
+        content = f"<!-- {STAND_IN}: PyBullet's Panda -->\n{robot_element}".encode()
         write_missing_files(assets, {PANDA_FILES[robot]: content})

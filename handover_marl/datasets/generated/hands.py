@@ -155,9 +155,9 @@ class HandTemplates:
         return np.asarray(self.path[rows[:, None], 0, digits, spheres], dtype=np.float64)
 
 
-@lru_cache(maxsize=1)
-def _sample_openings() -> Openings:
-    """Sample open postures of the reference hand whose gaps have evenly spread widths."""
+@lru_cache(maxsize=2)
+def _sample_openings(count: int) -> Openings:
+    """Sample up to `count` open postures of the reference hand whose gaps have evenly spread widths."""
     random, n = RandomStream(_SEED), _N_DRAWS
     weights = -np.log(random.uniforms(n, 3))
     openings = make_reference_openings(
@@ -172,17 +172,17 @@ def _sample_openings() -> Openings:
             thumb_target=random.normals(n, 3),
         )
     )
-    goals = np.linspace(openings.width.min(), np.quantile(openings.width, 0.999), _N_TEMPLATES)
+    goals = np.linspace(openings.width.min(), np.quantile(openings.width, 0.999), count)
     nearest = np.abs(openings.width[:, None] - goals).argmin(axis=0)
     return openings[np.unique(nearest)]
 
 
 @lru_cache(maxsize=64)
-def make_hand_templates(size: HandSize) -> HandTemplates:
-    """Return the open postures of a right hand of some size and their closing; cached."""
+def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTemplates:
+    """Return up to `count` open postures of a right hand of some size and their closing; cached."""
     model = scale_hand(size, "right")
     spheres = HandSpheres(model)
-    openings = measure_openings(model, _sample_openings().posture)
+    openings = measure_openings(model, _sample_openings(count).posture)
     openings = openings[np.argsort(openings.width, kind="stable")]
     steps = np.arange(N_STEPS)[:, None, None] * STEP_ANGLES
     bends = np.maximum(np.minimum(openings.posture.bends[:, None] + steps, LIMITS), openings.posture.bends[:, None])

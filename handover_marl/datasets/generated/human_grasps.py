@@ -1,4 +1,4 @@
-"""Human grasps of procedural objects: open hands around the object whose fingers are closed on it.
+"""Human grasps of objects: open hands around the object whose fingers are closed on it.
 
 Grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored.
 """
@@ -14,7 +14,7 @@ from scipy.special import ndtri
 from handover_marl.assets.anthropometry import HandSize
 from handover_marl.assets.hand_model import Side
 from handover_marl.assets.hand_openings import compute_shortest_rotations, normalize
-from handover_marl.assets.hand_postures import Palms, Posture
+from handover_marl.assets.hand_postures import ArrayBatch, Palms, Posture
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.datasets.generated.hands import (
     LIMITS,
@@ -23,7 +23,7 @@ from handover_marl.datasets.generated.hands import (
     HandTemplates,
     make_hand_templates,
 )
-from handover_marl.datasets.generated.shapes import Solid
+from handover_marl.datasets.generated.shapes import GraspableSolid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 Array = npt.NDArray[np.float64]
@@ -72,13 +72,13 @@ class HumanGraspConfig:
 
 def draw_human_grasps(
     random: RandomStream,
-    solid: Solid,
+    solid: GraspableSolid,
     up_axes: tuple[float, ...],
     size: HandSize,
     side: Side,
     config: HumanGraspConfig | None = None,
 ) -> HumanGrasps | None:
-    """Draw grasps of a procedural object by one hand, sorted by wrist distance; None if none is found.
+    """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
     Args:
         random: Random stream of the scene's human grasps.
@@ -95,49 +95,44 @@ def draw_human_grasps(
     axes = np.array(up_axes)[[1, 0, 2, 3, 4, 5]] if side == "left" else np.array(up_axes)
     directions = np.repeat(np.eye(3), 2, axis=0)[axes > 0.0] * np.tile([[1.0], [-1.0]], (3, 1))[axes > 0.0]
     floors = (target.corners @ directions.T).min(axis=0)
-    found: list[tuple[Palms, Ints, _ClosedHands]] = []
+    found: list[tuple[Palms, Ints, ClosedHands]] = []
     for _ in range(config.n_rounds):
         palms, rows = _sample_open_hands(random, target, templates, config)
         heights = _find_lowest_points(templates, palms, rows, directions) - floors
         lifted = np.flatnonzero((heights > config.table_clearance).any(axis=1))[: config.n_closed]
         palms, rows = palms[lifted], rows[lifted]
         if len(rows):
-            closed = _close_fingers(target, templates, palms, rows, config)
+            closed = close_fingers(target, templates, palms, rows, config)
             good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed, config))
-            found.append((palms[good], rows[good], closed.select(good)))
+            found.append((palms[good], rows[good], closed[good]))
         if sum(len(rows) for _, rows, _ in found) >= config.n_grasps:
             break
     if not any(len(rows) for _, rows, _ in found):
         return None
     palms = Palms.concatenate([palms for palms, _, _ in found])
     rows = np.concatenate([rows for _, rows, _ in found])
-    closed = _ClosedHands.join([closed for _, _, closed in found])
+    closed = ClosedHands.concatenate([closed for _, _, closed in found])
     order = np.argsort(np.linalg.norm(palms.position, axis=1), kind="stable")
-    return _encode_grasps(templates, palms[order], rows[order], closed.select(order), side)
+    return _encode_grasps(templates, palms[order], rows[order], closed[order], side)
 
 
 @dataclass(frozen=True, eq=False)
-class _ClosedHands:
-    """Closed hands: n postures, distances (n, 5, 9) (m) of the spheres, and their centers (n, 5, 9, 3)."""
+class ClosedHands(ArrayBatch):
+    """Closed hands.
+
+    Attributes:
+        posture: n postures.
+        gaps: (n, 5, 9) distances of the phalanges' spheres from the object (m).
+        centers: (n, 5, 9, 3) centers of the spheres in the object's frame (m).
+    """
 
     posture: Posture
     gaps: Array
     centers: Array
 
-    def select(self, rows: Ints) -> "_ClosedHands":
-        return _ClosedHands(self.posture[rows], self.gaps[rows], self.centers[rows])
-
-    @staticmethod
-    def join(parts: "list[_ClosedHands]") -> "_ClosedHands":
-        return _ClosedHands(
-            Posture.concatenate([part.posture for part in parts]),
-            np.concatenate([part.gaps for part in parts]),
-            np.concatenate([part.centers for part in parts]),
-        )
-
 
 def _sample_open_hands(
-    random: RandomStream, solid: Solid, templates: HandTemplates, config: HumanGraspConfig
+    random: RandomStream, solid: GraspableSolid, templates: HandTemplates, config: HumanGraspConfig
 ) -> tuple[Palms, Ints]:
     """Sample palm poses (m) of open hands around the object, free of contact, and their templates (m,)."""
     thumb_side, finger_side, cosines = solid.sample_opposite_points(random, config.n_pairs, config.max_width, 0.18)
@@ -171,7 +166,9 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
-def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig) -> Ints:
+def find_free_hands(
+    solid: GraspableSolid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
+) -> Ints:
     """Return the indices of the open hands that are outside of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
@@ -189,15 +186,15 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
     return kept[(distances - np.concatenate(radii) > limits).all(axis=1)]
 
 
-def _measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
+def _measure_body(solid: GraspableSolid, palms: Palms, centers: Array, radii: Array) -> Array:
     """Return the smallest distance (n,) (m) between spheres of the hand's body and the object."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
 
-def _close_fingers(
-    solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
-) -> _ClosedHands:
+def close_fingers(
+    solid: GraspableSolid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
+) -> ClosedHands:
     """Close the digits of n hands: all joints until contact, then the joints beyond the contact."""
     n = len(rows)
     points = palms.transform(templates.get_path(rows))
@@ -214,11 +211,11 @@ def _close_fingers(
     relaxed = steps[:, config.relaxed_step]
     posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
     centers = palms.transform(templates.digits[rows].place(posture.bends[:, None])[:, 0])
-    return _ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
+    return ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
 
 
 def _close_end_joints(
-    solid: Solid,
+    solid: GraspableSolid,
     templates: HandTemplates,
     palms: Palms,
     rows: Ints,
@@ -255,7 +252,7 @@ def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
 
 
 def _find_firm_grasps(
-    solid: Solid, templates: HandTemplates, palms: Palms, closed: _ClosedHands, config: HumanGraspConfig
+    solid: GraspableSolid, templates: HandTemplates, palms: Palms, closed: ClosedHands, config: HumanGraspConfig
 ) -> Flags:
     """Return a mask (n,) of the hands whose thumb and two fingers press on opposite sides of the object."""
     n = len(palms)
@@ -276,7 +273,7 @@ def _find_firm_grasps(
     return np.asarray(holds & opposed & shallow & (body > -config.palm_yield) & (crossing < 0.005))
 
 
-def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: _ClosedHands, side: Side) -> HumanGrasps:
+def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:
     """Return grasps by a hand of some side of the object that is not mirrored."""
     base = palms.position - np.einsum("nij,j->ni", palms.rotation, templates.model.palm_offset)
     quaternion = Rotation.from_matrix(palms.rotation).as_quat()
@@ -288,7 +285,6 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: _
         finger_angles=closed.posture.compute_joint_angles() * np.tile(turned, 15),
         open_angles=templates.openings.posture[rows].compute_joint_angles() * np.tile(turned, 15),
         wrist_distance=np.linalg.norm(palms.position, axis=1),
-        free_share=np.full(len(rows), np.nan),
         touching=gaps < 0.003,
         overlap=np.maximum(0.0, -gaps.min(axis=1)),
         side=side,

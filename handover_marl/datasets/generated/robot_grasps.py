@@ -1,6 +1,6 @@
-"""Robot grasps of procedural objects: antipodal grasps at which the gripper does not touch the object.
+"""Robot grasps of objects: antipodal grasps at which the gripper does not touch the object.
 
-Collisions are excluded by analytic signed distances.
+Collisions are excluded by signed distances.
 
 A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand
 approaches along z.
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.grasp_order import compute_farthest_point_order
 from handover_marl.assets.hand_openings import normalize
-from handover_marl.datasets.generated.shapes import Solid
+from handover_marl.datasets.generated.shapes import GraspableSolid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.poses import compute_cross_products
 
@@ -71,7 +71,7 @@ def _make_gripper_points() -> Array:
     return np.concatenate([fingers, palm, *moved])
 
 
-def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConfig | None = None) -> Array:
+def draw_robot_grasps(random: RandomStream, solid: GraspableSolid, config: RobotGraspConfig | None = None) -> Array:
     """Draw robot grasps of an object that are likely to hold it; they are not tried in simulation.
 
     Args:

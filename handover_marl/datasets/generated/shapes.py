@@ -6,7 +6,7 @@ quadrilaterals between two rings are planar and the part is their convex hull.
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -177,6 +177,28 @@ class _Triangles:
     normals: Array
     areas: Array
     owner: Faces
+
+
+class GraspableSolid(Protocol):
+    """Solid for which grasps are drawn; see `Solid`."""
+
+    @property
+    def corners(self) -> Array:
+        """Vertices (n, 3) of the surface (m)."""
+
+    def compute_distances(self, points: Array) -> Array:
+        """Return signed distances (...) of points (..., 3), negative inside (m)."""
+
+    def compute_normals(self, points: Array) -> Array:
+        """Return outward unit normals (..., 3) at points (..., 3) near the surface."""
+
+    def mirror(self) -> "GraspableSolid":
+        """Return the solid mirrored in x."""
+
+    def sample_opposite_points(
+        self, random: RandomStream, count: int, max_width: float, tilt: float
+    ) -> tuple[Array, Array, Array]:
+        """Sample pairs of opposite surface points."""
 
 
 class Solid:

@@ -22,11 +22,11 @@ from handover_marl.episode.observations import Observation, select_receiver_obse
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
-from handover_marl.learning.batch.encodings import make_feature_batch, make_scheme_batch
-from handover_marl.learning.batch.features import FeatureBatch
-from handover_marl.learning.batch.grasp_selector import LowestCostGraspSelectorBatch
-from handover_marl.learning.batch.schemes import SchemeBatch
-from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.array_schemes import ArrayScheme
+from handover_marl.learning.features import make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.simulation.engines import BatchBackend
@@ -81,8 +81,8 @@ class ArrayEpisodes:
             chosen = DEFAULT_PARTNERS[self._agents[0]] if partner is None else partner
             reference = parse_policy(self._partner_agent, chosen, trust)
             self._partner = make_policy_batch(reference, base.dataset, config.world_config, config.setup, count, arrays)
-        self._features: dict[str, FeatureBatch] = {}
-        self._schemes: dict[str, SchemeBatch] = {}
+        self._features: dict[str, ArrayFeatures] = {}
+        self._schemes: dict[str, ArrayScheme] = {}
         if isinstance(template, EncodedEnv):
             self._make_encodings(template, count)
         self._camera: WristCameraBatch | None = None
@@ -94,10 +94,10 @@ class ArrayEpisodes:
 
     def _make_encodings(self, template: EncodedEnv, count: int) -> None:
         context, arrays = self._base.policy_context, self.arrays
-        selector = LowestCostGraspSelectorBatch(get_lowest_cost_grasp_selector(context), count, arrays)
+        selector = LowestCostGraspSelector(context, count, arrays)
         for agent, (features, scheme) in template.choices.items():
-            self._features[agent] = make_feature_batch(agent, features, context, selector, count, arrays)
-            self._schemes[agent] = make_scheme_batch(agent, scheme, context, selector, count, arrays)
+            self._features[agent] = make_array_features(agent, features, context, selector, count, arrays)
+            self._schemes[agent] = make_array_scheme(agent, scheme, context, selector, count, arrays)
 
     @property
     def can_wait(self) -> bool:

@@ -10,8 +10,8 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
-from handover_marl.givers.batch import make_giver_batch
-from handover_marl.learning.batch.network_policies import make_network_policy_batch
+from handover_marl.givers.array_giver import make_giver_batch
+from handover_marl.learning.network_policies import make_network_policy_batch
 from handover_marl.policies.batch import (
     Actions,
     HostPolicyBatch,
@@ -22,7 +22,7 @@ from handover_marl.policies.batch import (
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.population_policies import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
-from handover_marl.receivers.batch import make_receiver_batch
+from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 
 Check = Callable[[object], Actions]
 
@@ -103,7 +103,9 @@ def _make_batch(make: Callable[[], Policy], count: int, check: Check, arrays: Ar
     if isinstance(first, PopulationPolicy):
         makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
         return PopulationBatch(first, [_make_batch(maker, count, check, arrays) for maker in makers], count, arrays)
-    batch = make_receiver_batch(first, count)
-    if batch is None:
+    # A subclass of a receiver may act in another way.
+    if type(first) is Yang2021Receiver:
+        batch = Yang2021Batch(first, count)
+    else:
         batch = SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
     return batch if arrays == NUMPY_ARRAYS else HostPolicyBatch(batch, arrays)

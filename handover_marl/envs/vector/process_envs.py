@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-import cloudpickle
 from loky.backend import get_context
 
 from handover_marl.envs.vector.batch import Envs
@@ -13,7 +12,7 @@ from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import open_missing_descriptors
-from handover_marl.execution.worker import make_picklable
+from handover_marl.execution.pool import make_picklable, pickle_by_value, unpickle
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 
@@ -24,7 +23,7 @@ class ProcessEnvs:
     starts at once. The first call waits for it, and raises the errors of `make`.
 
     Args:
-        make: Function that makes a number of environments; must be picklable by cloudpickle.
+        make: Function that makes a number of environments; must be picklable by value.
         count: Number of environments.
     """
 
@@ -35,7 +34,7 @@ class ProcessEnvs:
         # Loky's processes do not import the main module of the program.
         context = get_context("loky")
         self._pipe, child = context.Pipe()
-        self._process = context.Process(target=_run_worker, args=(child, cloudpickle.dumps((make, count))), daemon=True)
+        self._process = context.Process(target=_run_worker, args=(child, pickle_by_value((make, count))), daemon=True)
         self._process.start()
         child.close()
         self._is_ready = self._is_closed = False
@@ -83,7 +82,7 @@ class ProcessEnvs:
             if not self._is_ready:
                 self._receive()
                 self._is_ready = True
-            self._pipe.send(cloudpickle.dumps((name, arguments)))
+            self._pipe.send(pickle_by_value((name, arguments)))
             return self._receive()
         except (EOFError, OSError) as error:
             raise WorkerError(
@@ -100,7 +99,7 @@ class ProcessEnvs:
 def _run_worker(pipe: Connection, pickled: bytes) -> None:
     """Simulate environments at the calls of the main process, until it closes the pipe or sends None."""
     try:
-        make, count = cloudpickle.loads(pickled)
+        make, count = unpickle(pickled)
         envs: Envs = make(count)
     except Exception as error:
         pipe.send(make_picklable(error))
@@ -110,7 +109,7 @@ def _run_worker(pipe: Connection, pickled: bytes) -> None:
     gc.freeze()
     try:
         while (call := pipe.recv()) is not None:
-            name, arguments = cloudpickle.loads(call)
+            name, arguments = unpickle(call)
             try:
                 result = getattr(envs, name)(*arguments)
             except Exception as error:

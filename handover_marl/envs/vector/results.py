@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from array_api_compat import device as get_device
 
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.geometry.arrays import AnyArray, Indices, get_namespace, to_numpy
@@ -79,7 +78,7 @@ def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
     """Return a NumPy array in the namespace and on the device of the arrays in dictionaries and tuples."""
     like = _first_array(values)
-    return get_namespace(like).asarray(array, device=get_device(like))
+    return get_namespace(like).asarray(array, device=like.device)
 
 
 def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
@@ -90,7 +89,7 @@ def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
         return tuple(_merge(count, [(rows, values[k]) for rows, values in row_values]) for k in range(len(first)))
     xp, shape = get_namespace(first), (count, *first.shape[1:])
     dtype = xp.result_type(*(values.dtype for _, values in row_values))
-    merged = xp.empty(shape, dtype=dtype, device=get_device(first))
+    merged = xp.empty(shape, dtype=dtype, device=first.device)
     for rows, values in row_values:
         merged[rows] = xp.astype(values, dtype, copy=False)
     return merged

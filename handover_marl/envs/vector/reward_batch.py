@@ -4,24 +4,22 @@ Each episode has a reward function of its own; preset rewards of episodes whose 
 all of them at once.
 """
 
-import functools
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
 import numpy as np
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
-from handover_marl.envs.array_rewards import ArrayRewards
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
-from handover_marl.envs.rewards import RewardConfig, RewardFunction, RewardState, Terms, make_reward_state
+from handover_marl.envs.rewards import PresetRewards, RewardConfig, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
 from handover_marl.episode.batch.make_episodes import AnyEpisodeBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, to_numpy
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
 
 #: Flags (r,).
 Flags: TypeAlias = AnyArray
@@ -45,16 +43,13 @@ class RewardBatch:
         self._episodes, self._count = episodes, count
         self._arrays = episodes.arrays
         goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)
-        self._array_rewards: ArrayRewards | None = None
-        self._functions: list[RewardFunction] = []
+        self._preset: PresetRewards | None = None
         self._sources: list[RewardSource] = []
-        if not isinstance(rewards, RewardConfig):
+        if isinstance(rewards, RewardConfig):
+            self._preset = PresetRewards(rewards, goal, count, self._arrays)
+        else:
             self._sources = [make_reward_source(rewards, goal) for _ in range(count)]
             self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
-        elif self._arrays == NUMPY_ARRAYS:
-            self._functions = [RewardFunction(rewards, goal) for _ in range(count)]
-        else:
-            self._array_rewards = ArrayRewards(rewards, goal, episodes, count)
         # Names of the terms by agent, and sums (n, 2, 1 + k) of rewards and of k terms: since the last `clear`, and
         # since the start of the episode.
         self._names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
@@ -73,10 +68,9 @@ class RewardBatch:
         """
         terms: Mapping[str, Iterable[str]]
         rows = self._arrays.asarray(np.array([row]))
-        if self._array_rewards is not None:
-            terms = self._array_rewards.start(rows)
-        elif self._functions:
-            terms = self._functions[row].reset(self._read_state(row))
+        if self._preset is not None:
+            self._preset.start(rows, self._read_state(rows))
+            terms = self._preset.names
         else:
             (observations,), (infos,) = self._observe(rows), self._make_infos(rows)
             terms = self._sources[row].start(self._recorders[row].start(observations, infos))
@@ -124,8 +118,9 @@ class RewardBatch:
         if not len(rows):
             return
         xp, values = self._arrays.xp, {}
-        if self._array_rewards is not None:
-            for agent, terms in self._array_rewards.compute_terms(rows).items():
+        if self._preset is not None:
+            status = self._episodes.referees.status[rows]
+            for agent, terms in self._preset.compute_terms(rows, status, self._read_state(rows)).items():
                 columns = [terms[name] for name in self._names[agent]]
                 values[agent] = xp.stack([sum(columns[1:], columns[0]), *columns], axis=1)
         else:
@@ -146,11 +141,6 @@ class RewardBatch:
         """Return the terms of each episode by agent."""
         numbers = rows.tolist()
         statuses = [EpisodeStatus(bits) for bits in self._episodes.referees.status[rows].tolist()]
-        if self._functions:
-            return [
-                self._functions[row].compute_terms(status, functools.partial(self._read_state, row))
-                for row, status in zip(numbers, statuses, strict=True)
-            ]
         terms_by_episode, observations, infos = [], self._observe(rows), self._make_infos(rows)
         actions = {agent: to_numpy(values) for agent, values in actions.items()}
         ends = list(zip(terminated.tolist(), truncated.tolist(), strict=True))
@@ -179,9 +169,15 @@ class RewardBatch:
         infos = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return [{agent: dict(info) for agent in AGENTS} for info in infos]
 
-    def _read_state(self, row: int) -> RewardState:
+    def _read_state(self, rows: AnyIndices) -> dict[str, AnyArray]:
+        """Return the arrays (r, ...) that the preset rewards depend on."""
         episodes = self._episodes
-        state = {key: episodes.state[key][row] for key in ("time", "gripper_pose", "object_poses")}
-        state |= {"deviation": episodes.motion.deviation[row], "holding": episodes.motion.holding[row, None]}
-        state["released"] = episodes.released[row, None]
-        return make_reward_state(state, episodes.read_contacts(row).both_fingers_touch)
+        if self._preset is None or not self._preset.needs_state:
+            return {}
+        return {
+            **{key: episodes.state[key][rows] for key in ("time", "gripper_pose", "object_poses")},
+            "deviation": episodes.motion.deviation[rows],
+            "holding": episodes.motion.holding[rows, None],
+            "released": episodes.released[rows, None],
+            "grasped": episodes.are_grasped(rows),
+        }

@@ -5,8 +5,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.batch.giver_motion import GiverMotionBatch, PlannedMotion
-from handover_marl.episode.giver_motion import PLANNED_STEPS
+from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion, PlannedMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
@@ -46,7 +45,7 @@ class EpisodeBatch:
 
     def __init__(self, config: WorldConfig, count: int) -> None:
         self.config = config
-        self.motion = GiverMotionBatch(count, config.giver)
+        self.motion = GiverMotion(count, config.giver)
         self._start = RefereeStateBatch.from_states([Referee(config.protocol).get_state()])
         self.referees = RefereeStateBatch(*(np.repeat(array, count) for array in self._start))
         self._scenes: list[Scene | None] = [None] * count
@@ -140,6 +139,10 @@ class EpisodeBatch:
         giver_arrays["deviation"][:] = self.motion.deviation[rows]
         giver_arrays["holding"][:, 0] = self.motion.holding[rows]
         return {**self.select_state(rows), **giver_arrays}
+
+    def are_grasped(self, rows: Indices) -> Flags:
+        """Return whether both fingers touched the object in the last physics step, in each of r episodes."""
+        return np.array([self.read_contacts(row).both_fingers_touch for row in rows.tolist()], dtype=bool)
 
     def read_contacts(self, row: int) -> Contacts:
         """Return the contacts of an episode in the last physics step."""

@@ -6,12 +6,9 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import find_pick_up_frame, find_wrist_in_base
+from handover_marl.episode.giver_motion import NEVER, find_pick_up_frame, find_wrist_in_base
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank
 from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
-
-#: Pick-up frame of objects that are never picked up.
-NEVER = np.iinfo(np.int64).max
 
 
 class RecordedFrames(NamedTuple):

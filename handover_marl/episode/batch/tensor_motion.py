@@ -1,6 +1,6 @@
-"""Motion of many givers on one device; see `handover_marl.episode.giver_motion` for one giver.
+"""Motion of many givers on one device.
 
-The functions compute what `handover_marl.episode.batch.giver_motion` computes for NumPy arrays, without choosing rows
+The functions compute what `handover_marl.episode.giver_motion` computes for NumPy arrays, without choosing rows
 by their values, which would have to be read from the device.
 """
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from handover_marl.config import TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.batch.giver_motion import ramp_rates
 from handover_marl.episode.batch.recordings import RecordedFrames, RecordingBank
-from handover_marl.episode.batch.wrist_offset import track_set_points
+from handover_marl.episode.giver_motion import ramp_rates
+from handover_marl.episode.wrist_offset import track_set_points
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask
 from handover_marl.geometry.poses import (
     find_nearest_euler,
@@ -41,7 +41,7 @@ class TensorPlan:
 
 
 class TensorGiverMotion:
-    """Playback of one recorded scene for each of n givers, with their deviations; see `GiverMotionBatch`.
+    """Playback of one recorded scene for each of n givers, with their deviations; see `GiverMotion`.
 
     Args:
         count: Number n of givers.

@@ -1,15 +1,42 @@
-"""Recording of demonstrations: evaluation on a train split that keeps its episodes."""
+"""Recording of demonstrations: evaluation on a train split that keeps one file per episode."""
 
-from typing_extensions import Unpack
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import TIME_STEP
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.callbacks import PolicyDecision
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.observations import Observation, select_receiver_observation
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
-from handover_marl.evaluation.config import REPLAY, EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.demonstrations.reader import Demonstrations
-from handover_marl.evaluation.demonstrations.recorder import MAX_FPS, DemonstrationWriter, RecordingConfig
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
+from handover_marl.evaluation.demonstrations.demonstration import (
+    Demonstration,
+    Demonstrations,
+    EpisodeMetadata,
+    encode_demonstration,
+    hold_actions,
+    read_episode_metadata,
+)
+from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.result_folder import (
+    get_demonstration_path,
+    get_demonstrations_metadata_path,
+    prepare_subfolder,
+    read_results,
+)
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
+from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import resolve_renderer
 
@@ -17,6 +44,9 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
 _TRAIN = "train"
+_STEPS_PER_SECOND = round(1.0 / TIME_STEP)
+#: Largest frame rate: one frame for each physics step.
+MAX_FPS = _STEPS_PER_SECOND
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
@@ -30,7 +60,7 @@ def demonstrate(
     keep: str = ALL,
     fps: int | None = None,
     execution: ExecutionConfig | None = None,
-    **options: Unpack[EvaluationOptions],
+    **options: Any,
 ) -> Demonstrations:
     """Record observations and actions of both agents on the scenes of a train split.
 
@@ -74,3 +104,161 @@ def demonstrate(
     evaluation.run([writer])
     writer.delete_excluded()
     return Demonstrations(execution.folder)
+
+
+@dataclass(frozen=True)
+class RecordingConfig:
+    """Configuration of the recording of demonstrations.
+
+    Attributes:
+        obs_mode: Observation mode of the recorded observations, one of
+            `handover_marl.episode.spaces.OBS_MODES`; independent of the receiver's own mode.
+        successes_only: Whether only successful episodes are recorded.
+        fps: Frames per second; None records the receiver's decisions.
+    """
+
+    obs_mode: str = STATE
+    successes_only: bool = False
+    fps: int | None = None
+
+    def includes(self, status: EpisodeStatus) -> bool:
+        """Return whether an episode with this outcome is recorded."""
+        return status == EpisodeStatus.SUCCESS or not self.successes_only
+
+    def describe(self, config: EvaluationConfig) -> str:
+        """Describe the recording in text that is part of the identity of the result folder."""
+        camera = config.camera.describe(self.obs_mode, config.physics)
+        parts = ["demonstrations", *([f"{self.fps} fps"] if self.fps else [])]
+        return ", ".join([*parts, f"obs_mode {self.obs_mode}", *([camera] if camera else [])])
+
+
+class DemonstrationRecorder(EpisodeRecorder):
+    """Recorder of observations and actions at every decision, or at a constant frame rate.
+
+    A frame has the observation at the physics step nearest to its time, and the actions that are in effect
+    from this step on.
+
+    Args:
+        recording: Observation mode, frame rate, and choice of the episodes to record.
+        config: Resolved configuration of the evaluation.
+    """
+
+    def __init__(self, recording: RecordingConfig, config: EvaluationConfig) -> None:
+        self._recording, self._config = recording, config
+        self._observations: list[Observation] = []
+        self._steps: list[int] = []
+        self._receiver: list[tuple[int, npt.NDArray[np.float32]]] = []
+        self._giver: list[tuple[int, npt.NDArray[np.float32]]] = []
+
+    def on_reset(self, episode: Episode) -> None:
+        """Discard the recording of the previous episode; record the first frame."""
+        self._observations, self._steps, self._receiver, self._giver = [], [], [], []
+        self.on_step(episode)
+
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+        """Record the actions of a decision, and the receiver's observation unless frames are recorded."""
+        if decision.receiver_decided:
+            self._receiver.append((episode.steps, decision.receiver_action.copy()))
+            if self._recording.fps is None:
+                self._record_observation(episode)
+        if decision.giver_decided:
+            self._giver.append((episode.steps, decision.giver_action.copy()))
+
+    def on_step(self, episode: Episode) -> None:
+        """Record an observation if a frame falls on this physics step."""
+        fps = self._recording.fps
+        if fps and not episode.status and episode.steps == compute_frame_step(len(self._steps), fps):
+            self._record_observation(episode)
+
+    def on_end(self, episode: Episode) -> None:
+        """Record the observation at the end of the episode."""
+        if self._recording.includes(episode.status):
+            self._record_observation(episode)
+
+    def encode(self, result: EpisodeResult) -> bytes:
+        """Return the content of the episode's file; empty if it is not to be recorded."""
+        return encode_demonstration(self._build(result)) if self._recording.includes(result.status) else b""
+
+    def _record_observation(self, episode: Episode) -> None:
+        state = {name: value.copy() for name, value in episode.observe().items()}
+        obs_mode = self._recording.obs_mode
+        self._observations.append(select_receiver_observation(state, episode.observe_camera(obs_mode), obs_mode))
+        self._steps.append(episode.steps)
+
+    def _build(self, result: EpisodeResult) -> Demonstration:
+        steps = np.array(self._steps, dtype=np.int64)
+        is_last = np.arange(len(steps) - 1) == len(steps) - 2
+        names = self._observations[0]
+        return Demonstration(
+            observations={name: np.stack([row[name] for row in self._observations]) for name in names},
+            actions=hold_actions(self._receiver, steps[:-1]),
+            rewards=(is_last & result.success).astype(np.float64),
+            # As in the environments, contact or drop in the step of the time limit sets both.
+            terminations=is_last & bool(result.status & ~EpisodeStatus.TIMEOUT),
+            truncations=is_last & bool(result.status & EpisodeStatus.TIMEOUT),
+            steps=steps,
+            giver_steps=np.array([step for step, _ in self._giver], dtype=np.int64),
+            giver_actions=np.array([action for _, action in self._giver], dtype=np.float32).reshape(
+                -1, GIVER_ACTION_SIZE
+            ),
+            metadata=EpisodeMetadata.from_result(result, self._config),
+        )
+
+
+class DemonstrationWriter(EpisodeWriter):
+    """Writer of one file per recorded episode, and of the file that describes all of them.
+
+    Args:
+        folder: Result folder of the evaluation.
+        config: Resolved configuration of the evaluation.
+        recording: Observation mode, frame rate, and choice of the episodes to record.
+
+    Raises:
+        ResultsError: The folder for the episodes cannot be created.
+    """
+
+    def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
+        self._folder, self._config, self._recording = folder, config, recording
+        path = get_demonstrations_metadata_path(folder)
+        prepare_subfolder(path.parent)
+        largest_class = max(config.open_dataset().object_names)
+        description = {"obs_mode": recording.obs_mode, "fps": recording.fps, "largest_class": largest_class}
+        write_atomically(path, json.dumps(description) + "\n")
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of demonstrations in one worker process."""
+        return DemonstrationRecorder(self._recording, config)
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the episode is recorded already, or is not to be recorded."""
+        if not self._recording.includes(result.status):
+            return True
+        try:
+            stored = read_episode_metadata(self.get_path(result))
+        except Exception:  # damaged files raise exceptions of many types; their episodes are simulated again
+            return False
+        return stored == EpisodeMetadata.from_result(result, self._config)
+
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the file of an episode."""
+        return get_demonstration_path(self._folder, result.index)
+
+    def delete_excluded(self) -> None:
+        """Delete the files of episodes that an earlier run recorded and this one excludes.
+
+        Raises:
+            ResultsError: A result in the folder is damaged.
+        """
+        for result in read_results(self._folder):
+            if not self._recording.includes(result.status):
+                self.get_path(result).unlink(missing_ok=True)
+
+
+def compute_frame_step(number: int, fps: int) -> int:
+    """Return the physics step nearest to a frame's time; the later one if two steps are equally near.
+
+    Args:
+        number: Number of the frame in its episode.
+        fps: Frames per second.
+    """
+    return (2 * number * _STEPS_PER_SECOND + fps) // (2 * fps)

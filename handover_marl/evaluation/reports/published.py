@@ -9,6 +9,7 @@ approach differs between methods and is always reported: after a short wait the 
 from dataclasses import dataclass
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
+from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,9 @@ PUBLISHED = {
         PublishedResult("GA-DDPG w/o hold", 0.0, 33.00, 4.948, 0.123, 5.071, 10.00, 33.00, 24.00),
     ),
 }
+
+
+def find_published_results(metadata: ResultMetadata) -> tuple[PublishedResult, ...]:
+    """Return the published results that were measured with the scenes, physics and rules of an evaluation."""
+    identity = (metadata.split, metadata.dataset, metadata.physics, metadata.world)
+    return PUBLISHED.get(metadata.setup, ()) if identity == ("test", "dexycb", "exact", OFFICIAL_WORLD) else ()

@@ -7,24 +7,41 @@ import functools
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from handover_marl.config import TIME_STEP
 from handover_marl.datasets.registry import find_dataset_note, format_dataset_title
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
-from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, REPORTED_STATUSES, TIMES
-from handover_marl.evaluation.reports.fluency_tables import FLUENCY_NOTE, build_fluency_table, estimate_fluency
-from handover_marl.evaluation.reports.official_table import (
-    build_official_table,
+from handover_marl.evaluation.reports.episode_tables import (
+    FLUENCY_NOTE,
+    build_fluency_table,
+    build_object_table,
+    build_scene_table,
     count_status,
-    estimate_official_means,
-    find_comparable_rows,
+    estimate_fluency,
 )
-from handover_marl.evaluation.reports.published import SOURCES
-from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table, describe_episode
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
-from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.reports.published import SOURCES, PublishedResult, find_published_results
+from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval, estimate_mean
+from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    FLUENCY,
+    NO_VALUE,
+    RATES,
+    REPORTED_STATUSES,
+    TIMES,
+    WAIT,
+    ReportTable,
+    TabularResult,
+    format_csv,
+    format_interval,
+    format_percent_interval,
+    format_seconds,
+)
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
 from handover_marl.geometry.panda import PANDA
+
+# Fields of an evaluation with which each row of the CSV file of episodes starts.
+_IDENTITY = ("receiver", "giver", "setup", "split", "dataset", "physics", "seed", "version")
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,12 @@ class Report(TabularResult):
     @functools.cached_property
     def official_means(self) -> dict[str, MeanEstimate]:
         """Means of average success over all episodes and of times (s) over successes, by key."""
-        return estimate_official_means(self.episodes)
+        times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
+        values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
+        return {
+            AVERAGE_SUCCESS.key: estimate_mean([episode.speed_score for episode in self.episodes]),
+            **{column.key: estimate_mean(part) for column, part in zip(TIMES, values, strict=True)},
+        }
 
     @property
     def average_success(self) -> float:
@@ -171,7 +193,7 @@ class Report(TabularResult):
             lines.append("Official results use exact physics; compare the outcomes with handover-marl agreement.")
         if note := find_dataset_note(self.metadata.dataset):
             lines.append(note)
-        comparable = find_comparable_rows(self.metadata)
+        comparable = find_published_results(self.metadata)
         if comparable:
             lines += [
                 "Published, on DexYCB with all objects and MANO hands, times on the authors' machines:",
@@ -183,12 +205,26 @@ class Report(TabularResult):
 
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of official metrics, outcomes by object class and fluency metrics."""
-        episodes = self.episodes
-        return [
-            build_official_table(self.metadata, episodes),
-            build_object_table(episodes),
-            build_fluency_table(episodes),
+        return [self._build_official_table(), build_object_table(self.episodes), build_fluency_table(self.episodes)]
+
+    def _build_official_table(self) -> ReportTable:
+        """Build the table of official metrics with 95 % intervals, and of published results."""
+        n, means = len(self.episodes), self.official_means
+        score, times = means[AVERAGE_SUCCESS.key], [means[column.key] for column in TIMES]
+        counts = [self.count(flag) for flag in REPORTED_STATUSES]
+        rates = [f"{100 * count / n:.2f} ({count}/{n})" for count in counts]
+        cells = [f"{100 * self.average_success:.2f}", self.wait_label, *(format_seconds(each.mean) for each in times)]
+        rate_intervals = [format_percent_interval(count, n) for count in counts]
+        # The interval of the total would not fit into the width.
+        time_intervals = [*(format_interval(each.interval_95, ".3f", 1.0) for each in times[:-1]), NO_VALUE]
+        rows: list[list[object]] = [
+            [self.metadata.receiver, *rates, *cells],
+            ["95 % interval", *rate_intervals, format_interval(score.interval_95), NO_VALUE, *time_intervals],
+            ["n", *[n] * len(RATES), score.n, NO_VALUE, *(each.n for each in times)],
+            *(_format_published_row(row) for row in find_published_results(self.metadata)),
         ]
+        header = ["receiver", *(column.title for column in (*RATES, AVERAGE_SUCCESS, WAIT, *TIMES))]
+        return ReportTable(header, rows, split_column=header.index(AVERAGE_SUCCESS.title))
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and notes."""
@@ -223,6 +259,31 @@ class Report(TabularResult):
             "fluency": {key: asdict(mean) for key, mean in estimate_fluency(self.episodes).items()},
             "episodes": [describe_episode(episode) for episode in self.episodes],
         }
+
+    def format_episodes_csv(self) -> str:
+        """Return CSV text with one row per episode, under the keys of `report.json`.
+
+        Every row starts with the identity of the evaluation. Numbers have full precision, in the units
+        of `report.json`; missing values are empty.
+        """
+        identity = {key: getattr(self.metadata, key) for key in _IDENTITY}
+        rows: list[dict[str, Any]] = []
+        for episode in self.episodes:
+            values = describe_episode(episode)
+            fluency = values.pop("fluency") or {column.key: None for column in FLUENCY}
+            rows.append({**identity, **values, **fluency})
+        return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
+
+
+def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
+    """Return the values of an episode as JSON types, by key; metrics are in the dictionary `fluency`."""
+    return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+
+
+def _format_published_row(row: PublishedResult) -> list[object]:
+    rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
+    times = [format_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
+    return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]
 
 
 def _describe_object_count(counts: list[int]) -> str:

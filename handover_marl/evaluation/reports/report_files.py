@@ -1,21 +1,27 @@
-"""Reports of result folders: computed from the stored results, and written beside them."""
+"""Reports of result folders: computed from the stored results, written beside them, and shown as web pages."""
 
 import json
 import os
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
+from handover_marl import __version__
 from handover_marl.datasets.splits import SETUPS, list_split_scenes
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
+from handover_marl.evaluation.reports.episode_tables import FLUENCY_NOTE, SCENE_HEADER, format_scene_cells
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.scene_tables import format_episodes_csv
+from handover_marl.evaluation.reports.statistics import compute_wilson_interval
+from handover_marl.evaluation.reports.tables import REPORTED_STATUSES, format_interval
 from handover_marl.evaluation.results.episode_file import read_episode_file
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
-from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_results
+from handover_marl.evaluation.results.result_folder import REPORT_FILES, find_replays, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+from handover_marl.visualization.web_page import render_page
 
 # Data sets with the scene numbers of DexYCB.
 _OFFICIAL_SCENES = ("dexycb", "synthetic")
@@ -57,7 +63,7 @@ def format_report_files(folder: Path, report: Report) -> dict[str, str]:
         json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n",
         report.to_markdown(),
         render_report_page(report, find_replay_links(folder, folder)),
-        format_episodes_csv(report.metadata, report.episodes),
+        report.format_episodes_csv(),
     )
     return dict(zip(REPORT_FILES, contents, strict=True))
 
@@ -102,3 +108,74 @@ def _add_scene_info(path: Path, result: EpisodeResult, scenes: tuple[int, ...] |
         object_name=CLASS_NAMES[SCENE_CLASSES[scene_id // 5 % 20]],
         subject=SUBJECTS[scene_id // 100],
     )
+
+
+def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
+    """Render a report as a self-contained web page.
+
+    Args:
+        report: Report to render.
+        replays: Links to replay pages by scene number, relative to the page.
+    """
+    links = dict(replays or {})
+    metadata = report.metadata
+    official, objects, fluency = report.build_tables()
+    return render_page(
+        "report.html",
+        version=__version__,
+        title=f"{metadata.receiver} on {metadata.setup} {metadata.split}",
+        heading=report.heading,
+        kinds=[_group_episodes(report, flag) for flag in REPORTED_STATUSES],
+        n_episodes=len(report.episodes),
+        n_replays=sum(episode.scene_id in links for episode in report.episodes),
+        official=official,
+        notes=report.format_notes().splitlines(),
+        settings=_list_settings(report),
+        objects=objects,
+        fluency=fluency,
+        fluency_note=FLUENCY_NOTE,
+        scene_header=SCENE_HEADER,
+        outcome_column=SCENE_HEADER.index("outcome"),
+        replays=links,
+    )
+
+
+def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
+    """Find the replay pages of a result folder, as links relative to a page.
+
+    Args:
+        results: Result folder whose replay pages are searched.
+        page_folder: Folder of the page that links to them.
+
+    Returns:
+        Relative links by scene number.
+    """
+    relative = os.path.relpath(results.resolve(), page_folder.resolve())
+    replays = find_replays(results).items()
+    return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}
+
+
+def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
+    """Return count, rate (%) and episodes with a status flag, for the page's template."""
+    n, count = len(report.episodes), report.count(flag)
+    interval = compute_wilson_interval(count, n)
+    low, high = (100 * end for end in interval)
+    return {
+        "label": flag.label,
+        "count": count,
+        "percent": f"{100 * count / n:.1f}",
+        "interval": format_interval(interval),
+        "low": f"{low:.2f}",
+        "width": f"{high - low:.2f}",
+        "episodes": [(each, format_scene_cells(each)) for each in report.episodes if each.status & flag],
+    }
+
+
+def _list_settings(report: Report) -> list[tuple[str, str]]:
+    stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
+    computed = {
+        "data": report.data_label,
+        "n episodes": report.extent,
+        "machine": report.machine_label,
+    }
+    return list({**stored, **computed}.items())

@@ -1,15 +1,12 @@
-"""Means, 95 % intervals of rates and means, and the correlation of two rankings."""
+"""Means, and 95 % intervals of rates, means and differences of rates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy  # loads scipy.stats, which takes a second, at its first use
 
 _N_RESAMPLES = 2000
-_MIN_RANKED, _MAX_RANKED = 3, 9  # items; the permutation test visits all orders
 
 
 @dataclass(frozen=True)
@@ -82,61 +79,3 @@ def compute_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> 
     half = scipy.stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - center**2) / np.sqrt(n)
     low, high = max(-1.0, center - half), min(1.0, center + half)
     return (gained - lost) / len(pairs), float(low), float(high)
-
-
-@dataclass(frozen=True)
-class RankCorrelation:
-    """Correlation of two rankings of the same items, e.g. of policies.
-
-    Attributes:
-        n: Number of items.
-        spearman: Spearman's rho (-1..1).
-        kendall: Kendall's tau-b (-1..1).
-        p: One-sided p-value of Spearman's rho by an exact permutation test (0..1).
-        min_p: Smallest p-value that this number of items and ties admits (0..1).
-    """
-
-    n: int
-    spearman: float
-    kendall: float
-    p: float
-    min_p: float
-
-
-def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> RankCorrelation:
-    """Return Spearman's and Kendall's rank correlation of two sequences, tested for being positive.
-
-    The p-value of Spearman's coefficient is computed by an exact permutation test: it is the share
-    of the orders of one sequence for which the coefficient is at least as large.
-
-    Raises:
-        ValueError: The sequences differ in length, have fewer than three or more than nine values,
-            or one of them has equal values only.
-    """
-    n = len(first)
-    if n != len(second) or not _MIN_RANKED <= n <= _MAX_RANKED or len(set(first)) == 1 or len(set(second)) == 1:
-        raise ValueError(
-            f"first and second must have {_MIN_RANKED} to {_MAX_RANKED} values each, not all equal, got {n} and "
-            f"{len(second)} values"
-        )
-    ranks = scipy.stats.rankdata(first), scipy.stats.rankdata(second)
-    return RankCorrelation(
-        n,
-        float(scipy.stats.spearmanr(first, second).statistic),
-        float(scipy.stats.kendalltau(first, second).statistic),
-        _compute_permutation_p(*ranks),
-        _compute_permutation_p(np.sort(ranks[0]), np.sort(ranks[1])),
-    )
-
-
-def _compute_permutation_p(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> float:
-    """Compute the share of orders of the second ranking that agree with the first at least as well."""
-
-    def sum_products(permuted: npt.NDArray[np.float64], axis: int) -> Any:
-        # Rho of ranks increases with this sum: their means and variances are those of every order.
-        return (permuted * first).sum(axis=axis)
-
-    test = scipy.stats.permutation_test(
-        (second,), sum_products, permutation_type="pairings", alternative="greater", n_resamples=np.inf, vectorized=True
-    )
-    return float(test.pvalue)

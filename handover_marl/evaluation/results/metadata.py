@@ -16,7 +16,6 @@ from handover_marl.episode.spaces import OBS_MODES, STATE
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.old_keys import upgrade_keys
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.execution.reading import read_yaml
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA, ROBOTS
@@ -91,7 +90,7 @@ class ResultMetadata:
         Args:
             config: Resolved configuration.
             recorded: Description of the recordings kept beside the results.
-            shard: Part of the evaluation, as text of a `Shard`.
+            shard: Part of the evaluation, e.g. "3/16", or "1/2 of 209,214" of selected scenes.
             n_split_scenes: Number of scenes in the split; may be left out for an official setup.
 
         Raises:
@@ -125,7 +124,7 @@ class ResultMetadata:
     @property
     def split_size(self) -> int:
         """Number of scenes in the split."""
-        return int(self.n_split_scenes) if self.n_split_scenes else SPLIT_SIZES[self.setup, self.split]
+        return SPLIT_SIZES[self.setup, self.split] if self.setup in SETUPS else int(self.n_split_scenes)
 
     def to_dict(self) -> dict[str, str]:
         """Return the fields by name, without the size of an official split."""
@@ -190,8 +189,7 @@ def format_merged_config(path: Path) -> str:
     """
     read_result_metadata(path)
     content = _read_yaml(path / CONFIG_FILE, path)
-    library = upgrade_keys(content[_LIBRARY_SECTION])
-    return yaml.safe_dump({**content, _LIBRARY_SECTION: {**library, "shard": ""}}, sort_keys=False)
+    return yaml.safe_dump({**content, _LIBRARY_SECTION: {**content[_LIBRARY_SECTION], "shard": ""}}, sort_keys=False)
 
 
 def read_result_metadata(path: Path) -> ResultMetadata:
@@ -204,15 +202,20 @@ def read_result_metadata(path: Path) -> ResultMetadata:
     config_path = path / CONFIG_FILE
     content = _read_yaml(config_path, path)
     try:
-        library = content.get(_LIBRARY_SECTION)
-        benchmark = content["BENCHMARK"]
-        named = {"setup": benchmark["SETUP"], "split": benchmark["SPLIT"]}
-        values = _infer_handoversim_metadata(path, content) if library is None else upgrade_keys(library)
-        metadata = ResultMetadata(**named, **values)
+        benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
+        values = _infer_handoversim_metadata(path, content) if library is None else library
+        metadata = ResultMetadata(setup=benchmark["SETUP"], split=benchmark["SPLIT"], **values)
+        stored = {**benchmark, **content.get("SIM", {})}
     except Exception as error:  # the file may have any content
         raise ResultsError(f"{config_path}: not a readable configuration ({shorten_text(error)})") from error
     check_metadata(metadata, config_path)
-    _check_rules(config_path, metadata, content)
+    if metadata.world == OFFICIAL_WORLD:
+        for key, value in (_official_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
+            if stored.get(key, value) != value:
+                raise ResultsError(
+                    f"{config_path}: {key} is {shorten_text(stored[key])}, but the official rules say {value}; these "
+                    "are no official results"
+                )
     return metadata
 
 
@@ -236,14 +239,11 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
             )
         if value not in _CHOICES.get(key, (value,)):
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
-    if metadata.n_split_scenes:
-        if metadata.setup in SETUPS or not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
-            raise ResultsError(
-                f"{path}: n_split_scenes must be a number beside a setup that is not official, got "
-                f"{shorten_text(metadata.n_split_scenes)!r} beside {metadata.setup!r}"
-            )
-    elif metadata.setup not in SETUPS:
-        raise ResultsError(f"{path}: unknown setup {shorten_text(metadata.setup)!r}; valid: {', '.join(SETUPS)}")
+    if metadata.setup not in SETUPS and not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
+        raise ResultsError(
+            f"{path}: unknown setup {shorten_text(metadata.setup)!r} without a number of scenes; valid: "
+            f"{', '.join(SETUPS)}"
+        )
 
 
 def _official_rules(config: WorldConfig) -> dict[str, Any]:
@@ -255,24 +255,6 @@ def _official_rules(config: WorldConfig) -> dict[str, Any]:
         "SUCCESS_TIME_THRESH": protocol.success_steps * TIME_STEP,
         "MAX_EPISODE_TIME": protocol.horizon_steps * TIME_STEP,
     }
-
-
-def _check_rules(path: Path, metadata: ResultMetadata, content: Mapping[str, Any]) -> None:
-    """Check that results compared with published ones were computed under the official rules."""
-    if metadata.world != OFFICIAL_WORLD:
-        return
-    simulation = content.get("SIM", {})
-    if not isinstance(simulation, dict):
-        raise ResultsError(f"{path}: not a readable configuration (SIM is {shorten_text(simulation)})")
-    stored = {**content["BENCHMARK"], "TIME_STEP": simulation.get("TIME_STEP", TIME_STEP)}
-    for key, value in (_official_rules(OFFICIAL_CONFIG) | {"TIME_STEP": TIME_STEP}).items():
-        found = stored.get(key, value)
-        same = list(found) == value if isinstance(value, list) and isinstance(found, (list, tuple)) else found == value
-        if not same:
-            raise ResultsError(
-                f"{path}: {key} is {shorten_text(found)}, but the official rules say {value}; these are no official "
-                "results"
-            )
 
 
 def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:

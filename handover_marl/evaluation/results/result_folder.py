@@ -6,9 +6,8 @@ official readers ignore.
 """
 
 import io
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
@@ -22,6 +21,7 @@ from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import (
     CONFIG_FILE,
@@ -29,9 +29,7 @@ from handover_marl.evaluation.results.metadata import (
     format_config,
     read_result_metadata,
 )
-from handover_marl.evaluation.writers import EpisodeRecorder, EpisodeWriter
-from handover_marl.execution.files import create_exclusively, has_content, shorten_text, write_atomically
-from handover_marl.execution.old_keys import FLUENCY_KEYS
+from handover_marl.execution.files import create_exclusively, remove_stale_temporaries, shorten_text
 from handover_marl.execution.reading import read_arrays
 from handover_marl.policies.policy import Policy
 
@@ -39,8 +37,6 @@ from handover_marl.policies.policy import Policy
 REPORT_JSON = "report.json"
 REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
 _REPLAYS, _DEMONSTRATIONS = "episodes", "demonstrations"
-_RESULT_FILE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.npz")
-_REPLAY_PAGE = re.compile(r"([0-9]{3}|[1-9][0-9]{3,6})\.html")
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result
 # Type of each field that HandoverSim's files lack.
 _EXTRAS: dict[str, type] = {
@@ -75,8 +71,7 @@ def get_replay_path(folder: Path, scene_id: int) -> Path:
 
 def find_replays(folder: Path) -> dict[int, Path]:
     """Return the paths of the replay pages in a result folder, by scene number."""
-    paths = [path for path in (folder / _REPLAYS).glob("[0-9]*.html") if _REPLAY_PAGE.fullmatch(path.name)]
-    return {int(path.stem): path for path in sorted(paths, key=_get_number)}
+    return {int(path.stem): path for path in _find_numbered(folder / _REPLAYS, ".html")}
 
 
 def get_demonstration_path(folder: Path, index: int) -> Path:
@@ -91,14 +86,32 @@ def get_demonstrations_metadata_path(folder: Path) -> Path:
 
 def find_demonstrations(folder: Path) -> list[Path]:
     """Return the paths of the demonstrations in a result folder, in the order of the split."""
-    paths = (folder / _DEMONSTRATIONS).glob("[0-9]*.npz")
-    return sorted((path for path in paths if _RESULT_FILE.fullmatch(path.name)), key=_get_number)
+    return _find_numbered(folder / _DEMONSTRATIONS, ".npz")
 
 
 def find_recordings(folder: Path) -> list[Path]:
     """Return the paths of all files that are kept beside the results: replay pages and demonstrations."""
     metadata = get_demonstrations_metadata_path(folder)
     return [*find_replays(folder).values(), *find_demonstrations(folder), *([metadata] if metadata.exists() else [])]
+
+
+def _find_numbered(folder: Path, suffix: str) -> list[Path]:
+    """Return the files 000, 001, ... of a folder with a suffix, by number."""
+    numbers = {path: int(path.stem) for path in folder.glob(f"[0-9]*{suffix}") if path.stem.isdecimal()}
+    return sorted((path for path, number in numbers.items() if path.stem == f"{number:03d}"), key=numbers.__getitem__)
+
+
+def prepare_subfolder(path: Path) -> None:
+    """Create the folder of recordings in a result folder; remove files that killed processes left there.
+
+    Raises:
+        ResultsError: The folder cannot be created.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+        remove_stale_temporaries(path)
+    except OSError as error:
+        raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
 
 
 class ResultFolder(EpisodeWriter):
@@ -119,7 +132,6 @@ class ResultFolder(EpisodeWriter):
     ) -> None:
         self.path = path
         prepare_result_folder(path, metadata, format_config(metadata, config), fresh)
-        self._config = (path / CONFIG_FILE).read_bytes()
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
         """Read the result of a scene; None if the result file is missing or damaged.
@@ -148,18 +160,9 @@ class ResultFolder(EpisodeWriter):
         """Return whether the result file of an episode exists."""
         return get_result_path(self.path, result.index).is_file()
 
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the official result file of a scene.
-
-        Raises:
-            ResultsError: The file cannot be written, or the folder belongs to another evaluation now.
-        """
-        if not has_content(self.path / CONFIG_FILE, self._config):
-            raise ResultsError(
-                f"{self.path} belongs to another evaluation since this one started, so its results are not written "
-                "there; choose a folder of its own for each evaluation"
-            )
-        write_atomically(get_result_path(self.path, result.index), content)
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the official result file of a scene."""
+        return get_result_path(self.path, result.index)
 
 
 class _ResultRecorder(ActionRecorder, EpisodeRecorder):
@@ -208,18 +211,19 @@ def prepare_result_folder(path: Path, metadata: ResultMetadata, config: str, fre
     try:
         path.mkdir(parents=True, exist_ok=True)
         entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
-        if CONFIG_FILE not in entries and entries:
+        if entries and CONFIG_FILE not in entries:
             raise ResultsError(
                 f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
             )
-        if fresh and CONFIG_FILE in entries:
+        if fresh and entries:
             # Other programs use files of that name; their folders must not be cleared.
             read_result_metadata(path)
-            _clear(path, entries)
-    except ResultsError:
-        raise
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"cannot use {path} as result folder: {_get_reason(error)}") from error
+            for old in (*_find_numbered(path, ".npz"), *find_recordings(path)):
+                old.unlink()
+            for name in (CONFIG_FILE, *REPORT_FILES):
+                (path / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise ResultsError(f"cannot use {path} as result folder: {error.strerror or error}") from error
     # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
     create_exclusively(path / CONFIG_FILE, config)
     different = read_result_metadata(path).describe_differences(metadata, "in the folder", "now")
@@ -236,10 +240,7 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     Raises:
         ResultsError: A file is damaged, or the folder has no results although `allow_empty` is False.
     """
-    try:
-        files = sorted((entry for entry in path.iterdir() if _RESULT_FILE.fullmatch(entry.name)), key=_get_number)
-    except OSError as error:
-        raise ResultsError(f"cannot read {path}: {_get_reason(error)}") from error
+    files = _find_numbered(path, ".npz")
     if not files and not allow_empty:
         raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
     results = [read_result(file) for file in files]
@@ -278,14 +279,6 @@ def check_scalar(name: str, value: Any, kind: type) -> Any:
             f"{name} must be text without control characters, at most {_MAX_TEXT} characters, got {ascii(scalar)[:100]}"
         )
     return scalar
-
-
-def _clear(path: Path, entries: list[str]) -> None:
-    for name in entries:
-        if _RESULT_FILE.fullmatch(name) or name in (CONFIG_FILE, *REPORT_FILES):
-            (path / name).unlink()
-    for recording in find_recordings(path):
-        recording.unlink()
 
 
 def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -358,26 +351,10 @@ def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArra
 
 
 def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | None:
-    stored = {
-        FLUENCY_KEYS.get(key := name.removeprefix(FLUENCY_PREFIX), key): float(value)
-        for name, value in archive.items()
-        if name.startswith(FLUENCY_PREFIX)
-    }
-    if not stored:
+    names = [field.name for field in fields(FluencyMetrics)]
+    if FLUENCY_PREFIX + names[0] not in archive:
         return None
-    # Version 0.7.0 had fewer metrics; those without a default are in every file.
-    values = {
-        field.name: stored[field.name] if field.default is MISSING else stored.get(field.name, np.nan)
-        for field in fields(FluencyMetrics)
-    }
+    values = {name: float(archive[FLUENCY_PREFIX + name]) for name in names}
     if np.any(np.abs(list(values.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
         raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
     return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]
-
-
-def _get_number(path: Path) -> int:
-    return int(path.stem)
-
-
-def _get_reason(error: Exception) -> str:
-    return str((error.strerror if isinstance(error, OSError) else None) or error)

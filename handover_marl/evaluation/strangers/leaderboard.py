@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import OptionError, ResultsError
-from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, N_EPISODES
-from handover_marl.evaluation.reports.tables import NO_VALUE, ReportTable, TabularResult
-from handover_marl.evaluation.strangers.entry import check_code, list_labels, read_report
+from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.strangers.protocol import check_code, read_report
+from handover_marl.evaluation.strangers.reference_update import list_labels
 from handover_marl.evaluation.strangers.references import Condition, load_population_references
 from handover_marl.evaluation.strangers.report import (
     NO_REFERENCES_NOTE,
@@ -76,11 +76,7 @@ class Leaderboard(TabularResult):
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
         other = "giver" if first.agent == "receiver" else "receiver"
         title = f"{first.population}\n{self._describe_conditions()}"
-        picture = draw_heat_map(rates, partners, self.titles, title, (other, first.agent))
-        try:
-            write_atomically(path, picture)
-        except OSError as error:
-            raise ResultsError(f"{path} cannot be written ({error})") from error
+        write_atomically(path, draw_heat_map(rates, partners, self.titles, title, (other, first.agent)))
 
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of scores, of differences to the first method, and of success by family."""

@@ -1,26 +1,36 @@
-"""Protocol of the evaluation with partners that a policy has not met."""
+"""Protocol of the evaluation with partners that a policy has not met, and its output folder.
 
+In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
+"""
+
+import json
 import os
-from collections.abc import Sequence
-from dataclasses import replace
-
-from typing_extensions import Unpack
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.errors import OptionError
-from handover_marl.evaluation.config import EvaluationConfig, EvaluationOptions, ExecutionConfig, build_configs
-from handover_marl.evaluation.crossplay import CrossPlay, crossplay, resolve_policies
-from handover_marl.evaluation.strangers.entry import StrangersEntry, check_folder, write_entry
-from handover_marl.evaluation.strangers.references import load_population_references
-from handover_marl.evaluation.strangers.report import StrangersReport
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
+from handover_marl.evaluation.crossplay import crossplay, format_pair_folder, resolve_policies
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
+from handover_marl.evaluation.strangers.references import Condition, load_population_references
+from handover_marl.evaluation.strangers.report import OTHER_AGENT, StrangersReport
+from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.options import check_path, forward_signature
-from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.execution.reading import read_plain_file
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 from handover_marl.policies.reference import PolicyLike
 
+ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
+_MAX_BYTES = 10_000_000
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -34,7 +44,7 @@ def strangers(
     split: str = "test",
     references: str | os.PathLike[str] | None = None,
     execution: ExecutionConfig | None = None,
-    **options: Unpack[EvaluationOptions],
+    **options: Any,
 ) -> StrangersReport:
     """Evaluate a receiver, or a giver, with partners of a population that it has not met.
 
@@ -74,41 +84,134 @@ def strangers(
         raise OptionError(f"shard must be left out, got {execution.shard!r}; use workers, or a Ray cluster")
     agent = "receiver" if giver is None else "giver"
     found = load_population(population, execution.trust)
-    chosen = found.select("giver" if agent == "receiver" else "receiver", partners)
-    config = _choose_scenes(config, n_scenes)
+    chosen = found.select(OTHER_AGENT[agent], partners)
+    dataset = config.open_dataset()
+    if config.scenes is None:
+        scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
+        config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
     table = load_population_references(found, None if references is None else check_path("references", references))
-    if execution.folder is not None and not execution.fresh:
-        check_folder(execution.folder, found.content_hash, partners)
+    folder = execution.folder
+    if folder is not None and not execution.fresh and (folder / ENTRY_FILE).is_file():
+        entry = read_entry(folder)
+        if (entry["population"], entry["partner_split"]) != (found.label, partners):
+            raise OptionError(
+                f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "
+                f"{entry['population']}, families of {entry['partner_split']}; choose another folder"
+            )
     others = [found.get_policy(partner) for partner in chosen]
-    trainings = resolve_policies(agent, policies, config.open_dataset(), config, execution.trust)
+    trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
     givers, receivers = (others, trainings) if agent == "receiver" else (trainings, others)
     result = crossplay(givers, receivers, config, execution=execution)
-    report = _make_report(result, agent, found, chosen, partners)
+    names, labels = (result.receivers, result.givers) if agent == "receiver" else (result.givers, result.receivers)
+    if len(labels) != len(chosen):
+        raise OptionError(f"population {found.path} must have different policies, got two with the same label")
+    reports = {
+        (name, partner.name): result.reports[(label, name) if agent == "receiver" else (name, label)]
+        for name in names
+        for partner, label in zip(chosen, labels, strict=True)
+    }
+    report = StrangersReport(found.label, partners, agent, names, chosen, reports)
     report = replace(report, references=table.find_all(report.condition, [each.name for each in chosen]))
-    if execution.folder is not None:
-        write_entry(execution.folder, StrangersEntry.from_report(report, found), report)
+    if folder is not None:
+        _write_entry(folder, report)
     return report
 
 
-def _choose_scenes(config: EvaluationConfig, n_scenes: int) -> EvaluationConfig:
-    if config.scenes is not None:
-        return config
-    dataset = config.open_dataset()
-    split = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
-    return replace(config, scenes=select_scenes_evenly(split, n_scenes))
-
-
-def _make_report(
-    result: CrossPlay, agent: str, population: Population, partners: tuple[Partner, ...], split: str
-) -> StrangersReport:
-    policies, others = (result.receivers, result.givers) if agent == "receiver" else (result.givers, result.receivers)
-    if len(others) != len(partners):
-        raise OptionError(f"population {population.path} must have different policies, got two with the same label")
-    reports = {
-        (policy, partner.name): result.reports[(other, policy) if agent == "receiver" else (policy, other)]
-        for policy in policies
-        for partner, other in zip(partners, others, strict=True)
+def _write_entry(folder: Path, report: StrangersReport) -> None:
+    """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
+    folders: dict[str, dict[str, str]] = {policy: {} for policy in report.policies}
+    for (policy, partner), pair in report.reports.items():
+        folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
+    content = {
+        "population": report.population,
+        "partner_split": report.partner_split,
+        "agent": report.agent,
+        "policies": report.policies,
+        "partners": [asdict(partner) for partner in report.partners],
+        "folders": folders,
+        **report.to_json(),
     }
-    return StrangersReport(population.label, split, agent, policies, partners, reports)
+    write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{report}\n")
+
+
+def read_entry(folder: Path) -> dict[str, Any]:
+    """Read the content of `strangers.json`, which identifies an evaluation.
+
+    Returns:
+        Texts `population`, `partner_split` and `agent`, labels of `policies`, `partners` of the class `Partner`, and
+        `folders`, names of result folders by policy and partner.
+
+    Raises:
+        ResultsError: The file is missing or malformed.
+    """
+    path = folder / ENTRY_FILE
+    try:
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        partners = tuple(Partner(**partner) for partner in content["partners"])
+        entry = {key: content[key] for key in ("population", "partner_split", "agent", "policies", "folders")}
+        names = [entry["folders"][policy][partner.name] for policy in entry["policies"] for partner in partners]
+        if not names or entry["agent"] not in OTHER_AGENT:
+            raise ValueError("it must have an agent, policies and partners")
+        if any(Path(name).name != name for name in names):
+            raise ValueError("folders must be names of folders beside strangers.json")
+        return {**entry, "policies": tuple(entry["policies"]), "partners": partners}
+    except FileNotFoundError as error:
+        raise ResultsError(
+            f"{path} does not exist: the evaluation is not finished; run the same command to resume"
+        ) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
+
+
+def read_report(folder: Path) -> StrangersReport:
+    """Compute the report of a folder from its result folders, without references.
+
+    Every value is computed from the results of the episodes; `strangers.json` only lists them.
+
+    Raises:
+        ResultsError: A result folder is missing or malformed, or does not fit to the others.
+    """
+    entry = read_entry(folder)
+    agent, policies, partners = entry["agent"], entry["policies"], entry["partners"]
+    reports: dict[tuple[str, str], Report] = {}
+    for policy in policies:
+        for partner in partners:
+            path = folder / entry["folders"][policy][partner.name]
+            report = reports[policy, partner.name] = evaluate(path)
+            first, metadata = next(iter(reports.values())), report.metadata
+            if getattr(metadata, agent) != policy:
+                raise ResultsError(f"{path} must have results of {policy!r}, got {getattr(metadata, agent)!r}")
+            if metadata.world != OFFICIAL_WORLD:
+                raise ResultsError(f"{path} must have the official world and rules, got world {metadata.world!r}")
+            differences = Condition.from_report(agent, report).list_differences(Condition.from_report(agent, first))
+            differences += ["robot"] if metadata.robot != first.metadata.robot else []
+            if differences:
+                raise ResultsError(
+                    f"{path} must have the {' and '.join(differences)} of the other pairs; run the same command to "
+                    "resume"
+                )
+    codes = check_code(folder, reports.values())
+    if len({codes[agent, policy] for policy in policies}) < len(policies):
+        raise ResultsError(f"{folder} must have different policies, got two with the same code and weights")
+    return StrangersReport(entry["population"], entry["partner_split"], agent, policies, partners, reports)
+
+
+def check_code(where: object, reports: Iterable[Report]) -> dict[tuple[str, str], str]:
+    """Return the hashes of code and weights by agent and label, checked so that each label has one.
+
+    Raises:
+        ResultsError: Two reports have different policies of the same label.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for report in reports:
+        for agent in OTHER_AGENT:
+            label, code = getattr(report.metadata, agent), getattr(report.metadata, f"{agent}_hash")
+            if found.setdefault((agent, label), code) != code:
+                raise ResultsError(
+                    f"{where} must have results of one version of {label!r}, got {found[agent, label]} and {code}; "
+                    "evaluate again in a new folder"
+                )
+    return found

@@ -1,27 +1,22 @@
 """Update of reference scores from result folders."""
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from handover_marl.errors import ResultsError
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.metadata import CONFIG_FILE, OFFICIAL_WORLD
-from handover_marl.evaluation.strangers.entry import ENTRY_FILE, list_labels, read_entry
-from handover_marl.evaluation.strangers.references import (
-    Condition,
-    Reference,
-    ReferenceTable,
-    load_references,
-    write_references,
-)
+from handover_marl.evaluation.strangers.protocol import ENTRY_FILE, read_entry
+from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
+from handover_marl.evaluation.strangers.report import OTHER_AGENT
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
-from handover_marl.policies.populations import DEFAULT_POPULATION, Population, load_population
-
-# Agents of evaluated policies and of their partners.
-_OTHER = {"receiver": "giver", "giver": "receiver"}
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.policies.reference import parse_policy
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +81,12 @@ def update_references(
     }
     for report, agents in _read_reports(folders):
         for agent in agents:
-            other = _OTHER[agent]
+            other = OTHER_AGENT[agent]
             partner = labels[other].get(getattr(report.metadata, other))
             if partner is not None and report.metadata.world == OFFICIAL_WORLD:
                 condition, reference = _make_reference(agent, report, partner.policy)
                 table = table.update(condition, partner.name, reference)
-    write_references(path, table)
+    write_atomically(path, table.format())
     return ReferenceSummary(found, table)
 
 
@@ -107,23 +102,45 @@ def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[R
             raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
         for result in results:
             is_entry = (result.parent / ENTRY_FILE).is_file()
-            yield evaluate(result), (read_entry(result.parent).agent,) if is_entry else tuple(_OTHER)
+            yield evaluate(result), (read_entry(result.parent)["agent"],) if is_entry else tuple(OTHER_AGENT)
 
 
 def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:
+    """Return the condition of a report, and the agent's policy with its scores and the command of the evaluation."""
     metadata = report.metadata
-    policy = getattr(metadata, agent)
-    version = f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip()
-    scores = tuple(episode.speed_score for episode in report.episodes)
-    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {_OTHER[agent]: partner_policy}
-    return Condition.from_report(agent, report), Reference(policy, version, _format_command(policies, report), scores)
+    policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
+    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
+    options = {**policies, **{name: getattr(metadata, name) for name in names}}
+    options["scenes"] = ",".join(str(episode.scene_id) for episode in report.episodes)
+    reference = Reference(
+        policy,
+        version=f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip(),
+        command=f"handover-marl pair {' '.join(f'--{name} {value}' for name, value in options.items())}",
+        scores=tuple(episode.speed_score for episode in report.episodes),
+    )
+    return Condition.from_report(agent, report), reference
 
 
-def _format_command(policies: Mapping[str, str], report: Report) -> str:
-    metadata = report.metadata
-    scenes = ",".join(str(episode.scene_id) for episode in report.episodes)
-    options = [
-        f"--{name} {getattr(metadata, name)}" for name in ("dataset", "setup", "split", "physics", "robot", "seed")
-    ]
-    named = [f"--{agent} {policy}" for agent, policy in policies.items()]
-    return f"handover-marl pair {' '.join([*named, *options])} --scenes {scenes}"
+def list_labels(
+    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
+) -> dict[str, Partner]:
+    """Return partners by the label that they have in result folders.
+
+    Partners that cannot be made here, for example for lack of an optional package, are left out.
+
+    Args:
+        population: Population.
+        agent: Agent of the partners, "giver" or "receiver".
+        partners: Partners of this agent.
+        trust: Whether code in policy files may run.
+    """
+    # Labels do not depend on the data set.
+    dataset = open_dataset("synthetic")
+    labels: dict[str, Partner] = {}
+    for partner in partners:
+        try:
+            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
+        except OptionError:
+            continue
+        labels[reference.label] = partner
+    return labels

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Population
 
@@ -126,7 +126,17 @@ class ReferenceTable:
     def format(self) -> str:
         """Return the table as JSON."""
         sections = [
-            {**asdict(condition), "partners": {name: _format_reference(each) for name, each in section.items()}}
+            {
+                **asdict(condition),
+                "partners": {
+                    name: {
+                        **asdict(each),
+                        "mean": round(each.mean, _DIGITS),
+                        "scores": [round(score, _DIGITS) for score in each.scores],
+                    }
+                    for name, each in section.items()
+                },
+            }
             for condition, section in self.sections.items()
         ]
         return json.dumps({"population_hash": self.population_hash, "sections": sections}, indent=1) + "\n"
@@ -173,43 +183,22 @@ def load_population_references(population: Population, path: Path | None = None)
     return load_references(population.references_path if path is None else path, population.content_hash)
 
 
-def write_references(path: Path, table: ReferenceTable) -> None:
-    """Write a file of references.
-
-    Raises:
-        ResultsError: The file cannot be written.
-    """
-    try:
-        write_atomically(path, table.format())
-    except OSError as error:
-        raise ResultsError(f"{path} cannot be written ({error})") from error
-
-
 def _parse_section(section: Mapping[str, Any]) -> tuple[Condition, dict[str, Reference]]:
-    texts = {name: _parse_text(section[name]) for name in _TEXTS}
-    scenes, data = tuple(int(scene) for scene in section["scenes"]), tuple(map(_parse_text, section["data"]))
-    if len(data) != len(scenes):
-        raise ValueError("data must have one text for each scene")
-    condition = Condition(**texts, scenes=scenes, data=data)
-    partners = {}
-    for name, entry in section["partners"].items():
-        scores = tuple(float(score) for score in entry["scores"])
-        if len(scores) != len(condition.scenes) or not all(0.0 <= score <= 1.0 for score in scores):
-            raise ValueError(f"scores of {name!r} must be numbers from 0 to 1, one for each scene")
-        texts = {key: _parse_text(entry[key]) for key in ("policy", "version", "command")}
-        partners[_parse_text(name)] = Reference(**texts, scores=scores)
+    condition = Condition(
+        **{name: str(section[name]) for name in _TEXTS},
+        scenes=tuple(map(int, section["scenes"])),
+        data=tuple(map(str, section["data"])),
+    )
+    partners = {
+        name: Reference(
+            **{key: str(entry[key]) for key in ("policy", "version", "command")},
+            scores=tuple(map(float, entry["scores"])),
+        )
+        for name, entry in section["partners"].items()
+    }
+    if {len(condition.data), *(len(each.scores) for each in partners.values())} - {len(condition.scenes)}:
+        raise ValueError("each partner must have one score for each scene, and each scene its data")
     return condition, partners
-
-
-def _parse_text(value: object) -> str:
-    if not isinstance(value, str) or not value.isprintable():
-        raise ValueError(f"expected text without control characters, got {shorten_text(ascii(value))}")
-    return value
-
-
-def _format_reference(reference: Reference) -> dict[str, object]:
-    scores = [round(score, _DIGITS) for score in reference.scores]
-    return {**asdict(reference), "mean": round(reference.mean, _DIGITS), "scores": scores}
 
 
 def _select_scores(known: Condition, reference: Reference, condition: Condition) -> Reference:

@@ -8,10 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, FLUENCY, N_EPISODES
-from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
+from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    FLUENCY,
+    N_EPISODES,
     NO_VALUE,
     ReportTable,
     TabularResult,
@@ -35,6 +37,8 @@ from handover_marl.evaluation.strangers.scores import (
 from handover_marl.policies.populations import Partner
 
 Array = npt.NDArray[np.float64]
+#: Agent of the partners, by the agent of the evaluated policies.
+OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
 _METRIC_COLUMNS = tuple(column for column in FLUENCY if column.key in _PARTNER_METRICS)
 

@@ -1,6 +1,5 @@
-"""Reader and writer of OBJ mesh files, and safety check of mesh files."""
+"""Reader and writer of OBJ mesh files."""
 
-import codecs
 import itertools
 import re
 from collections.abc import Iterator
@@ -11,13 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import MAX_FILE_BYTES, check_plain_file, read_plain_file
+from handover_marl.execution.reading import read_plain_file
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
-# Vertices count as lying in one plane if their smallest singular value is below this (m).
-_FLAT = 1e-9
 #: Largest accepted size of a material file (bytes).
 MAX_MATERIAL_BYTES = 10_000_000
 _LINE_END, _CONTINUATION, _COMMENT = (
@@ -25,7 +22,6 @@ _LINE_END, _CONTINUATION, _COMMENT = (
     re.compile(r"\\[ \t]*(\r\n|\r|\n)"),
     re.compile(r"#[^\r\n]*"),
 )
-_MATERIALS = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,48 +111,13 @@ def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
     return "".join(lines)
 
 
-def check_mesh(path: Path, solid: bool = False) -> None:
-    """Check that every engine can load a mesh file; only the content of OBJ files is checked.
+def check_mesh(path: Path) -> None:
+    """Check that a mesh file in OBJ format can be read; PyBullet crashes on vertex numbers out of range.
 
-    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and drops a vertex after a
-    byte order mark.
-
-    Args:
-        path: Mesh file. Files of other formats than OBJ may be missing.
-        solid: Whether to refuse meshes whose vertices all lie in one plane.
+    Files of other formats are not checked.
 
     Raises:
-        DataFormatError: The file is not a plain file or is too large; or an OBJ file cannot be read (`read_obj`),
-            begins with a byte order mark, or is flat.
+        DataFormatError: The file cannot be read; see `read_obj`.
     """
-    if path.suffix.lower() != ".obj":
-        _check_if_present(path)
-        return
-    mesh = read_obj(path)
-    content = read_plain_file(path)
-    if content.startswith(codecs.BOM_UTF8):
-        raise DataFormatError(f"{path}: must not begin with a byte order mark, which PyBullet does not read; remove it")
-    _check_materials(path.parent, content)
-    if solid and np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=_FLAT) < 3:
-        raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
-
-
-def _check_materials(folder: Path, content: bytes) -> None:
-    """Check the material files and textures that an OBJ file names; PyBullet opens them."""
-    for name in {match.decode(errors="replace").strip() for match in _MATERIALS.findall(content)}:
-        if name and _check_if_present(folder / name, MAX_MATERIAL_BYTES):
-            material = read_plain_file(folder / name, MAX_MATERIAL_BYTES).decode(errors="replace")
-            words = map(str.split, material.splitlines())
-            for texture in {entry[-1] for entry in words if entry and entry[0].startswith("map_")}:
-                _check_if_present(folder / texture)
-
-
-def _check_if_present(path: Path, largest: int = MAX_FILE_BYTES) -> bool:
-    """Return whether a path exists; raise `DataFormatError` if it is not a plain file or too large."""
-    try:
-        check_plain_file(path, largest)
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot read this file of a mesh ({error}); check the model") from error
-    return True
+    if path.suffix.lower() == ".obj":
+        read_obj(path)

@@ -1,6 +1,5 @@
 """Reader of URDF models: shapes, masses, friction and joint limits of links; writer from Jinja templates."""
 
-import errno
 import functools
 import math
 import os
@@ -25,8 +24,6 @@ Color = tuple[float, ...]
 _FRICTION, _SPINNING_FRICTION = "0.5", "0"
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 _PACKAGE = "package://"
-# Errors of paths at which there is no file.
-_MISSING = (errno.ENOENT, errno.ENOTDIR, errno.EBADF, errno.ELOOP)
 _MESH_NAME = re.compile(rb"""filename\s*=\s*["']([^"']+)["']""")
 
 
@@ -148,12 +145,8 @@ def _list_meshes(urdf: Path, mtime: int) -> tuple[str, ...]:
 def _read_mtime(path: str) -> int:
     try:
         return os.stat(path).st_mtime_ns  # noqa: PTH116
-    except ValueError:  # The path contains a null character.
+    except (OSError, ValueError):
         return 0
-    except OSError as error:
-        if error.errno in _MISSING:
-            return 0
-        raise
 
 
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:

@@ -10,12 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import cloudpickle
-
 from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
+from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy, TorchFunction
 from handover_marl.learning.encodings.choices import is_reference
@@ -31,7 +30,7 @@ from handover_marl.learning.policy_files import (
 )
 from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing.function_hash import hash_function, list_packages
+from handover_marl.policies.hashing import hash_object, list_packages
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
@@ -152,12 +151,12 @@ def _adapt(
             f"take 'state+{obs_mode}'"
         )
     hashed = function.module if isinstance(function, TorchFunction) else function
-    parts = [hash_function(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
+    parts = [hash_object(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
     digest = hashlib.sha256(repr((parts, encoding.control_period, obs_mode)).encode()).hexdigest()[:16]
     keywords: dict[str, Any] = {"function": function, "encoding": encoding, "name": name or stem, "digest": digest}
     label = name or f"{stem}@{digest[:8]}"
     try:
-        pickled = cloudpickle.dumps(functools.partial(FunctionPolicy, **keywords, label=label))
+        pickled = pickle_by_value(functools.partial(FunctionPolicy, **keywords, label=label))
     except Exception as error:  # pickling a user's object may raise anything
         raise OptionError(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "
@@ -175,7 +174,7 @@ def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
 
 
 def _describe_choice(choice: object) -> str:
-    return choice if isinstance(choice, str) else hash_function(choice)
+    return choice if isinstance(choice, str) else hash_object(choice)
 
 
 def _complete_pair(agent: str, chosen: tuple[Any, Any], takes_vectors: bool = True) -> tuple[Any, Any]:

@@ -1,12 +1,13 @@
 """Arguments that scripts of `experiments/` share, as dataclasses that become command-line options."""
 
 from dataclasses import dataclass, replace
-from typing import Any
-
-from typing_extensions import Self
+from typing import TYPE_CHECKING, Any
 
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.geometry.panda import PANDA
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class SetupArgs(DatasetArgs):
 
     setup: str | None = None
 
-    def resolve_setup(self) -> Self:
+    def resolve_setup(self) -> "Self":
         """Return the arguments with the name of the setup, as `handover_marl.benchmark` chooses it.
 
         Raises:

@@ -36,3 +36,14 @@ class CameraImage:
         """Return a boolean mask (224, 224) of the pixels with a segmentation label."""
         mask: npt.NDArray[np.bool_] = self.segmentation == label
         return mask
+
+
+#: Colors as HTML and matplotlib write them, "#rrggbb".
+LABEL_COLORS = {
+    SegmentationLabel.BACKGROUND: "#e8e8e8",
+    SegmentationLabel.ROBOT: "#555555",
+    SegmentationLabel.TABLE: "#b08d57",
+    SegmentationLabel.TARGET: "#e4572e",
+    SegmentationLabel.OTHER_OBJECT: "#76b041",
+    SegmentationLabel.HAND: "#2e86ab",
+}

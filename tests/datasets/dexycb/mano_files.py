@@ -1,7 +1,5 @@
 """Invented hand model with MANO's array shapes, and its pickles, which are composed of single operations."""
 
-import pickle
-import types
 from pathlib import Path
 from typing import Any
 
@@ -92,22 +90,20 @@ def sparse(matrix: csc_matrix, **changes: bytes) -> bytes:
     return record("scipy.sparse.csc", "csc_matrix", **{**state, **changes})
 
 
-def selection(wanted: Array, **changes: bytes) -> bytes:
-    """Return the operations for shape directions as chumpy pickled them, with changed attributes.
-
-    The object selects the first ten of twenty directions, and has the internal attributes of chumpy's classes.
-    """
+def selection(wanted: Array) -> bytes:
+    """Return the operations for shape directions as chumpy pickled them: the first ten of twenty directions."""
     everything = np.concatenate([wanted, np.full_like(wanted, 7.0)], axis=2)
     picked = np.arange(everything.size).reshape(everything.shape)[:, :, :10].ravel()
     an_empty_set = name("__builtin__", "set") + b"]\x85R"
-    keeping = {"_dirty_vars": an_empty_set, "_itr": b"N", "_depends_on_deps": b"}", "_make_dense": b"\x89"}
-    state = {
-        "a": record("chumpy.ch", "Ch", x=array(everything), **keeping),
-        "idxs": array(picked),
-        "preferred_shape": sequence(*map(integer, wanted.shape)),
+    keeping = {"_dirty_vars": an_empty_set, "_itr": b"N"}
+    return record(
+        "chumpy.reordering",
+        "Select",
+        a=record("chumpy.ch", "Ch", x=array(everything), **keeping),
+        idxs=array(picked),
+        preferred_shape=sequence(*map(integer, wanted.shape)),
         **keeping,
-    }
-    return record("chumpy.reordering", "Select", **{**state, **changes})
+    )
 
 
 def official(content: Content, **changes: bytes) -> bytes:
@@ -123,15 +119,3 @@ def official(content: Content, **changes: bytes) -> bytes:
 def write(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
-
-
-def saved_with_chumpy(content: Content, classes: types.SimpleNamespace, protocol: int) -> bytes:
-    """Return a model file with chumpy's objects, pickled by the running version of Python."""
-    variable, chosen = classes.Ch(), classes.Select()
-    variable.x = np.concatenate([content["shapedirs"], content["shapedirs"]], axis=2)
-    variable._dirty_vars = {"x"}
-    chosen.a = variable
-    chosen.idxs = np.arange(variable.x.size).reshape(variable.x.shape)[:, :, :10].ravel()
-    chosen.preferred_shape = (N_VERTICES, 3, 10)
-    chosen._dirty_vars = {"a", "idxs"}
-    return pickle.dumps({**content, "shapedirs": chosen}, protocol=protocol)

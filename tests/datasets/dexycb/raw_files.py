@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse
 import yaml
 from scipy.spatial.transform import Rotation
 
@@ -61,7 +60,7 @@ def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
         side=side,
         v_template=vertices,
         shapedirs=rng.normal(scale=0.002, size=(778, 3, 10)),
-        j_regressor=scipy.sparse.csc_matrix(regressor),
+        j_regressor=regressor,
         weights=np.full((778, 16), 1.0 / 16.0),
         faces=np.zeros((1538, 3), dtype=np.int64),
         hands_components=rng.normal(scale=0.3, size=(45, 45)),

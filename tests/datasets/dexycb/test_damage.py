@@ -1,134 +1,129 @@
-"""Tests of imports with damaged recordings.
+"""Tests of imports with damaged recordings, into folders with other files, and of imports that are killed."""
 
-Every kind of damage is reported in one sentence, all other recordings are imported correctly, and an import of
-undamaged data completes the folder. One dataset has undamaged recordings and one recording for each kind of damage.
-"""
-
-import re
+import errno
+import os
 import shutil
-from dataclasses import dataclass
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
 from handover_marl.datasets.dexycb.raw_files import read_sequence_names
+from handover_marl.datasets.scene_files import CACHE_FOLDER
+from handover_marl.errors import ResultsError
 from handover_marl.geometry.ycb import SUBJECTS
-from tests.datasets.dexycb.damaged_recordings import DAMAGES, HARMLESS, Files
-from tests.datasets.dexycb.raw_files import RawScene, all_files, extrinsics_file, mano_file, write_mano
-from tests.evaluation.deadline import ends_within
+from tests.datasets.dexycb.raw_files import RawScene, all_files, hand_poses, mano_file, object_poses, write_mano
 
 pytestmark = pytest.mark.slow
 
-SUBJECT = 6
-WHOLE = 4  # number of undamaged recordings at the beginning, of both hands
-KINDS = [*DAMAGES, *HARMLESS]
-RANKS = {kind: WHOLE + number for number, kind in enumerate(KINDS)}
-NAMES = read_sequence_names()[SUBJECTS[SUBJECT]]
-
-
-@dataclass(frozen=True)
-class Runs:
-    """Results of the imports.
-
-    Attributes:
-        found: Report of the import of the damaged dataset.
-        files: Content of the data folder's files after that import, by path.
-        again: Report of the import of the undamaged dataset into the same folder.
-        files_again: Content of the files after that second import, by path.
-        expected: Content of the files that the undamaged dataset gives in an empty folder, by path.
-    """
-
-    found: ImportReport
-    files: dict[str, bytes]
-    again: ImportReport
-    files_again: dict[str, bytes]
-    expected: dict[str, bytes]
-
-
-def write_dataset(raw: Path) -> None:
-    """Write an undamaged recording for each kind and `WHOLE` more, each with its own calibration."""
-    for rank in range(WHOLE + len(KINDS)):
-        name = NAMES[rank]
-        RawScene(
-            subject=SUBJECT,
-            name=name,
-            side="left" if rank % 2 else "right",
-            extrinsics=name,
-            mano=f"{name}_subject-07",
-        ).write(raw)
-
-
-def files_of(raw: Path, rank: int) -> Files:
-    name = NAMES[rank]
-    folder = raw / SUBJECTS[SUBJECT] / name
-    return Files(
-        meta=folder / "meta.yml",
-        pose=folder / "pose.npz",
-        extrinsics=extrinsics_file(raw, name),
-        mano=mano_file(raw, f"{name}_subject-07"),
-    )
+N_SCENES = 6
+N_KEYS = 24  # number for which an import takes long enough to be killed half-way
+NAMES = read_sequence_names()[SUBJECTS[0]][:N_SCENES]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
-    folder = tmp_path_factory.mktemp("damage")
-    mano, whole, raw = write_mano(folder / "mano"), folder / "whole", folder / "raw"
-    write_dataset(whole)
-    shutil.copytree(whole, raw)
-    for kind, damage in [*((kind, damage) for kind, (damage, _) in DAMAGES.items()), *HARMLESS.items()]:
-        damage(files_of(raw, RANKS[kind]))
-    with pytest.MonkeyPatch.context() as patch, ends_within(120):
-        patch.chdir(folder)
-        expected = folder / "expected"
-        import_dexycb(whole, mano, expected, workers=2, progress=False)
-        found = import_dexycb(raw, mano, folder / "out", workers=2, progress=False)
-        files = all_files(folder / "out")
-        again = import_dexycb(whole, mano, folder / "out", workers=2, progress=False)
-    assert not list(folder.rglob("was_run")), "code of the dataset was executed"
-    return Runs(found, files, again, all_files(folder / "out"), all_files(expected))
+def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with raw data `raw/`, models `mano/` and the result of their import `expected/`."""
+    folder = tmp_path_factory.mktemp("given")
+    write_mano(folder / "mano")
+    for name in NAMES:
+        objects, hand = object_poses(N_KEYS, 2), hand_poses(N_KEYS)
+        RawScene(name=name, objects=objects, hand=hand, mano=name).write(folder / "raw")
+    assert imported(folder, folder / "raw", folder / "expected").scenes == tuple(range(N_SCENES))
+    return folder
 
 
-def find_scene_assets(files: dict[str, bytes], rank: int) -> dict[str, bytes]:
-    scene = 100 * SUBJECT + rank
-    return {name: data for name, data in files.items() if re.search(rf"_{scene}\.(json|npz)$", name)}
+def imported(given: Path, raw: Path, out: Path) -> ImportReport:
+    return import_dexycb(raw, given / "mano", out, workers=1, progress=False)
 
 
-@pytest.mark.parametrize("kind", DAMAGES)
-def test_damage(runs: Runs, kind: str) -> None:
-    rank, message = RANKS[kind], DAMAGES[kind][1]
-    reported = [fault for fault in runs.found.faults if NAMES[rank] in fault]
-    assert len(reported) == 1
-    assert re.search(message, reported[0])
-    assert len(reported[0]) < 700
-    assert reported[0].isprintable()
-    assert 100 * SUBJECT + rank not in runs.found.scenes
-    assert not find_scene_assets(runs.files, rank), "nothing of it is written"
-    # The import of the undamaged dataset adds the scene.
-    assert not any(NAMES[rank] in fault for fault in runs.again.faults)
-    assert len(find_scene_assets(runs.files_again, rank)) == 2
-    assert find_scene_assets(runs.files_again, rank) == find_scene_assets(runs.expected, rank)
+def test_damaged_recordings_are_reported_and_the_others_imported(given: Path, tmp_path: Path) -> None:
+    raw, out = tmp_path / "raw", tmp_path / "out"
+    shutil.copytree(given / "raw", raw)
+    folder = raw / SUBJECTS[0]
+    (folder / NAMES[0] / "pose.npz").write_bytes((folder / NAMES[0] / "pose.npz").read_bytes()[:500])
+    (folder / NAMES[1] / "meta.yml").unlink()
+    mano_file(raw, NAMES[3]).unlink()
+    found = imported(given, raw, out)
+    assert found.scenes == (2, 4, 5)
+    assert len(found.hands) == 2
+    for name in (NAMES[0], NAMES[1], NAMES[3]):
+        assert len([fault for fault in found.faults if name in fault and fault.startswith("scene")]) == 1
+    assert len(found.faults) == 3 + len(SUBJECTS)
+    files, expected = all_files(out), all_files(given / "expected")
+    assert files.items() <= expected.items()
+    # An import of the undamaged data completes the folder.
+    imported(given, given / "raw", out)
+    assert all_files(out) == expected
 
 
-@pytest.mark.parametrize("kind", HARMLESS)
-def test_undamaged_files_that_are_not_read(runs: Runs, kind: str) -> None:
-    rank = RANKS[kind]
-    assert not any(NAMES[rank] in fault for fault in runs.found.faults)
-    assert len(find_scene_assets(runs.files, rank)) == 2
-    assert find_scene_assets(runs.files, rank) == find_scene_assets(runs.expected, rank)
+def alter(path: Path) -> None:
+    """Change one number of the motion in a pose file."""
+    with np.load(path) as archive:
+        arrays = {name: archive[name].copy() for name in archive.files}
+    arrays["pose_m"][3, 0, 5] += 1e-6
+    np.savez_compressed(path, **arrays)
 
 
-def test_other_scenes_are_imported(runs: Runs) -> None:
-    whole = [*range(WHOLE), *(RANKS[kind] for kind in HARMLESS)]
-    assert runs.found.scenes == tuple(100 * SUBJECT + rank for rank in whole)
-    assert runs.found.hands == (f"{SUBJECTS[SUBJECT]}_right", f"{SUBJECTS[SUBJECT]}_left")
-    damaged = set().union(*(find_scene_assets(runs.expected, RANKS[kind]) for kind in DAMAGES))
-    assert runs.files == {name: data for name, data in runs.expected.items() if name not in damaged}
-    # Further faults are the nine missing subjects and the missing recordings of this subject.
-    assert len(runs.found.faults) == len(DAMAGES) + 9 + 1
+SPOILS: dict[str, Callable[[Path], object]] = {
+    "pose_000.npz": alter,
+    "pose_001.npz": lambda path: path.write_bytes(path.read_bytes()[:500]),
+    "meta_002.json": lambda path: path.write_text(path.read_text().replace("2, 5", "5, 2")),
+}
 
 
-def test_next_import_completes_the_folder(runs: Runs) -> None:
-    assert runs.again.scenes == tuple(100 * SUBJECT + rank for rank in range(WHOLE + len(KINDS)))
-    assert len(runs.again.faults) == 9 + 1
-    assert runs.files_again == runs.expected
+def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(given / "expected", out)
+    for name, spoil in SPOILS.items():
+        spoil(out / CACHE_FOLDER / name)
+    before = all_files(out)
+    found = imported(given, given / "raw", out)
+    assert found.scenes == tuple(range(len(SPOILS), N_SCENES))
+    for name in SPOILS:
+        assert any(f"{name} exists, but differs from the result" in fault for fault in found.faults)
+    assert all_files(out) == before
+
+
+def test_folders_that_cannot_be_written(given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(ResultsError, match=r"cannot make the folder .*file"):
+        imported(given, given / "raw", tmp_path / "file")
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        with pytest.raises(ResultsError, match=r"cannot write .*No space left"):
+            imported(given, given / "raw", tmp_path / "out")
+    assert not all_files(tmp_path / "out")
+    imported(given, given / "raw", tmp_path / "out")
+    assert all_files(tmp_path / "out") == all_files(given / "expected")
+
+
+@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
+def test_killed_import_is_continued(given: Path, tmp_path: Path, signal_number: int) -> None:
+    out = tmp_path / "out"
+    script = (
+        "import signal, sys; from handover_marl.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "sys.exit(main(['import', *sys.argv[1:]]))"
+    )
+    options = ["--dexycb", given / "raw", "--mano", given / "mano", "--out", out, "--workers", 1, "--no-progress"]
+    with subprocess.Popen([sys.executable, "-c", script, *map(str, options)], stderr=subprocess.DEVNULL) as process:
+        end = time.monotonic() + 60.0
+        while not list((out / CACHE_FOLDER).glob("meta_*")) and time.monotonic() < end:
+            time.sleep(0.01)
+        process.send_signal(signal_number)
+    assert process.returncode == (130 if signal_number == signal.SIGINT else -signal.SIGKILL)
+    found, expected = all_files(out), all_files(given / "expected")
+    assert {name: data for name, data in found.items() if not name.endswith(".part")}.items() <= expected.items()
+    imported(given, given / "raw", out)
+    assert all_files(out) == expected

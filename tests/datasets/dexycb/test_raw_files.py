@@ -1,116 +1,62 @@
-import errno
-import os
 import re
 import shutil
-import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from handover_marl.datasets.dexycb.raw_files import find_sequences, read_sequence_names
-from handover_marl.errors import DataNotFoundError
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences, read_sequence, read_sequence_names
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.geometry.ycb import SUBJECTS
+from tests.datasets.dexycb.raw_files import (
+    RawScene,
+    extrinsics_file,
+    hand_poses,
+    mano_file,
+    object_poses,
+    tag_pose,
+    write_yaml,
+)
 
 
-def write_subject(raw: Path, number: int, n: int = 100) -> list[Path]:
-    """Create recordings of a subject with empty files, and return their folders in the order of their names."""
-    folders = [raw / SUBJECTS[number] / f"{SUBJECTS[number][:8]}_{9000 + 7 * k:06d}" for k in range(n)]
-    for folder in reversed(folders):
-        folder.mkdir(parents=True)
-        (folder / "meta.yml").touch()
-        (folder / "pose.npz").touch()
-    return folders
+def write_names(raw: Path, number: int, names: list[str]) -> None:
+    """Create the folders of recordings with these names, and an empty calibration folder."""
+    (raw / "calibration").mkdir(exist_ok=True)
+    for name in names:
+        (raw / SUBJECTS[number] / name).mkdir(parents=True)
 
 
-@pytest.fixture
-def raw(tmp_path: Path) -> Path:
-    """Return a raw folder with all recordings of the subjects 0 and 3 and of no other subject."""
-    (tmp_path / "calibration").mkdir()
-    write_subject(tmp_path, 0)
-    write_subject(tmp_path, 3)
-    return tmp_path
+def test_sequence_names() -> None:
+    names = [f"{subject}/{name}" for subject in SUBJECTS for name in read_sequence_names()[subject]]
+    assert len(set(names)) == 1000
+    assert names == sorted(names)
+    assert all(re.fullmatch(r"(\d{8})-subject-\d\d/\1_[0-2]\d[0-5]\d[0-5]\d", name) for name in names)
 
 
-def test_scene_numbers_are_ranks(raw: Path) -> None:
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences] == [*range(100), *range(300, 400)]
-    assert not layout.ignored
-    sequence = layout.sequences[102]
-    assert sequence.name == "20200903-subject-04/20200903_009014"
-    assert sequence.folder == raw / sequence.name
-    assert sequence.subject == "20200903-subject-04"
-    assert sequence.calibration == raw / "calibration"
-    missing = [subject for number, subject in enumerate(SUBJECTS) if number not in (0, 3)]
-    assert len(layout.missing) == len(missing) == 8
-    for subject, sentence in zip(missing, layout.missing, strict=True):
-        assert f"{subject} is missing; expand DexYCB's {subject}.tar.gz" in sentence
+@pytest.mark.parametrize("ranks", [range(100), (3, 50, 99)])
+def test_dexycbs_recordings_have_their_official_numbers(tmp_path: Path, ranks: range) -> None:
+    names = read_sequence_names()[SUBJECTS[6]]
+    write_names(tmp_path, 6, [*(names[rank] for rank in reversed(ranks)), "20200928_000000", "backup"])
+    layout = find_sequences(tmp_path)
+    found = [(one.scene_id - 600, one.folder.name) for one in layout.sequences]
+    assert found == [(rank, names[rank]) for rank in ranks]
+    sequence = layout.sequences[0]
+    assert (sequence.subject, sequence.calibration) == (SUBJECTS[6], tmp_path / "calibration")
+    reported = [text for text in layout.missing if SUBJECTS[6] in text]
+    assert len(layout.missing) == 9 + len(reported)
+    assert [f"lacks {100 - len(ranks)} of 100 recordings, such as {names[0]};" in text for text in reported] == (
+        [] if len(ranks) == 100 else [True]
+    )
 
 
-@pytest.mark.parametrize("n", [0, 1, 99])
-def test_too_few_recordings(raw: Path, n: int) -> None:
-    for folder in sorted((raw / SUBJECTS[0]).iterdir())[n:]:
-        shutil.rmtree(folder)
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences] == list(range(300, 400))
-    assert f"{SUBJECTS[0]} holds {n} recordings instead of 100" in layout.missing[0]
-    assert "complete the download" in layout.missing[0]
-
-
-def test_too_many_recordings(raw: Path) -> None:
-    (raw / SUBJECTS[3] / "20200903_235959").mkdir()
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences] == list(range(100))
-    assert any(f"{SUBJECTS[3]} holds 101 recordings" in text and "remove" in text for text in layout.missing)
-
-
-@pytest.mark.parametrize("instead", [False, True])
-def test_unknown_folders(raw: Path, instead: bool) -> None:
-    """A subject with an unknown folder is left out, even if it has 100 folders.
-
-    With `instead`, the unknown folder replaces a recording.
-    """
-    (raw / SUBJECTS[0] / "backup").mkdir()
-    if instead:
-        shutil.rmtree(min((raw / SUBJECTS[0]).iterdir()))
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences] == list(range(300, 400))
-    assert "holds 'backup', which no recording is called; remove" in layout.missing[0]
-
-
-def test_unknown_files_are_ignored(raw: Path) -> None:
-    (raw / SUBJECTS[0] / "00_README.txt").touch()
-    (raw / SUBJECTS[0] / ".DS_Store").touch()
-    (raw / SUBJECTS[0] / ".cache").mkdir()
-    for name in "abc":
-        (raw / SUBJECTS[3] / name).touch()
-    (raw / SUBJECTS[3] / "d").touch()
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences] == [*range(100), *range(300, 400)]
-    assert len(layout.ignored) == 2
-    assert "'.DS_Store', '.cache', '00_README.txt'" in layout.ignored[0]
-    assert "'a', 'b', 'c' and 1 more" in layout.ignored[1]
-
-
-def test_recordings_without_their_files(raw: Path) -> None:
-    folders = sorted((raw / SUBJECTS[0]).iterdir())
-    (folders[4] / "pose.npz").unlink()
-    (folders[5] / "pose.npz").unlink()
-    (folders[5] / "meta.yml").unlink()
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences][:5] == [0, 1, 2, 3, 6]
-    assert f"{folders[4]} lacks pose.npz; expand" in layout.missing[0]
-    assert f"{folders[5]} lacks meta.yml and pose.npz; expand" in layout.missing[1]
-
-
-def test_missing_calibration(raw: Path) -> None:
-    (raw / "calibration").rmdir()
-    layout = find_sequences(raw)
-    assert "calibration is missing, without which no recording can be imported" in layout.missing[0]
-    assert len(layout.missing) == 9
-    assert not layout.sequences
+def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
+    names = [f"20200903_{9000 + 7 * rank:06d}" for rank in range(100)]
+    write_names(tmp_path, 3, names[::-1])
+    assert [one.folder.name for one in find_sequences(tmp_path).sequences] == names
+    shutil.rmtree(tmp_path / SUBJECTS[3] / names[0])
+    assert not find_sequences(tmp_path).sequences
 
 
 @pytest.mark.parametrize("name", ["nowhere", "file", "empty"])
@@ -121,107 +67,88 @@ def test_no_raw_folder(tmp_path: Path, name: str) -> None:
         find_sequences(tmp_path / name)
 
 
-def test_a_subject_that_is_a_file(raw: Path) -> None:
-    (raw / SUBJECTS[1]).touch()
-    assert any(f"{SUBJECTS[1]} cannot be read" in text for text in find_sequences(raw).missing)
+def test_recording(tmp_path: Path) -> None:
+    scene = RawScene(side="left")
+    found = read_sequence(scene.write(tmp_path))
+    assert (found.meta.ycb_ids, found.meta.ycb_grasp_ind, found.meta.side) == ((2, 5), 1, "left")
+    np.testing.assert_array_equal(found.world_from_tag, tag_pose())
+    assert found.betas == tuple(scene.betas)
+    for array, expected in ((found.objects, scene.objects), (found.hand, scene.hand)):
+        assert array.dtype == np.float32
+        np.testing.assert_array_equal(array, expected)
 
 
-def test_links_to_folders_are_accepted(raw: Path) -> None:
-    moved = raw.with_name(f"{raw.name}-elsewhere")
-    shutil.move(raw / SUBJECTS[0], moved)
-    (raw / SUBJECTS[0]).symlink_to(moved)
-    assert len(find_sequences(raw).sequences) == 200
+META = "meta.yml"
 
 
-def write_known(raw: Path, number: int, names: Iterable[str]) -> None:
-    """Create recordings with these names and empty files, and an empty calibration folder."""
-    (raw / "calibration").mkdir(exist_ok=True)
-    for name in names:
-        folder = raw / SUBJECTS[number] / name
-        folder.mkdir(parents=True)
-        (folder / "meta.yml").touch()
-        (folder / "pose.npz").touch()
+def write(relative: str, content: object) -> Callable[[SequenceFolder], object]:
+    return lambda sequence: write_yaml(sequence.folder / relative, content)
 
 
-def test_sequence_names() -> None:
-    names = [f"{subject}/{name}" for subject in SUBJECTS for name in read_sequence_names()[subject]]
-    assert len(set(names)) == 1000
-    assert names == sorted(names)
-    assert all(re.fullmatch(r"(\d{8})-subject-\d\d/\1_[0-2]\d[0-5]\d[0-5]\d", name) for name in names)
-    assert names[0] == "20200709-subject-01/20200709_141754"
-    assert names[-1] == "20201022-subject-10/20201022_114909"
+def save_poses(**arrays: np.ndarray) -> Callable[[SequenceFolder], object]:
+    given = {"pose_y": object_poses(n_objects=2), "pose_m": hand_poses()[:, None], **arrays}
+    return lambda sequence: np.savez(sequence.folder / "pose.npz", **given)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("number", range(10))
-def test_official_names_have_the_same_number_by_rank_and_by_list(tmp_path: Path, number: int) -> None:
-    names = read_sequence_names()[SUBJECTS[number]]
-    write_known(tmp_path, number, names)
-    layout = find_sequences(tmp_path)
-    by_rank = [(100 * number + rank, f"{SUBJECTS[number]}/{name}") for rank, name in enumerate(sorted(names))]
-    assert [(sequence.scene_id, sequence.name) for sequence in layout.sequences] == by_rank
-    assert not any("holds" in text or "lacks" in text for text in layout.missing)
+OBJECTS, HAND = object_poses(n_objects=2), hand_poses()[:, None]
+DAMAGES: dict[str, tuple[Callable[[SequenceFolder], Any], str]] = {
+    "an empty meta.yml": (write(META, None), r"meta\.yml.*it has no ycb_ids"),
+    "a list as meta.yml": (write(META, [1]), r"meta\.yml.*it has no ycb_ids"),
+    "no YAML": (lambda sequence: (sequence.folder / META).write_bytes(b"a: [\xff"), r"meta\.yml.*expand"),
+    "no poses": (lambda sequence: (sequence.folder / "pose.npz").write_bytes(b"PK"), r"pose\.npz.*expand"),
+    "half of the poses": (
+        lambda sequence: (sequence.folder / "pose.npz").write_bytes((sequence.folder / "pose.npz").read_bytes()[:900]),
+        r"pose\.npz.*expand",
+    ),
+    "poses of one object": (save_poses(pose_y=OBJECTS[:, :1]), "of 2 objects"),
+    "a hand of other length": (save_poses(pose_m=HAND[:-1]), "of the hand"),
+    "infinite poses": (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "not finite"),
+    "no hand": (save_poses(pose_m=np.zeros_like(HAND)), "few with a hand"),
+    "7 frames": (save_poses(pose_y=object_poses(7, 2), pose_m=hand_poses(7)[:, None]), "7 frames, .*conversion fails"),
+    "no tag": (
+        lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {"extrinsics": {}}),
+        "apriltag",
+    ),
+    "a short tag": (
+        lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {"extrinsics": {"apriltag": [1.0]}}),
+        "12 numbers belong",
+    ),
+    "text as shape": (
+        lambda sequence: write_yaml(mano_file(sequence.folder.parents[1]), {"betas": ["x"] * 10}),
+        "10 numbers belong",
+    ),
+}
 
 
-@given(ranks=st.sets(st.integers(0, 99), min_size=1, max_size=100))
-@settings(max_examples=20)
-def test_parts_of_dexycb_have_the_official_numbers(ranks: set[int]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        names = read_sequence_names()[SUBJECTS[6]]
-        write_known(Path(folder), 6, [names[rank] for rank in ranks])
-        layout = find_sequences(Path(folder))
-    assert [(one.scene_id - 600, one.folder.name) for one in layout.sequences] == [
-        (rank, names[rank]) for rank in sorted(ranks)
-    ]
-    reported = [text for text in layout.missing if "lacks" in text]
-    assert len(reported) == (len(ranks) < 100)
-    for text in reported:
-        first = min(set(range(100)) - ranks)
-        assert f"{SUBJECTS[6]} lacks '{names[first]}'" in text
-        assert f"{100 - len(ranks)} of 100 recordings; expand DexYCB's {SUBJECTS[6]}.tar.gz again" in text
+@pytest.mark.parametrize("kind", DAMAGES)
+def test_damaged_recordings(tmp_path: Path, kind: str) -> None:
+    damage, message = DAMAGES[kind]
+    sequence = RawScene().write(tmp_path)
+    damage(sequence)
+    with pytest.raises(DataFormatError, match=message):
+        read_sequence(sequence)
 
 
-@pytest.mark.parametrize("stranger", ["backup", "20200813_000000", "20200709_141754"])
-@pytest.mark.parametrize("missing", [0, 1])
-def test_unknown_recordings_beside_dexycbs(tmp_path: Path, stranger: str, missing: int) -> None:
-    """A recording with an unknown name is left out beside DexYCB's recordings, which keep their scene numbers.
-
-    With `missing`, there are 100 recordings, and their ranks would be wrong scene numbers.
-    """
-    names = read_sequence_names()[SUBJECTS[1]]
-    write_known(tmp_path, 1, [stranger, *names[missing:]])
-    layout = find_sequences(tmp_path)
-    assert [sequence.scene_id for sequence in layout.sequences] == list(range(100 + missing, 200))
-    assert any(f"holds '{stranger}' beside DexYCB's recordings, which was left out" in text for text in layout.missing)
-
-
-def test_single_official_names_are_ignored(tmp_path: Path) -> None:
-    names = [f"20200709_{90000 + rank:06d}" for rank in range(97)]
-    write_known(tmp_path, 0, [*names, *read_sequence_names()[SUBJECTS[0]][20:23]])
-    assert [sequence.scene_id for sequence in find_sequences(tmp_path).sequences] == list(range(100))
-    shutil.rmtree(tmp_path / SUBJECTS[0] / names[5])
-    layout = find_sequences(tmp_path)
-    assert not layout.sequences
-    assert "holds 99 recordings instead of 100" in layout.missing[0]
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"ycb_ids": [2, 99]}, "unknown object class 99"),
+        ({"ycb_ids": []}, "0 objects"),
+        ({"ycb_grasp_ind": 2}, "not an index"),
+        ({"mano_sides": ["both"]}, "mano_sides"),
+        ({"mano_calib": []}, "not as DexYCB writes it"),
+        ({"extrinsics": None}, "it has no extrinsics"),
+    ],
+)
+def test_wrong_meta(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(DataFormatError, match=rf"meta\.yml.*{message}"):
+        read_sequence(RawScene(meta=changes).write(tmp_path))
 
 
-def test_unreadable_folders(raw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folders that cannot be read are reported.
-
-    The test simulates the system's error, since root may read every folder.
-    """
-    closed = raw / SUBJECTS[0] / "20200709_009007"
-    stat = Path.stat
-
-    def refuse(path: Path, **options: bool) -> os.stat_result:
-        if path.parent == closed or path.parent.name == "closed":
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-        return stat(path, **options)
-
-    monkeypatch.setattr(Path, "stat", refuse)
-    layout = find_sequences(raw)
-    assert [sequence.scene_id for sequence in layout.sequences][:2] == [0, 2]
-    assert any(
-        "20200709_009007 cannot be read (Permission denied); check its rights" in text for text in layout.missing
-    )
-    with pytest.raises(DataNotFoundError, match="no raw DexYCB folder"):
-        find_sequences(raw / "closed" / "dex-ycb")
+@pytest.mark.parametrize("name", [META, "extrinsics", "mano"])
+def test_missing_files(tmp_path: Path, name: str) -> None:
+    sequence = RawScene().write(tmp_path)
+    paths = {META: sequence.folder / META, "extrinsics": extrinsics_file(tmp_path), "mano": mano_file(tmp_path)}
+    paths[name].unlink()
+    with pytest.raises(DataNotFoundError, match=f"{re.escape(str(paths[name]))} cannot be read"):
+        read_sequence(sequence)

@@ -1,6 +1,5 @@
 import json
 import multiprocessing
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -8,18 +7,16 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.dexycb.motion import compute_hand_trajectory, compute_object_trajectory
-from handover_marl.datasets.dexycb.raw_files import read_sequence_names
 from handover_marl.datasets.dexycb.rotations import TagFrame
 from handover_marl.datasets.dexycb.scenes import (
     CachedScene,
     find_first_betas,
     import_scene,
-    read_hand_betas,
     write_scene,
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER
-from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from tests.datasets.dexycb.raw_files import RawScene, hand_model, hand_poses, mano_file, object_poses, tag_pose
+from handover_marl.errors import DataFormatError
+from tests.datasets.dexycb.raw_files import RawScene, hand_model, hand_poses, object_poses, tag_pose
 
 META = {
     "name": "20200709-subject-01/20200709_141754",
@@ -89,40 +86,6 @@ def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32)
     with pytest.raises(DataFormatError, match=r"pose_007\.npz exists, but differs.*remove it"):
         write_scene(other, tmp_path)
     assert contents(tmp_path) == before
-
-
-def test_different_meta_is_not_overwritten(tmp_path: Path) -> None:
-    write_scene(scene(), tmp_path)
-    (tmp_path / "meta_007.json").write_text(json.dumps(META) + "\n")
-    with pytest.raises(DataFormatError, match=r"meta_007\.json exists"):
-        write_scene(scene(), tmp_path)
-
-
-@pytest.mark.parametrize("name", ["meta_007.json", "pose_007.npz"])
-def test_other_files_are_kept(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).mkdir()
-    with pytest.raises(DataFormatError, match=f"{name} exists"):
-        write_scene(scene(), tmp_path)
-    (tmp_path / name).rmdir()
-    (tmp_path / name).write_bytes(b"PK")
-    with pytest.raises(DataFormatError, match=f"{name} exists"):
-        write_scene(scene(), tmp_path)
-
-
-@pytest.mark.parametrize(
-    "arrays", [{"pose_y": scene().pose_y}, {"pose_y": scene().pose_y[:4], "pose_m": scene().pose_m}]
-)
-def test_missing_and_different_arrays(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    np.savez(tmp_path / "pose_007.npz", **arrays)
-    with pytest.raises(DataFormatError, match=r"pose_007\.npz exists"):
-        write_scene(scene(), tmp_path)
-
-
-def test_missing_folder(tmp_path: Path) -> None:
-    (tmp_path / "cache").mkdir()
-    shutil.rmtree(tmp_path / "cache")
-    with pytest.raises(ResultsError, match="cannot write"):
-        write_scene(scene(), tmp_path / "cache")
 
 
 MODELS = {side: hand_model(side, seed) for seed, side in enumerate(("right", "left"))}
@@ -197,43 +160,3 @@ def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:
         (SUBJECT, "right"): 0.3,
         (SUBJECT, "left"): 0.2,
     }
-
-
-def test_hand_shape_is_from_the_first_recording(tmp_path: Path) -> None:
-    names = read_sequence_names()[SUBJECT][:3]
-    known = [
-        RawScene(name=name, betas=[0.1 * rank] * 10, mano=f"hand{rank}").write(tmp_path, rank)
-        for rank, name in enumerate(names)
-    ]
-    assert read_hand_betas(known) == (0.0,) * 10
-    # In DexYCB all recordings of a person have equal betas, so those of a later recording are used.
-    assert read_hand_betas(known[1:]) == (0.1,) * 10
-    mano_file(tmp_path, "hand0").write_text("betas: [1.0]")
-    mano_file(tmp_path, "hand1").unlink()
-    assert read_hand_betas(known) == (0.2,) * 10
-    with pytest.raises(DataFormatError, match="expected 10 numbers"):
-        read_hand_betas(known[:2])
-    # In other data, betas may differ between recordings, so the first recording is needed.
-    others = [RawScene(name=f"20200709_00000{rank}").write(tmp_path, rank) for rank in range(2)]
-    assert len(read_hand_betas(others)) == 10
-    with pytest.raises(DataNotFoundError, match=f"{SUBJECT} lacks its first recording, which has the hand.s shape"):
-        read_hand_betas(others[1:])
-    (others[0].folder / "meta.yml").unlink()
-    with pytest.raises(DataNotFoundError, match=r"000000/meta\.yml is missing"):
-        read_hand_betas(others)
-
-
-def test_failed_scene_writes_nothing(tmp_path: Path) -> None:
-    sequence = RawScene(hand=hand_poses(6, 3)).write(tmp_path / "raw")
-    with pytest.raises(DataFormatError, match="frames with a hand"):
-        import_scene(sequence, MODELS, {}, tmp_path / "out")
-    (sequence.folder / "meta.yml").unlink()
-    with pytest.raises(DataNotFoundError, match=r"meta\.yml"):
-        import_scene(sequence, MODELS, {}, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def test_invalid_output_folder(tmp_path: Path) -> None:
-    (tmp_path / "out").touch()
-    with pytest.raises(ResultsError, match=r"cannot make the folder .*out"):
-        import_scene(RawScene().write(tmp_path / "raw"), MODELS, {}, tmp_path / "out")

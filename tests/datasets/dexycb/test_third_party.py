@@ -12,7 +12,7 @@ from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets import OfficialDataset, official_files
 from handover_marl.datasets.dexycb.assets import write_object_assets
-from handover_marl.datasets.dexycb.stand_ins import decompose_convex, install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.stand_ins import format_convex_parts, install_third_party, write_stand_ins
 from handover_marl.datasets.grasp_files import load_grasps
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
@@ -124,7 +124,7 @@ def test_convex_parts_fill_the_model(stood_in: Path) -> None:
     assert np.abs(parts.vertices.max(axis=0) - whole.vertices.max(axis=0)).max() < 0.005
     assert all(len(np.unique(group)) <= 64 for group in parts.groups)
     assert (
-        decompose_convex(stood_in / "003_cracker_box/textured_simple.obj")
+        format_convex_parts(stood_in / "003_cracker_box/textured_simple.obj")
         == (stood_in / "003_cracker_box/model_normalized_convex.obj").read_text()
     ), "the same again"
 

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.episode.batch.recordings import RecordingBank
-from handover_marl.episode.giver_motion import NO_DEVIATION, Playback
+from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.poses import compute_rotation_angles, quaternions_from_euler
-from tests.episode.batch.test_giver_motion import CONFIG, COUNT, HIGH, SCENES
+from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
@@ -20,14 +20,14 @@ TENSORS = make_tensor_factory("cpu")
 ROWS = TENSORS.arange(COUNT)
 
 
-def start() -> tuple[TensorGiverMotion, list[Playback]]:
+def start() -> tuple[TensorGiverMotion, list[OneGiver]]:
     batch = TensorGiverMotion(COUNT, CONFIG, TENSORS)
     for row, scene in enumerate(SCENES):
         batch.reset(row, scene)
-    return batch, [Playback(scene, CONFIG) for scene in SCENES]
+    return batch, [OneGiver(scene) for scene in SCENES]
 
 
-def compare(batch: TensorGiverMotion, singles: list[Playback], rng: np.random.Generator, actions: np.ndarray) -> None:
+def compare(batch: TensorGiverMotion, singles: list[OneGiver], rng: np.random.Generator, actions: np.ndarray) -> None:
     """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
     steps = int(rng.integers(1, 201))
     released = rng.random(COUNT) < 0.3

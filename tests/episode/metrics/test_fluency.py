@@ -24,8 +24,8 @@ from handover_marl.episode.metrics.motion_trace import SAMPLE_STEPS, EpisodeTrac
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.columns import FLUENCY
-from handover_marl.evaluation.reports.fluency_tables import estimate_fluency
+from handover_marl.evaluation.reports.episode_tables import estimate_fluency
+from handover_marl.evaluation.reports.tables import FLUENCY
 from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.policies.policy import Policy
@@ -413,7 +413,7 @@ def test_engines_measure_alike(robot: str) -> None:
 def played() -> FluencyMetrics:
     run, _ = resolve_config(EvaluationConfig(dataset="synthetic", physics="fast", scenes=(209,)))
     player = EpisodeRunner(run, "here")
-    found = player.run(SceneTask(0, 209)).result
+    found, _ = player.run(SceneTask(0, 209))
     player.close()
     assert found.fluency is not None
     return found.fluency

@@ -17,7 +17,7 @@ from handover_marl.cli import main
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.demonstrations.demonstration import hold_actions
-from handover_marl.evaluation.demonstrations.recorder import compute_frame_step
+from handover_marl.evaluation.demonstrations.record import compute_frame_step
 from tests.evaluation.demonstrations.recording import HORIZON, SCENES, SHORT, MovingReceiver, contents, record
 
 REPOSITORY = Path(__file__).parents[3]

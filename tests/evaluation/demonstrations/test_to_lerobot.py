@@ -13,13 +13,13 @@ from handover_marl.cli import main
 from handover_marl.episode.observations import receiver_observation_space
 from handover_marl.episode.spaces import OBS_MODES
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
-from handover_marl.evaluation.demonstrations.to_lerobot import (
+from handover_marl.evaluation.demonstrations.convert import (
     convert_to_lerobot,
     describe_features,
     format_task,
     make_columns,
 )
+from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
 from tests.evaluation.demonstrations.recording import SCENES, record
 
 FPS = 10

@@ -10,7 +10,7 @@ import pytest
 from handover_marl import Demonstrations
 from handover_marl.cli import main
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.demonstrations.to_minari import convert_to_minari
+from handover_marl.evaluation.demonstrations.convert import convert_to_minari
 from tests.evaluation.demonstrations.recording import SCENES, record
 
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.evaluation.reports.pages import find_replay_links, render_report_page
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
 from tests.evaluation.reports.test_report import SETTINGS, episode, report
 from tests.evaluation.test_comparison import folder
 from tests.visualization.outside import dangling, outside, references

@@ -4,10 +4,13 @@ from dataclasses import replace
 import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.pair_tables import build_difference_table
+from handover_marl.evaluation.reports.episode_tables import (
+    build_difference_table,
+    build_object_table,
+    build_scene_table,
+)
 from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.scene_tables import build_object_table, build_scene_table
 from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata

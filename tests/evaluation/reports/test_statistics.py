@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from handover_marl.evaluation.reports.statistics import (
     compute_mean_interval,
     compute_paired_difference,
-    compute_rank_correlation,
     compute_wilson_interval,
 )
 
@@ -91,26 +90,3 @@ def test_paired_differences_need_pairs() -> None:
         compute_paired_difference([True], [True, False])
     with pytest.raises(ValueError, match="must not be empty"):
         compute_paired_difference([], [])
-
-
-def test_rank_correlation_of_four_items() -> None:
-    # One of the 24 orders of four items has a rho of 1, and three others have a rho of 0.8.
-    alike = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 20.0, 30.0, 40.0])
-    assert (alike.spearman, alike.kendall, alike.p) == pytest.approx((1.0, 1.0, 1 / 24))
-    swapped = compute_rank_correlation([1.0, 2.0, 3.0, 4.0], [10.0, 30.0, 20.0, 40.0])
-    assert (swapped.spearman, swapped.kendall, swapped.p) == pytest.approx((0.8, 4 / 6, 4 / 24))
-    assert swapped.min_p == alike.p
-    assert compute_rank_correlation([1.0, 2.0, 3.0], [3.0, 2.0, 1.0]).p == 1.0
-
-
-@given(st.lists(st.integers(0, 5), min_size=3, max_size=6).filter(lambda values: len(set(values)) > 1))
-def test_rank_correlation_with_ties_is_between_its_bounds(values: list[int]) -> None:
-    found = compute_rank_correlation(values, values)
-    assert found.spearman == pytest.approx(1.0)
-    assert found.p == found.min_p > 0.0
-
-
-@pytest.mark.parametrize(("first", "second"), [([1, 2], [1, 2]), ([1, 2, 3], [1, 2]), ([1, 1, 1], [1, 2, 3])])
-def test_rank_correlation_of_too_few_items(first: list[float], second: list[float]) -> None:
-    with pytest.raises(ValueError, match="must have 3 to 9 values"):
-        compute_rank_correlation(first, second)

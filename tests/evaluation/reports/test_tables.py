@@ -2,7 +2,6 @@ import csv
 import io
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,18 +10,22 @@ import handover_marl
 from handover_marl.cli import main
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.errors import UnknownNameError
-from handover_marl.evaluation.agreement import Agreement
-from handover_marl.evaluation.comparison import Comparison
+from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.columns import AVERAGE_SUCCESS, COUNTS, FLUENCY, N_EPISODES, RATES, TIMES, WAIT
-from handover_marl.evaluation.reports.fluency_tables import (
+from handover_marl.evaluation.reports.episode_tables import (
     build_fluency_table,
-    format_fluency_header,
     format_fluency_row,
+    format_scene_cells,
 )
-from handover_marl.evaluation.reports.scene_tables import format_episodes_csv, format_scene_cells
 from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    COUNTS,
+    FLUENCY,
+    N_EPISODES,
+    RATES,
     TABLE_FORMATS,
+    TIMES,
+    WAIT,
     ReportTable,
     TabularResult,
     format_percent_difference,
@@ -30,9 +33,10 @@ from handover_marl.evaluation.reports.tables import (
     format_table,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
+from tests.evaluation.quick import write_results
 from tests.evaluation.reports.test_report import episode, report
-from tests.evaluation.test_old_files import OLD
 
+TITLES = [column.title for column in FLUENCY]
 WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
 
 
@@ -100,28 +104,17 @@ def test_latex_compiles(tmp_path: Path) -> None:
     subprocess.run(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"], cwd=tmp_path, check=True)
 
 
-def test_large_numbers_have_no_exponent() -> None:
-    stored = handover_marl.evaluate(OLD / "benchmark").episodes
-    forces = (378.4, 1412.0)
-    episodes = [
-        replace(episode, fluency=replace(episode.fluency, max_robot_object_force=force))
-        for episode, force in zip(stored, forces, strict=True)
-    ]
-    rows = {row[0]: list(row[1:]) for row in build_fluency_table(episodes).rows}
-    assert rows["max robot object force N"] == ["895", "378 to 1412", 2]
-    assert rows["handover time s"] == ["4.23", "4.2 to 4.26", 2]
-    assert rows["gripper jerk m/s^3"] == ["-", "-", 0]
-
-
 def test_unknown_formats_are_refused() -> None:
     with pytest.raises(UnknownNameError, match="markdown, csv, latex"):
         report(1).format("html")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("table_format", TABLE_FORMATS)
-def test_stdout_of_a_command_is_the_result(table_format: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_stdout_of_a_command_is_the_result(
+    table_format: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The standard output in CSV or LaTeX has the result only; notes are printed to the standard error."""
-    folder = OLD / "benchmark"
+    folder = write_results(tmp_path)
     expected = handover_marl.evaluate(folder).format(table_format)  # type: ignore[arg-type]
     assert main(["evaluate", str(folder), "--format", table_format]) == 0
     printed = capsys.readouterr()
@@ -135,11 +128,12 @@ def test_stdout_of_a_command_is_the_result(table_format: str, capsys: pytest.Cap
 
 def test_episodes_as_csv(tmp_path: Path) -> None:
     """The CSV file has one row for each episode, with the keys and values of report.json."""
-    made = handover_marl.evaluate(OLD / "benchmark")
+    folder = write_results(tmp_path / "run")
+    made = handover_marl.evaluate(folder)
     content = made.to_json()
-    assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.csv")]) == 0
+    assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.csv")]) == 0
     text = (tmp_path / "all.csv").read_text()
-    assert text == format_episodes_csv(made.metadata, made.episodes)
+    assert text == made.format_episodes_csv()
     rows = list(csv.DictReader(io.StringIO(text)))
     assert len(rows) == 2
     for row, stored in zip(rows, content["episodes"], strict=True):  # type: ignore[call-overload]
@@ -147,14 +141,14 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
         assert row == {key: "" if values[key] is None else str(values[key]) for key in row}
         missing = {*stored, *stored["fluency"]} - {*row}
         assert missing == {"fluency"}
-    assert main(["evaluate", str(OLD / "benchmark"), "--episodes", str(tmp_path / "all.txt")]) == 2
+    assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.txt")]) == 2
 
 
 def test_episodes_without_metrics_as_csv() -> None:
     """Episodes without fluency metrics, such as those of HandoverSim, have the same columns with empty cells."""
     first = report(1, 2)
-    (header, *rows) = csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes)))
-    assert header == next(csv.reader(io.StringIO(format_episodes_csv(first.metadata, first.episodes[:1]))))
+    (header, *rows) = csv.reader(io.StringIO(first.format_episodes_csv()))
+    assert header == next(csv.reader(io.StringIO(report(1).format_episodes_csv())))
     assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
 
 
@@ -183,11 +177,11 @@ def test_tables_print_shares_in_percent_and_distances_in_centimetres() -> None:
 def test_cells_of_fluency_metrics_have_mean_interval_and_n() -> None:
     metrics = {column.key: 0.25 for column in FLUENCY}
     known = [episode(index, 1, fluency=FluencyMetrics(**metrics)) for index in range(2)]
-    place = format_fluency_header().index("human idle %")
+    place = TITLES.index("human idle %")
     assert format_fluency_row(known)[place] == "25 (25 to 25; n 2)"
     assert format_fluency_row(known[:1])[place] == "25 (n 1)"
     unknown = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "handover_time": None}))]
-    assert format_fluency_row(unknown)[format_fluency_header().index("handover time s")] == "-"
+    assert format_fluency_row(unknown)[TITLES.index("handover time s")] == "-"
     assert format_fluency_row([episode(0, 1)]) == ["-"] * len(FLUENCY)
 
 
@@ -216,8 +210,8 @@ def test_titles_of_columns_are_their_keys_and_units() -> None:
         "AS %",
         *("wait s", "exec s", "plan s", "total s"),
     ]
-    assert format_fluency_header()[:2] == ["handover time s", "human idle %"]
-    assert "min distance cm" in format_fluency_header()
+    assert TITLES[:2] == ["handover time s", "human idle %"]
+    assert "min distance cm" in TITLES
 
 
 def test_numbers_of_the_fluency_table_have_three_digits() -> None:

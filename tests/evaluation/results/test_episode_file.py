@@ -13,12 +13,16 @@ import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.results.episode_file import format_episode_file, read_episode_file
+from tests.evaluation.quick import write_results
 
-FOLDER = Path(__file__).parents[2] / "data" / "v0_7_0" / "benchmark"
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_results(tmp_path_factory.mktemp("results"))
 
 
-def write_file(path: Path) -> Path:
-    report = handover_marl.evaluate(FOLDER)
+def write_file(folder: Path, path: Path) -> Path:
+    report = handover_marl.evaluate(folder)
     first, second = report.episodes
     assert first.fluency is not None
     moved = replace(first, fluency=replace(first.fluency, reach=first.fluency.reach + 0.25, min_distance=None))
@@ -26,8 +30,8 @@ def write_file(path: Path) -> Path:
     return path
 
 
-def test_a_file_holds_what_the_folder_holds(tmp_path: Path) -> None:
-    stored, report = read_episode_file(write_file(tmp_path / "a.json")), handover_marl.evaluate(FOLDER)
+def test_a_file_holds_what_the_folder_holds(folder: Path, tmp_path: Path) -> None:
+    stored, report = read_episode_file(write_file(folder, tmp_path / "a.json")), handover_marl.evaluate(folder)
     assert stored[0] == report.metadata
     for found, true in zip(stored[1], report.episodes, strict=True):
         assert replace(found, plan_s=0.0, fluency=None) == replace(true, plan_s=0.0, fluency=None)
@@ -40,14 +44,14 @@ def test_a_file_holds_what_the_folder_holds(tmp_path: Path) -> None:
     assert [value for value in metrics if value is not None] == pytest.approx(known, rel=6e-4)
 
 
-def test_a_file_is_compared_with_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_file(tmp_path / "a.json")
-    found = handover_marl.compare(path, FOLDER)
+def test_a_file_is_compared_with_a_folder(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_file(folder, tmp_path / "a.json")
+    found = handover_marl.compare(path, folder)
     assert [(one.scene_id, other.scene_id) for one, other in found.pairs] == [(209, 209), (214, 214)]
     rows = {row[0]: row[1:] for row in found.build_tables()[2].rows}
     assert float(rows["reach m"][0]) == 0.125, "the mean of 0.25 m and 0"
     assert rows["min distance cm"][2] == 1, "only one scene has a value in both"
-    assert main(["compare", str(path), str(FOLDER)]) == main(["evaluate", str(path)]) == 0
+    assert main(["compare", str(path), str(folder)]) == main(["evaluate", str(path)]) == 0
     text = capsys.readouterr().out
     assert "| reach m " in text
     assert re.search(r"\de-\d", text) is None, "numbers have no exponents"
@@ -86,8 +90,8 @@ def change_row(column: str, value: Any) -> Callable[[dict[str, Any]], None]:
         lambda content: content["common"].update(machine="\x1b[31mred"),
     ],
 )
-def test_impossible_files_are_refused(spoil: Callable[[dict[str, Any]], None], tmp_path: Path) -> None:
-    path = write_file(tmp_path / "a.json")
+def test_impossible_files_are_refused(spoil: Callable[[dict[str, Any]], None], folder: Path, tmp_path: Path) -> None:
+    path = write_file(folder, tmp_path / "a.json")
     content = json.loads(path.read_text())
     spoil(content)
     path.write_text(json.dumps(content))
@@ -96,8 +100,8 @@ def test_impossible_files_are_refused(spoil: Callable[[dict[str, Any]], None], t
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", "null", "[" * 100_000, "\xff"])
-def test_other_files_are_refused(text: str, tmp_path: Path) -> None:
+def test_other_files_are_refused(text: str, folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(ResultsError, match="not a readable episode file"):
-        handover_marl.compare(path, FOLDER)
+        handover_marl.compare(path, folder)

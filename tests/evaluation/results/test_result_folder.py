@@ -1,7 +1,4 @@
 import os
-import random
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +12,6 @@ from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
-from tests.evaluation.deadline import ends_within
-from tests.fake_layout import spoil
-from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 RESULT = EpisodeResult(
@@ -61,24 +55,15 @@ def test_results_are_read_as_written(folder: ResultFolder) -> None:
         {"machine": 3},
         {"object_name": np.array(["a", "b"])},
         {"subject": 1.5},
-        {"side": np.array(b"right")},
-        {"fingerprint": False},
         {"scene_id": "abc"},
-        {"scene_id": np.array([1, 2])},
-        {"n_objects": 1.0},
         {"release_step": True},
         {"object_name": "\x1b[2J"},
         {"machine": "a\nb"},
         {"elapsed_time": np.array(["a"])},
-        {"elapsed_time": np.full(50, -1.0)},
         {"elapsed_time": np.full(50, np.nan)},
-        {"elapsed_time": np.full(50, 1e300)},
         {"result": np.inf},
         {"elapsed_frame": 10**15},
-        {"scene_id": 10_000_000},
         {"scene_id": -1},
-        {"n_objects": 10**6},
-        {"release_step": -(2**60)},
         {"machine": "m" * 5_000_000},
     ],
 )
@@ -106,55 +91,10 @@ def test_files_of_another_kind_count_as_unfinished(folder: ResultFolder) -> None
     assert folder.read(0, "abc") is None
 
 
-def test_flipped_bytes_in_result_files(folder: ResultFolder) -> None:
-    path, rng = folder.path / "000.npz", random.Random(0)
-    whole = path.read_bytes()
-    refused = 0
-    for _ in range(600):
-        path.write_bytes(spoil(whole, rng))
-        try:
-            read_results(folder.path)
-        except ResultsError:
-            refused += 1
-    assert refused > 200
-
-
-@pytest.mark.parametrize("kind", UNREADABLE)
-def test_unreadable_configuration(kind: str, folder: ResultFolder) -> None:
-    replace_by(kind, folder.path / "config.yaml")
-    with refuses_within(5.0, ResultsError, kind):
-        evaluate(folder.path)
-    with refuses_within(5.0, ResultsError, kind):
-        ResultFolder(folder.path, SETTINGS)
-
-
-@pytest.mark.parametrize("kind", [kind for kind in UNREADABLE if kind != "folder"])
-def test_unreadable_results(kind: str, folder: ResultFolder) -> None:
-    replace_by(kind, folder.path / "000.npz")
-    with refuses_within(5.0, ResultsError, kind):
-        evaluate(folder.path)
-    with ends_within(5.0):
-        assert ResultFolder(folder.path, SETTINGS).read(0, "abc") is None
-        # The scene is then simulated again.
-        folder.write(RESULT, CONTENT)
-        assert len(evaluate(folder.path).episodes) == 1
-
-
 def test_a_renamed_result_is_refused(folder: ResultFolder) -> None:
     (folder.path / "000.npz").rename(folder.path / "001.npz")
     with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):
         evaluate(folder.path)
-
-
-def test_archives_that_unpack_to_too_much_are_refused(folder: ResultFolder) -> None:
-    path = folder.path / "000.npz"
-    with np.load(path) as archive:
-        content = dict(archive)
-    np.savez_compressed(path, **{**content, "elapsed_time": np.zeros(20_000_000)})
-    assert path.stat().st_size < 1_000_000
-    with ends_within(5.0), pytest.raises(ResultsError, match=r"000\.npz: not a readable result file .*unpacks"):
-        evaluate(folder.path)
-    assert folder.read(0, "abc") is None
 
 
 OTHERS = [replace(SETTINGS, receiver="other"), replace(SETTINGS, seed="1"), replace(SETTINGS, receiver_hash="12345678")]
@@ -169,13 +109,9 @@ def test_a_folder_belongs_to_its_first_evaluation(tmp_path: Path, other: ResultM
     ResultFolder(tmp_path / "out", SETTINGS)
 
 
-@pytest.mark.parametrize("links", [True, False])
-@pytest.mark.parametrize("other", OTHERS)
-def test_a_concurrent_evaluation_that_writes_first_wins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: ResultMetadata, links: bool
-) -> None:
+def test_a_concurrent_evaluation_that_writes_first_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An evaluation is refused if another one writes its configuration to the folder just before it does."""
-    sync, came = os.fsync, []
+    sync, other, came = os.fsync, OTHERS[0], []
 
     def sync_and_be_overtaken(handle: int) -> None:
         if not came:
@@ -183,48 +119,11 @@ def test_a_concurrent_evaluation_that_writes_first_wins(
             ResultFolder(tmp_path, other)
         sync(handle)
 
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "no links on this file system")
-
     monkeypatch.setattr(os, "fsync", sync_and_be_overtaken)
-    if not links:
-        monkeypatch.setattr(Path, "hardlink_to", refuse)
     with pytest.raises(ResultsError, match="holds another evaluation"):
         ResultFolder(tmp_path, SETTINGS)
     assert read_result_metadata(tmp_path) == other
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]
-
-
-def test_of_concurrent_evaluations_exactly_one_gets_the_folder(tmp_path: Path) -> None:
-    settings = [replace(SETTINGS, receiver=f"receiver_{number}") for number in range(8)]
-    for turn in range(25):
-        path = tmp_path / f"{turn}"
-        outcomes = all_at_once(path, settings)
-        won = [mine for mine, error in zip(settings, outcomes, strict=True) if error is None]
-        assert won == [read_result_metadata(path)]
-        assert all(error is None or "holds another evaluation" in str(error) for error in outcomes)
-        assert [entry.name for entry in path.iterdir()] == ["config.yaml"]
-
-
-def test_concurrent_runs_of_the_same_evaluation_share_a_folder(tmp_path: Path) -> None:
-    assert all_at_once(tmp_path / "out", [SETTINGS] * 8) == [None] * 8
-    assert read_result_metadata(tmp_path / "out") == SETTINGS
-
-
-def all_at_once(path: Path, settings: list[ResultMetadata]) -> list[ResultsError | None]:
-    """Open a folder for several evaluations at the same time, and return the error of each, or None."""
-    start = threading.Barrier(len(settings))
-
-    def begin(mine: ResultMetadata) -> ResultsError | None:
-        start.wait()
-        try:
-            ResultFolder(path, mine)
-        except ResultsError as error:
-            return error
-        return None
-
-    with ThreadPoolExecutor(len(settings)) as pool:
-        return list(pool.map(begin, settings))
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, *OTHERS])
@@ -258,14 +157,6 @@ def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) ->
     with pytest.raises(ResultsError, match="is no result folder"):
         ResultFolder(tmp_path, SETTINGS, fresh=True)
     assert (tmp_path / "000.npz").read_text() == "precious"
-
-
-def test_a_folder_that_another_evaluation_took_over_is_not_written(folder: ResultFolder) -> None:
-    other = ResultFolder(folder.path, replace(SETTINGS, receiver="yang2021"), fresh=True)
-    with pytest.raises(ResultsError, match="belongs to another evaluation"):
-        folder.write(RESULT, CONTENT)
-    other.write(RESULT, CONTENT)
-    assert len(read_results(folder.path)) == 1
 
 
 def test_a_copied_result_is_not_counted_twice(folder: ResultFolder) -> None:

@@ -14,8 +14,8 @@ from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.strangers import leaderboard
-from handover_marl.evaluation.strangers.entry import read_report
 from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
+from handover_marl.evaluation.strangers.protocol import read_report
 from handover_marl.evaluation.strangers.reference_update import update_references
 from handover_marl.evaluation.strangers.report import StrangersReport
 from handover_marl.policies.populations import POPULATION_FOLDER
@@ -216,7 +216,6 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     out = tmp_path / "out"
     shutil.copytree(evaluated, out)
     content = json.loads((out / "strangers.json").read_text())
-    _, slow = content["folders"]["hold"].items()
     folder = out / content["folders"]["hold"]["fast"]
     next(folder.glob("*.npz")).unlink()
     with pytest.raises(ResultsError, match="must have the scenes and data of the other pairs"):
@@ -228,14 +227,13 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     shutil.copytree(out / content["folders"]["hold"]["slow"], folder)
     with pytest.raises(ResultsError, match="must have results of 'fast' of the population"):
         make_leaderboard([out], population)
-    for partners in (content["partners"][1:], [content["partners"][0] | {"name": "renamed"}, content["partners"][1]]):
+    for partners, message in (
+        (content["partners"][1:], "must have the partners of 'test', got others"),
+        ([content["partners"][0] | {"name": "renamed"}, content["partners"][1]], "not a readable evaluation"),
+    ):
         (out / "strangers.json").write_text(json.dumps(content | {"partners": partners}))
-        with pytest.raises(ResultsError, match="folders must have every partner of every policy"):
+        with pytest.raises(ResultsError, match=message):
             make_leaderboard([out], population)
-    shortened = content | {"partners": content["partners"][1:], "folders": {"hold": dict([slow])}}
-    (out / "strangers.json").write_text(json.dumps(shortened))
-    with pytest.raises(ResultsError, match="must have the partners of 'test', got others"):
-        make_leaderboard([out], population)
     for policies in ([5], [None], [["hold"]], "hold", 5):
         (out / "strangers.json").write_text(json.dumps(content | {"policies": policies}))
         with pytest.raises(ResultsError, match="not a readable evaluation"):
@@ -246,18 +244,6 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
         make_leaderboard([out], population)
     with pytest.raises(ResultsError, match="is not finished"):
         make_leaderboard([tmp_path], population)
-
-
-def test_arguments(fake_data: Path, population: Path) -> None:
-    with pytest.raises(OptionError, match="exactly one of receiver and giver"):
-        run(fake_data, population, giver="replay")
-    with pytest.raises(OptionError, match="exactly one of receiver and giver"):
-        run(fake_data, population, receiver=None)
-    with pytest.raises(OptionError, match="shard must be left out"):
-        run(fake_data, population, shard="1/2")
-    for n_scenes in (float("nan"), 1.5, "3", True, 0):
-        with pytest.raises(OptionError, match="number of scenes must be a whole number of at least 1"):
-            run(fake_data, population, scenes=None, n_scenes=n_scenes)
 
 
 def test_command(
@@ -273,3 +259,14 @@ def test_command(
     assert "strangers.md" in output.err
     assert main(["strangers-references", str(tmp_path / "nothing"), "--population", str(population)]) == 2
     assert "must contain result folders" in capsys.readouterr().err
+
+
+def test_arguments(fake_data: Path, population: Path) -> None:
+    for options, message in (
+        ({"giver": "replay"}, "exactly one of receiver and giver"),
+        ({"receiver": None}, "exactly one of receiver and giver"),
+        ({"shard": "1/2"}, "shard must be left out"),
+        ({"scenes": None, "n_scenes": 0}, "number of scenes must be a whole number of at least 1"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            run(fake_data, population, **options)

@@ -12,7 +12,6 @@ from handover_marl.evaluation.strangers.references import (
     Reference,
     ReferenceTable,
     load_references,
-    write_references,
 )
 
 CONDITION = Condition("receiver", "dexycb", "s0", "train", "fast", "0", "0.8.0", (3, 5, 9), ("a", "b", "c"))
@@ -59,11 +58,11 @@ def test_files(tmp_path: Path) -> None:
     path = tmp_path / "references.json"
     assert load_references(path, "abc") == EMPTY
     table = EMPTY.update(CONDITION, "fast", GOOD)
-    write_references(path, table)
+    path.write_text(table.format())
     assert load_references(path, "abc") == table
     with pytest.raises(DataFormatError, match="must be of population def, got abc"):
         load_references(path, "def")
-    for text in ("{", '{"population_hash": "abc", "sections": [1]}', path.read_text().replace("0.7", "7")):
+    for text in ("{", '{"population_hash": "abc", "sections": [1]}', path.read_text().replace("0.7", "0.7, 0.1")):
         path.write_text(text)
         with pytest.raises(DataFormatError, match="not a readable file of references"):
             load_references(path, "abc")

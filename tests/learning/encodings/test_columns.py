@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.learning.features import compute_handover_frame, list_features, make_features
-from handover_marl.learning.grasp_selector import get_lowest_cost_grasp_selector
+from handover_marl.learning.features import list_features, make_features
+from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.schemes import list_schemes, make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.docs.pages import REPOSITORY, checked_table
+from tests.learning.grasps import select_grasp
 
 CONTEXT = make_policy_context(SyntheticDataset())
 AGENTS = ("giver", "receiver")
@@ -72,11 +73,13 @@ def in_gripper(point: Any) -> np.ndarray:
 
 
 def in_handover_frame(vector: Any) -> np.ndarray:
-    return compute_handover_frame(OBSERVATION)[1].T @ vector
+    """Turn a vector to the frame whose x axis points horizontally from the object in 0.5 s to the gripper."""
+    x, y, _ = GRIPPER[:3] - FUTURE[:3]
+    return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, np.hypot(x, y)]]) / np.hypot(x, y) @ vector
 
 
 def grasp() -> np.ndarray:
-    found = get_lowest_cost_grasp_selector(CONTEXT).select(OBSERVATION)
+    found = select_grasp(CONTEXT, OBSERVATION)
     assert found is not None
     return found[0]
 
@@ -121,7 +124,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
         rotation_of(GRIPPER).inv() * rotation_of(grasp())
     ).as_rotvec(),
     "distance of the person's hand from the gripper at the grasp": lambda: [
-        get_lowest_cost_grasp_selector(CONTEXT).select(OBSERVATION)[1]  # type: ignore[index]
+        select_grasp(CONTEXT, OBSERVATION)[1]  # type: ignore[index]
     ],
     "grasp exists": lambda: [1.0],
     "distance to the grasp": lambda: [np.linalg.norm(grasp()[:3] - GRIPPER[:3])],
@@ -133,9 +136,7 @@ QUANTITIES: dict[str, Callable[[], Any]] = {
         OBSERVATION["replay_wrist_poses"][-1, :3] - FUTURE[:3]
     ),
     "mean of the finger joints in 0.5 s, from the object": lambda: in_handover_frame(fingers_in_future()),
-    "orientation of the object in 0.5 s": lambda: orientation(
-        compute_handover_frame(OBSERVATION)[1].T @ rotation_of(FUTURE).as_matrix()
-    ),
+    "orientation of the object in 0.5 s": lambda: orientation(in_handover_frame(rotation_of(FUTURE).as_matrix())),
 }
 
 
@@ -214,7 +215,7 @@ def test_schemes_of_givers_have_the_described_scales() -> None:
     action = deviation.compute_action(OBSERVATION)
     for column in read_columns("scheme", "giver", "deviation")[:3]:
         np.testing.assert_allclose(action[column.place], described_scale(column.value)[0], rtol=1e-6)
-    offer: Any = make_scheme("giver", "offer", CONTEXT)
+    offer = HandoverPoseScheme
     scales = [described_scale(column.value)[0] for column in read_columns("scheme", "giver", "offer")]
     assert scales == [offer.max_output_translation, offer.max_output_rotation, offer.max_withdrawal]
 
@@ -229,8 +230,8 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
         moved[:7] - centered["robot_joint_position"][:7], described_scale(columns["joint_delta"][0].value)[0], rtol=1e-5
     )
     np.testing.assert_array_equal(moved[7:], 0.0)
-    cartesian: Any = make_scheme("receiver", "cartesian_delta", CONTEXT)
-    servo: Any = make_scheme("receiver", "grasp_servo", CONTEXT)
+    cartesian: Any = make_scheme("receiver", "cartesian_delta", CONTEXT).scheme
+    servo: Any = make_scheme("receiver", "grasp_servo", CONTEXT).scheme
     assert [described_scale(column.value) for column in columns["cartesian_delta"][:2]] == [
         [cartesian.max_output_translation],
         [cartesian.max_output_rotation],

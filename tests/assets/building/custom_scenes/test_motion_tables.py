@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, read_motion_table
-from handover_marl.assets.building.custom_scenes.trajectories import make_trajectory
+from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, make_trajectory, read_motion_table
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
@@ -116,13 +115,13 @@ def edit(path: Path, before: str, after: str) -> Path:
 
 
 CSV_FAULTS = {
-    "missing column": ("object_qw", "object_q", r"column 'object_qw' is missing"),
-    "unknown column": ("object_qw", "object_qw,object_r", "cells|unknown"),
+    "missing column": ("object_qw", "object_q", "column 'object_qw' is missing"),
+    "unknown column": ("object_qw", "object_qw,object_r", "not a CSV file of numbers"),
     "repeated column": ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
-    "no time column": ("time", "zeit", "column 'zeit_x' is missing|'_x' is missing|missing"),
-    "text in a cell": ("0.6,", "far,", r"row 1, column 'object_x' must be a number, got 'far'"),
-    "row with fewer cells": ("0.6,0.25,", "0.6", r"row 1 must have 15 cells, got 1[34]"),
-    "semicolons": (",", ";", "cells"),
+    "no time column": ("time", "zeit", "missing"),
+    "text in a cell": ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
+    "row with fewer cells": ("0.6,0.25,", "0.6", "not a CSV file of numbers"),
+    "semicolons": (",", ";", "missing|not a CSV"),
 }
 
 

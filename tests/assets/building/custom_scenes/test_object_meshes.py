@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, convex_parts
+from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
 from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
 from tests.custom_scenes import make_box
-from tests.evaluation.deadline import ends_within
 from tests.unreadable import check_content_refusal
 
 ROUGH = {"concavity": 1.0}
@@ -138,36 +137,6 @@ def test_convex_parts_cover_a_body_with_a_hole() -> None:
     item = make_object_mesh(ring, MeshConfig())
     assert len(item.parts) > 3
     assert sum(part.volume for part in item.parts) == pytest.approx(ring.volume, rel=0.15)
-    again = make_object_mesh(ring, MeshConfig())
-    for one, other in zip(item.parts, again.parts, strict=True):
-        np.testing.assert_array_equal(one.vertices, other.vertices)
-
-
-def test_rounds_of_the_search_are_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    stages: list[str] = []
-    make_object_mesh(make_box(), MeshConfig(**ROUGH), stages.append)
-    assert stages[0] == "round 1 of the search, parts to divide: 1"
-    stages.clear()
-    make_object_mesh(make_box(), MeshConfig(**ROUGH), stages.append)
-    assert not stages, "read from the cache"
-
-
-def test_failures_of_coacd_are_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(convex_parts, "_PROGRAM", "print('iter 0 ---- waiting pool: 1'); raise SystemExit('no memory')")
-    with pytest.raises(DataFormatError, match=r"the mesh: CoACD fails on it \(no memory\); export a closed surface"):
-        make_object_mesh(make_box(), MeshConfig(**ROUGH))
-
-    def interrupt(stage: str) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(
-        convex_parts, "_PROGRAM", "import time; print('iter 0 ---- waiting pool: 1', flush=True); time.sleep(60.0)"
-    )
-    with ends_within(20.0), pytest.raises(KeyboardInterrupt):
-        make_object_mesh(make_box(), MeshConfig(**ROUGH), interrupt)
-    assert not list(tmp_path.rglob("*.npz"))
 
 
 def test_vertex_numbers_that_count_back(tmp_path: Path) -> None:

@@ -1,0 +1,142 @@
+"""Base class of the library's givers, which act in one episode or in many, on arrays with the episode as first axis."""
+
+import copy
+from abc import abstractmethod
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from handover_marl.config import CheckedConfig
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import OptionError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.poses import compute_lengths
+from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
+from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext
+
+_ROW = np.zeros(1, dtype=np.int64)
+_PAUSE = -1.0  # playback rate minus 1
+
+
+@dataclass(frozen=True)
+class NoConfig(CheckedConfig):
+    """Configuration of a giver without options."""
+
+
+class ArrayGiver(Giver):
+    """Base class of givers whose state is in arrays (n, ...), one row for each episode; a giver by itself has one.
+
+    Subclasses define `start` and `decide`, and `allocate` if they keep a state. Actions do not depend on the other
+    episodes that act at the same time. Arrays are NumPy arrays or PyTorch tensors.
+
+    Args:
+        context: Robot and task.
+        options: Numbers of the configuration that differ from its defaults.
+
+    Raises:
+        OptionError: An option is unknown, or its value is out of range.
+
+    Attributes:
+        config: Configuration, of the class of `default_config`.
+    """
+
+    #: Configuration without options.
+    default_config: ClassVar[Any] = NoConfig()
+    config: Any
+
+    def __init__(self, context: PolicyContext | None = None, **options: float) -> None:
+        super().__init__(context)
+        names = [field.name for field in fields(self.default_config)]
+        unknown = [name for name in options if name not in names]
+        if unknown:
+            known = f"valid options: {', '.join(names)}" if names else "it takes no options"
+            raise OptionError(f"giver {self.name!r} has no option {unknown[0]!r}; {known}")
+        self.config = replace(self.default_config, **options)
+        self._arrays = NUMPY_ARRAYS
+        self.allocate(1, NUMPY_ARRAYS)
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+
+    @abstractmethod
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode.
+
+        Args:
+            row: Index of the episode.
+            seed: Seed of its random numbers.
+        """
+
+    @abstractmethod
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) in some episodes.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            observation: Arrays (r, ...) of the giver's observations.
+        """
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the seed determines its random numbers."""
+        self.start(0, seed)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the action (8,) of a giver by itself."""
+        action: Action = self.decide(_ROW, {key: values[None] for key, values in observation.items()})[0]
+        return action
+
+    def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":
+        """Return a giver with the same options for n episodes, whose arrays are made by `arrays`."""
+        giver = copy.copy(self)
+        giver._arrays = arrays
+        giver.allocate(count, arrays)
+        return giver
+
+    def make_actions(
+        self,
+        rows: AnyIndices,
+        rate: float | AnyArray = 0.0,
+        displacement: float | AnyArray = 0.0,
+        rotation: float | AnyArray = 0.0,
+        release: float | AnyArray = 0.0,
+    ) -> Actions:
+        """Make actions (r, 8) of their components; see `handover_marl.policies.batch.make_giver_actions`."""
+        return make_giver_actions(len(rows), rate, displacement, rotation, release, self._arrays)
+
+    def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
+        """Make actions (r, 8) that pause the recording where a flag (r,) is set, and follow it elsewhere."""
+        return self.make_actions(rows, rate=self._arrays.xp.where(is_paused, _PAUSE, 0.0))
+
+
+class GiverBatch(ArrayPolicy[ArrayGiver]):
+    """Batch of an `ArrayGiver`."""
+
+    def __init__(self, policy: ArrayGiver, count: int, arrays: ArrayFactory) -> None:
+        super().__init__(policy, count, arrays=arrays)
+        self._giver = policy.copy_for(count, arrays)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode."""
+        self._giver.start(row, seed)
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8)."""
+        return self._giver.decide(rows, observation)
+
+
+def make_giver_batch(policy: Policy, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> ArrayPolicy[ArrayGiver] | None:
+    """Return the batch of a giver of the library, or None for another policy.
+
+    Args:
+        policy: Policy of a single episode.
+        count: Number of episodes.
+        arrays: Creator of the arrays.
+    """
+    is_batched = isinstance(policy, ArrayGiver) and type(policy).act is ArrayGiver.act
+    return GiverBatch(policy, count, arrays) if is_batched else None  # type: ignore[arg-type]
+
+
+def compute_gripper_object_distances(observation: Observation) -> AnyArray:
+    """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
+    return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))

@@ -1,0 +1,263 @@
+"""Rendering of one scene: image grids, videos, replay pages, and motion plans."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handover_marl.config import CameraConfig, check_config
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import derive_robot_seed, run_episode
+from handover_marl.errors import OptionError, check_name
+from handover_marl.evaluation.config import (
+    MULTI_SCENE_FIELDS,
+    REPLAY,
+    EvaluationConfig,
+    ExecutionConfig,
+    build_configs,
+    set_dataset,
+)
+from handover_marl.evaluation.replays import format_replay_facts
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_boolean, forward_signature, require_modules
+from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.receivers.omg import OmgReceiver
+from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
+from handover_marl.visualization.plan_figure import draw_plan_figure
+from handover_marl.visualization.replay_page import build_replay_page
+from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import require_replay_extra
+from handover_marl.visualization.video import (
+    FRAME_PERIOD_MS,
+    SUFFIXES,
+    FrameRecorder,
+    Picture,
+    check_output_path,
+    draw_caption,
+    encode_grid,
+    encode_video,
+    format_caption,
+)
+from handover_marl.visualization.wrist_view import draw_wrist_view
+
+#: Names of the views.
+VIEWS = ("outside", "wrist")
+
+_GRID_COLUMNS = 3
+# Duration for which a scene without a receiver is shown after the recorded motion.
+_STILL_SCENE_DURATION_MS = 500
+#: Camera whose width and height give the default size of the image of a plan.
+PLAN_CAMERA = CameraConfig(width=1200, height=600)
+_SINGLE_SCENE = ("setup", "split", "scenes", "world_config", *MULTI_SCENE_FIELDS)
+
+
+class ScenePlayer:
+    """Simulation of one scene with a receiver and a giver.
+
+    Args:
+        scene_id: Number of the scene.
+        receiver: The robot's policy.
+        giver: The person's policy.
+        options: Fields of `EvaluationConfig` and `ExecutionConfig` by name.
+
+    Attributes:
+        config: Configuration of the evaluation.
+        execution: Configuration of the execution.
+        dataset: Dataset of the scene.
+        scene: The scene.
+        receiver: Policy of the receiver.
+        episode: Episode of the scene, reset by `play`.
+    """
+
+    def __init__(self, scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any) -> None:
+        self.config, self.execution = build_configs(None, options, receiver=receiver, giver=giver)
+        self.dataset = self.config.open_dataset()
+        self.scene = self.dataset.load_scene(scene_id)
+        self._references = {
+            agent: parse_policy(agent, getattr(self.config, agent), self.execution.trust)
+            for agent in ("receiver", "giver")
+        }
+        self.receiver, self._giver = (
+            reference.make(self.dataset, self.config.world_config) for reference in self._references.values()
+        )
+        self.episode = Episode(self.config.physics, self.config.world_config, wrist_camera=self.config.camera)
+
+    def play(self, until: int | Callable[[], bool] | None, callbacks: Sequence[EpisodeCallback] = ()) -> int:
+        """Simulate the scene and return the number of physics steps.
+
+        Args:
+            until: Number of physics steps, or a function that returns whether to stop; default: the
+                end of the episode.
+            callbacks: Callbacks of the episode.
+        """
+        seed = self.config.seed
+        self.episode.reset(self.scene, derive_robot_seed(seed, self.scene))
+        run_episode(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
+        return self.episode.steps
+
+    def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:
+        """Simulate the scene to its end, or for `until` steps, and return its replay page."""
+        recorder = ReplayRecorder(self.receiver)
+        self.play(until, [recorder])
+        config, dataset = self.config, self.dataset
+        resolved = {
+            agent: reference.resolve(dataset, config.world_config) for agent, reference in self._references.items()
+        }
+        config = set_dataset(replace(config, **resolved), dataset)  # type: ignore[arg-type]
+        facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
+        return build_replay_page(recorder.log, facts, camera).encode()
+
+    def close(self) -> None:
+        """Free the memory and the physics client of the simulation."""
+        self.episode.close()
+
+
+@forward_signature(EvaluationConfig, ExecutionConfig, without=_SINGLE_SCENE)
+def render_scene(
+    scene_id: int,
+    out: str | os.PathLike[str],
+    *,
+    receiver: PolicyLike | None = None,
+    giver: PolicyLike = REPLAY,
+    key_frames: int = 6,
+    camera: CameraConfig | None = None,
+    view: str = "outside",
+    caption: bool = True,
+    **options: Any,
+) -> Path:
+    """Render a scene, or the episode of two policies in it, to a file.
+
+    Args:
+        scene_id: Number of the scene, 0 to 999 of official data.
+        out: Output file: `.png` for a grid of key frames, `.gif` or `.mp4` for a video, `.html` for
+            a page that replays the episode in 3D.
+        receiver: The robot's policy, as in `benchmark`; None keeps the robot at rest.
+        giver: The person's policy, as in `evaluate_pair`.
+        key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
+        camera: Pose and image size of the outside camera.
+        view: "outside", or "wrist" for the outside image above colours, depth and segmentation of
+            the wrist camera.
+        caption: Whether images and videos show the simulated time and the state of the episode:
+            "object touched", "released", "contact", "drop", "timeout" or "goal reached".
+        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
+            `camera_noise`, `seed`, `progress` and `trust`, see `handover_marl.EvaluationConfig`
+            and `handover_marl.ExecutionConfig`.
+
+    Returns:
+        Path of the written file.
+
+    Raises:
+        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is
+            impossible.
+        ResultsError: The file cannot be written; raised before rendering.
+        UnknownNameError: The view, or another name, is unknown.
+        SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
+    """
+    path = check_output_path(out, SUFFIXES)
+    suffix = path.suffix.lower()
+    _check_view(view, path)
+    if camera is not None:
+        check_config("camera", camera, CameraConfig)
+    check_boolean("caption", caption)
+    draw = _make_draw_function(view, camera or CameraConfig(), caption)
+    if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
+        raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
+    player = ScenePlayer(scene_id, "hold" if receiver is None else receiver, giver, options)
+    wrist_camera = player.config.camera
+    if view == "wrist":
+        resolve_renderer(wrist_camera.renderer, player.config.physics)
+    until = player.scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
+
+    def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
+        recorder = FrameRecorder(steps, draw, player.execution.progress, with_end)
+        player.play(until, [recorder])
+        return recorder.frames
+
+    if suffix == ".html":
+        content = player.build_replay_page(until, camera)
+    elif suffix == ".png":
+        # Simulated twice: the steps of the key frames are known only after the episode's end.
+        end = player.play(None, []) if until is None else until
+        steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
+        content = encode_grid(record_frames(steps, False), _GRID_COLUMNS)
+    else:
+        horizon = until or player.config.world_config.protocol.horizon_steps
+        content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
+    player.close()
+    write_atomically(path, content)
+    return path
+
+
+def _check_view(view: str, path: Path) -> None:
+    check_name("view", view, VIEWS)
+    if path.suffix.lower() != ".html":
+        check_rendering(f"drawing {path.name}")
+        return
+    require_replay_extra()
+    if view != "outside":
+        raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
+
+
+def _make_draw_function(view: str, camera: CameraConfig, caption: bool) -> Callable[[Episode], Picture]:
+    def draw(episode: Episode) -> Picture:
+        picture = draw_wrist_view(episode, camera) if view == "wrist" else episode.render(camera)
+        return draw_caption(picture, format_caption(episode)) if caption else picture
+
+    return draw
+
+
+@forward_signature(EvaluationConfig, ExecutionConfig, without=(*_SINGLE_SCENE, "progress"))
+def render_plan(
+    scene_id: int,
+    out: str | os.PathLike[str],
+    *,
+    receiver: PolicyLike = "omg",
+    giver: PolicyLike = REPLAY,
+    camera: CameraConfig = PLAN_CAMERA,
+    **options: Any,
+) -> Path:
+    """Render a receiver's first motion plan: start, goals, chosen goal and path of its hand.
+
+    Args:
+        scene_id: Number of the scene, 0 to 999 of official data.
+        out: Output file, a `.png`.
+        receiver: A receiver with a motion planner, such as "omg".
+        giver: The person's policy, as in `evaluate_pair`.
+        camera: Width and height of the image (pixels); its pose is not used.
+        options: `dataset`, `data_dir`, `physics`, `seed` and `trust`, see
+            `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
+
+    Returns:
+        Path of the written file.
+
+    Raises:
+        OptionError: The receiver has no planner, the suffix is not .png, or matplotlib is not
+            installed.
+        UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
+    """
+    path = check_output_path(out, (".png",))
+    require_modules("a plan", "plot", "matplotlib")
+    check_config("camera", camera, CameraConfig)
+    player = ScenePlayer(scene_id, receiver, giver, options)
+    policy, dataset = player.receiver, player.dataset
+    if not isinstance(policy, OmgReceiver):
+        raise OptionError(
+            f"receiver must have a motion planner to render, got {receiver!r}; choose omg or omg_hand_aware"
+        )
+    player.play(lambda: policy.has_planned)
+    observation = player.episode.observe()
+    player.close()
+    plan, info = policy.plan, player.scene.info
+    reached = (
+        f"{len(plan.goals)} goals (green), the chosen one red, {plan.steps} steps" if plan else "no goal can be reached"
+    )
+    title = f"{policy.name}, scene {scene_id} ({info.target_name}), {dataset.name}: {reached}"
+    urdfs = [dataset.find_object_urdf(name) for name in info.object_names]
+    size = (camera.width, camera.height)
+    content = draw_plan_figure(plan, policy.arm, policy.world_from_base, observation, urdfs, title, size)
+    write_atomically(path, content)
+    return path

@@ -1,1 +1,0 @@
-"""Rendering of one scene: images, videos, replay pages, and plans."""

@@ -1,0 +1,166 @@
+"""Tables of the episodes of one evaluation, or of the same scenes in two evaluations."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_paired_difference, estimate_mean
+from handover_marl.evaluation.reports.tables import (
+    AVERAGE_SUCCESS,
+    COUNTS,
+    FLUENCY,
+    N_EPISODES,
+    NO_VALUE,
+    RATES,
+    REPORTED_STATUSES,
+    ReportTable,
+    format_interval,
+    format_percent_difference,
+    format_percent_mean,
+    format_percent_rate,
+)
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+
+EpisodePair = tuple[EpisodeResult, EpisodeResult]
+
+#: Titles of the cells of an episode: its keys in `report.json`.
+SCENE_HEADER = ("scene id", "object name", "subject", "side", "outcome", "steps", "release step", "plan s")
+# Cells of a scene that identify it, and those of its outcome.
+_SCENE, _OUTCOME = slice(0, 2), slice(4, 7)
+FLUENCY_NOTE = (
+    "Means over the n episodes that have a value. Human idle, robot idle, concurrent activity and functional delay are "
+    "shares of the episode (Hoffman 2019); forces are sums of normal forces in one step of 1 ms; SPARC is spectral arc "
+    "length; jerk is a root mean square. Definitions: docs/reference/rules_and_metrics.md."
+)
+
+
+def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> int:
+    """Count the episodes with a status flag."""
+    return sum(bool(episode.status & status) for episode in episodes)
+
+
+def format_scene_cells(episode: EpisodeResult) -> list[str]:
+    """Format the cells of an episode, in the order of `SCENE_HEADER`."""
+    cells = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label, episode.steps)
+    texts = [NO_VALUE if cell is None else str(cell) for cell in (*cells, episode.release_step)]
+    return [*texts, f"{episode.plan_s:.3f}"]
+
+
+def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:
+    """Build the table of outcomes with one row per scene."""
+    return ReportTable(SCENE_HEADER, [format_scene_cells(episode) for episode in episodes])
+
+
+def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
+    """Build the table of outcomes by object class."""
+    rows = []
+    for name in sorted({episode.object_name for episode in episodes if episode.object_name}):
+        chosen = [episode for episode in episodes if episode.object_name == name]
+        counts = [count_status(chosen, flag) for flag in REPORTED_STATUSES]
+        rows.append([name, len(chosen), format_percent_rate(counts[0], len(chosen)), *counts[1:]])
+    return ReportTable(["object name", *(column.title for column in (N_EPISODES, RATES[0], *COUNTS[1:]))], rows)
+
+
+def compute_rate_difference(
+    first: Iterable[EpisodeResult], second: Iterable[EpisodeResult], flag: EpisodeStatus
+) -> tuple[float, float, float]:
+    """Compute the difference of an outcome's rates in two evaluations of the same scenes.
+
+    Args:
+        first: Results whose rate is the minuend.
+        second: Results of the same scenes, whose rate is subtracted.
+        flag: Outcome whose rates are compared, e.g. success.
+
+    Returns:
+        Difference, lower and upper end of its 95 % interval (-1..1).
+    """
+    flags = ([bool(episode.status & flag) for episode in episodes] for episodes in (first, second))
+    return compute_paired_difference(*flags)
+
+
+def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> ReportTable:
+    """Build the table of outcome rates and AS of two evaluations and of their differences.
+
+    Args:
+        pairs: Results of the same scenes in both evaluations.
+        names: Names of the evaluations; the second one is subtracted from the first.
+    """
+    n, sides = len(pairs), list(zip(*pairs, strict=True))
+    rows: list[list[object]] = []
+    for flag in REPORTED_STATUSES:
+        cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
+        difference = compute_rate_difference(sides[0], sides[1], flag)
+        rows.append([flag.label, *cells, format_percent_difference(difference, digits=2), n])
+    scores = [[result.speed_score for result in side] for side in sides]
+    gains = [first - second for first, second in zip(*scores, strict=True)]
+    means = [*map(format_percent_mean, scores), format_percent_mean(gains, signed=True)]
+    rows.append([AVERAGE_SUCCESS.key, *means, n])
+    first, second = names
+    return ReportTable(
+        ["metric", f"{first} %", f"{second} %", f"{first} minus {second}, points", N_EPISODES.title], rows
+    )
+
+
+def build_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
+    """Build the table of scenes with different outcomes in two evaluations with the given names."""
+    rows = []
+    for pair in pairs:
+        if pair[0].status != pair[1].status:
+            first, second = (format_scene_cells(result) for result in pair)
+            outcomes = zip(first[_OUTCOME], second[_OUTCOME], strict=True)
+            rows.append([*first[_SCENE], *(cell for cells in outcomes for cell in cells)])
+    titles = [f"{name} {title}" for title in SCENE_HEADER[_OUTCOME] for name in names]
+    return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, split_column=6, n_keys=2)
+
+
+def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, MeanEstimate]:
+    """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics."""
+    known = [episode.fluency for episode in episodes if episode.fluency is not None]
+    return {
+        column.key: estimate_mean([float(value) for each in known if (value := getattr(each, column.key)) is not None])
+        for column in (FLUENCY if known else ())
+    }
+
+
+def build_fluency_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
+    """Build the table of fluency metrics; without rows if no episode has fluency metrics."""
+    return ReportTable(["metric", "mean", "95 % interval", "n"], _format_rows(estimate_fluency(episodes)))
+
+
+def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
+    """Build the table of mean differences of fluency metrics; without rows if no pair has fluency metrics.
+
+    Args:
+        pairs: Results of the same scenes in two evaluations. A metric is compared on the scenes where both have it.
+        names: Names of the evaluations; the second one is subtracted from the first.
+    """
+    known = [(one.fluency, other.fluency) for one, other in pairs if one.fluency and other.fluency]
+    means = {}
+    for column in FLUENCY if known else ():
+        values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
+        means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
+    return ReportTable(["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"], _format_rows(means))
+
+
+def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
+    """Format a table cell for each fluency metric: its mean, interval and number of episodes."""
+    cells = []
+    for _, mean, interval, n in build_fluency_table(episodes).rows:
+        inside = f"n {n}" if interval == NO_VALUE else f"{interval}; n {n}"
+        cells.append(f"{mean} ({inside})" if n else NO_VALUE)
+    return cells or [NO_VALUE] * len(FLUENCY)
+
+
+def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:
+    """Format the title, mean, interval and number of values of each metric, by key."""
+    rows: list[list[object]] = []
+    for column in FLUENCY if means else ():
+        mean, interval = means[column.key].mean, means[column.key].interval_95
+        if mean is None:
+            rows.append([column.title, NO_VALUE, NO_VALUE, 0])
+            continue
+        # Three digits, without exponents.
+        sizes = [column.scale * abs(value) for value in (mean, *(interval or ()))]
+        spec = ".0f" if max(sizes) >= 999.5 else ".4f" if any(0.0 < size < 1e-4 for size in sizes) else ".3g"
+        cells = [f"{column.scale * mean:{spec}}", format_interval(interval, spec, column.scale)]
+        rows.append([column.title, *cells, means[column.key].n])
+    return rows

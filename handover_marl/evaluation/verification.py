@@ -1,0 +1,386 @@
+"""Verification of result folders: stored actions are simulated again, without the receiver's code."""
+
+import contextlib
+import functools
+import json
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import track
+
+from handover_marl import __version__
+from handover_marl.config import PANDA_DOF, TIME_STEP, WorldConfig
+from handover_marl.datasets import open_dataset
+from handover_marl.datasets.splits import choose_scenes
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import OptionError, ResultsError
+from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
+from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
+from handover_marl.evaluation.reports.report import Report, describe_episode
+from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.metadata import (
+    ResultMetadata,
+    format_world_label,
+    parse_world_label,
+    read_result_metadata,
+)
+from handover_marl.evaluation.results.result_folder import (
+    REPORT_FILES,
+    REPORT_JSON,
+    get_result_path,
+    load_result_arrays,
+    read_result,
+)
+from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import PoolConfig, check_path
+from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.tasks import open_pool
+from handover_marl.policies.reference import PolicyLike, PolicyReference
+from handover_marl.policies.registry import check_stored_reference, list_available
+
+Actions = npt.NDArray[np.float32]
+
+_MAX_REPORT_BYTES = 64_000_000
+# Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
+_UNVERIFIED, _VERSIONED = ("plan_s", "machine", "status"), ("fingerprint", "models")
+_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Value of a result folder that differs from the simulated or computed one.
+
+    Attributes:
+        scene_id: Scene number, or None for a value of the folder's reports and policies.
+        key: Name of the value.
+        stored: Value in the folder, as text.
+        expected: Value that was simulated or computed, as text.
+    """
+
+    scene_id: int | None
+    key: str
+    stored: str
+    expected: str
+
+
+@dataclass(frozen=True)
+class Verification(TabularResult):
+    """Result of verifying a result folder. `str(verification)` is text with a Markdown table.
+
+    Attributes:
+        metadata: Identity of the evaluation, as the folder states it.
+        scenes: Numbers of the scenes that were simulated again, in the split's order.
+        differences: Values that differ: those of the folder, then those of the scenes in their order.
+        n_split_scenes: Number of scenes in the whole split.
+    """
+
+    metadata: ResultMetadata
+    scenes: tuple[int, ...]
+    differences: tuple[Difference, ...]
+    n_split_scenes: int
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether nothing in the folder differs."""
+        return not self.differences
+
+    @property
+    def changed_scenes(self) -> tuple[int, ...]:
+        """Numbers of the scenes with at least one difference."""
+        return tuple(dict.fromkeys(each.scene_id for each in self.differences if each.scene_id is not None))
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build the description of what was verified, the table of differences and the conclusion."""
+        metadata, n = self.metadata, len(self.scenes)
+        n_changed, n_absent = len(self.changed_scenes), self.n_split_scenes - n
+        n_folder = sum(each.scene_id is None for each in self.differences)
+        rows = [
+            ["folder" if each.scene_id is None else str(each.scene_id), each.key, each.stored, each.expected]
+            for each in self.differences
+        ]
+        return [
+            f"{metadata.setup} {metadata.split}, {metadata.dataset}, receiver {metadata.receiver}, giver "
+            f"{metadata.giver}, {metadata.physics} physics, handover_marl {metadata.version}: {n} of "
+            f"{self.n_split_scenes} scenes simulated again from their stored actions.",
+            "Not verified: planning times, and that the actions are those of the named receiver.",
+            ""
+            if metadata.version == __version__
+            else f"Not compared, because version {metadata.version} wrote them: reports and hashes.",
+            ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2),
+            f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
+            if rows
+            else f"Verified: all {n} episodes are equal.",
+            f"{n_absent} of {self.n_split_scenes} scenes of the split were not simulated." if n_absent else "",
+        ]
+
+
+def verify(
+    folder: str | os.PathLike[str],
+    *,
+    data_dir: str | os.PathLike[str] | None = None,
+    scenes: Iterable[int] | None = None,
+    giver: PolicyLike | None = None,
+    world_config: WorldConfig | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+    trust: bool = False,
+) -> Verification:
+    """Simulate the stored actions of a result folder and compare outcomes and metrics.
+
+    The receiver's code is not needed. The simulation uses the physics, robot, giver and seed that
+    the folder states. Statuses, steps, release steps and descriptions must be equal, metrics equal
+    up to rounding (1e-6). Planning times, the label and the hash of the receiver cannot be verified.
+
+    Args:
+        folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
+        data_dir: Data folder in HandoverSim's layout; default: the environment variable
+            HANDOVER_MARL_DATA.
+        scenes: Scene numbers to verify; default: all that have a result.
+        giver: The person's policy; default: the registered policy that the folder names.
+        world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
+            noise of the robot's initial joint positions that the folder states.
+        workers: Number of worker processes; default: one per core.
+        progress: Whether to show a progress bar on stderr.
+        trust: Whether policy files may run code, and a class that the folder names as its giver may be imported.
+
+    Raises:
+        ResultsError: The folder cannot be read, or was made with another world.
+        OptionError: The folder's giver must be passed.
+        UnsafeFileError: The folder names a class of a module as its giver, and is not trusted.
+        SceneError: A scene is not in the split.
+        DataNotFoundError, DataFormatError: Files are missing or damaged.
+    """
+    path = check_path("folder", folder)
+    metadata = read_result_metadata(path)
+    try:
+        seed, world = int(metadata.seed), world_config or parse_world_label(metadata.world)
+    except (ValueError, OptionError) as error:
+        raise ResultsError(f"{path}: not a readable seed or world ({shorten_text(error)})") from error
+    if metadata.world != format_world_label(world):
+        raise ResultsError(
+            f"{path} was made with world {metadata.world!r}, not with {format_world_label(world)!r}; pass the "
+            "evaluation's world_config"
+        )
+    data_dir = None if data_dir is None else str(check_path("data_dir", data_dir))
+    dataset = open_dataset(metadata.dataset, data_dir, metadata.robot)
+    split = dataset.list_scenes(metadata.setup, metadata.split)
+    wanted = frozenset(choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}"))
+    tasks = [
+        SceneTask(index, scene)
+        for index, scene in enumerate(split)
+        if scene in wanted and get_result_path(path, index).exists()
+    ]
+    if not tasks:
+        raise ResultsError(f"{path} has no results of these scenes (000.npz, 001.npz, ...)")
+    if giver is None:
+        advice = f"pass giver={metadata.giver!r} (--giver {metadata.giver}), or "
+        check_stored_reference(path, "giver", metadata.giver, trust, list_available("giver"), advice)
+    config = EvaluationConfig(
+        setup=metadata.setup,
+        split=metadata.split,
+        scenes=tuple(task.scene_id for task in tasks),
+        dataset=metadata.dataset,
+        data_dir=data_dir,
+        physics=metadata.physics,
+        giver=metadata.giver if giver is None else giver,
+        receiver="hold",
+        robot=metadata.robot,
+        seed=seed,
+        world_config=world,
+    )
+    config, _ = resolve_config(config, trust)
+    open_checker = functools.partial(_open_checker, config, path, metadata.version == __version__)
+    with contextlib.closing(open_pool(PoolConfig(workers)).map_unordered(open_checker, tasks, _describe_task)) as found:
+        bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
+        checks = [differences for _, differences in sorted(bar)]
+    folder_differences = [*_check_giver(require_policy_reference(config.giver), metadata), *check_reports(path)]
+    differences = [*folder_differences, *(difference for check in checks for difference in check)]
+    return Verification(metadata, config.scenes or (), tuple(differences), len(split))
+
+
+@contextlib.contextmanager
+def _open_checker(
+    config: EvaluationConfig, folder: Path, same_version: bool
+) -> Iterator[Callable[[SceneTask], list[Difference]]]:
+    with contextlib.closing(EpisodeRunner(config, parallelism="")) as runner:
+        yield functools.partial(check_episode, runner, folder, same_version=same_version)
+
+
+def _describe_task(task: SceneTask) -> str:
+    return f"verifying scene {task.scene_id}"
+
+
+def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:
+    """Simulate the stored actions of a scene and compare the result with the stored one.
+
+    Args:
+        runner: Runner of the evaluation's scenes.
+        folder: Result folder.
+        task: Scene to simulate.
+        same_version: Whether the present version of the library made the folder.
+    """
+    file = get_result_path(folder, task.index)
+    try:
+        stored = read_result(file)
+        actions = read_actions(file, stored.steps)
+    except ResultsError as error:
+        return [Difference(task.scene_id, file.name, shorten_text(error), "a result")]
+    simulated, _ = runner.run(task, StoredActions(actions))
+    return compare_results(stored, simulated, same_version)
+
+
+def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
+    """Compare a stored result with the simulated one; values that HandoverSim's files lack are skipped.
+
+    Args:
+        stored: Result in the folder.
+        simulated: Result of simulating the stored actions.
+        same_version: Whether the present version of the library made the folder; other versions may
+            compute hashes of data and descriptions of models differently.
+    """
+    values, expected = describe_episode(stored), describe_episode(simulated)
+    skipped = (*_UNVERIFIED, *(() if same_version else _VERSIONED))
+    if stored.scene_id is None:
+        skipped = (*skipped, *(key for key, value in values.items() if value is None))
+    for key in skipped:
+        values.pop(key), expected.pop(key)
+    return [replace(each, scene_id=simulated.scene_id) for each in _compare_json(values, expected)]
+
+
+def _check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Difference]:
+    """Compare label and code hash of the giver that is simulated with the values in the folder."""
+    found = [] if giver.label == metadata.giver else [Difference(None, "giver", metadata.giver, giver.label)]
+    if metadata.version == __version__ and metadata.giver_hash != giver.code_hash:
+        found.append(Difference(None, "giver_hash", metadata.giver_hash, giver.code_hash))
+    return found
+
+
+def check_reports(path: Path) -> list[Difference]:
+    """Compare the reports in a result folder with reports that are computed from its result files.
+
+    Args:
+        path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.
+    """
+    try:
+        report = evaluate(path)
+    except ResultsError as error:
+        return [Difference(None, "results", shorten_text(error), "readable results")]
+    names = [name for name in REPORT_FILES if (path / name).exists()]
+    if report.metadata.version != __version__ or not names:
+        return []
+    differences = []
+    try:
+        stored = json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES))
+        report = replace(report, n_resumed=min(max(int(stored["n_resumed"]), 0), len(report.episodes)))
+        expected = json.loads(json.dumps(report.to_json()))
+        differences += [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in _compare_json(stored, expected)]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        differences.append(Difference(None, REPORT_JSON, shorten_text(error), "a report"))
+    return [*differences, *_compare_texts(path, report, names)]
+
+
+def _compare_texts(path: Path, report: Report, names: Sequence[str]) -> list[Difference]:
+    """Compare text, web page and CSV file in a folder with those of a report."""
+    texts = format_report_files(path, report)
+    return [
+        Difference(None, name, "other text", "the text of these results")
+        for name in names
+        if name != REPORT_JSON and (path / name).read_bytes() != texts[name].encode()
+    ]
+
+
+def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:
+    """Compare two values of JSON types; numbers may differ by rounding."""
+    if isinstance(stored, dict) and isinstance(expected, dict):
+        names = sorted(stored.keys() | expected.keys())
+        parts = [_compare_json(stored.get(name), expected.get(name), f"{key}.{name}".lstrip(".")) for name in names]
+    elif isinstance(stored, list) and isinstance(expected, list) and len(stored) == len(expected):
+        pairs = enumerate(zip(stored, expected, strict=True))
+        parts = [_compare_json(found, wanted, f"{key}[{index}]") for index, (found, wanted) in pairs]
+    else:
+        is_equal = _is_close(stored, expected)
+        return [] if is_equal else [Difference(None, key, _format_value(stored), _format_value(expected))]
+    return [difference for part in parts for difference in part]
+
+
+def _is_close(first: Any, second: Any) -> bool:
+    if isinstance(first, float) and isinstance(second, (int, float)):
+        return math.isclose(first, second, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    return bool(first == second)
+
+
+def _format_value(value: object) -> str:
+    text = "none" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class StoredActions:
+    """Receiver that plays stored actions, one per physics step, and ignores its observations.
+
+    The last action is held if the episode goes on for longer.
+
+    Args:
+        actions: (T, 9) float32 target joint positions, 7 arm (rad) and 2 fingers (m).
+    """
+
+    name = "stored actions"
+    #: No observation is computed.
+    obs_mode = None
+
+    def __init__(self, actions: Actions) -> None:
+        changes = 1 + np.flatnonzero(np.any(actions[1:] != actions[:-1], axis=1))
+        self._starts: list[int] = [0, *changes.tolist()]
+        self._actions = actions
+        self._next = 0
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Do nothing: stored actions need no preparation."""
+
+    def reset(self, seed: int | None = None) -> None:
+        """Return to the first action."""
+        self._next = 0
+
+    def act(self, observation: Observation) -> Actions:
+        """Return the next action that differs from the last one."""
+        action: Actions = self._actions[self._starts[self._next]]
+        self._next += 1
+        return action
+
+    @property
+    def hold_time(self) -> float:
+        """Time (s) for which the last action is held: until the next different one."""
+        if self._next == len(self._starts):
+            return np.inf
+        return (self._starts[self._next] - self._starts[self._next - 1]) * TIME_STEP
+
+
+def read_actions(path: Path, n_steps: int) -> Actions:
+    """Read the actions of a result file.
+
+    Args:
+        path: Result file.
+        n_steps: Number of physics steps of the episode.
+
+    Returns:
+        (T, 9) float32 actions, with T = `n_steps`.
+
+    Raises:
+        ResultsError: The file holds no finite actions of this shape and type.
+    """
+    actions = load_result_arrays(path).get("action", np.zeros(0))
+    if actions.shape != (n_steps, PANDA_DOF) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
+        raise ResultsError(
+            f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "
+            f"{actions.shape}"
+        )
+    # HandoverSim applies actions in the precision in which its policies return them.
+    return actions.astype(np.float32)

@@ -1,0 +1,343 @@
+"""Feature vectors for small networks, computed from observations of many episodes at once.
+
+Positions are scaled to decimetres and expressed in the frame of the planned handover or of the gripper, so that the
+components are of order one and independent of the world frame. Features do not depend on the other episodes.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from gymnasium import spaces
+
+from handover_marl.config import TIME_STEP
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import (
+    NUMPY_ARRAYS,
+    AnyArray,
+    ArrayFactory,
+    get_namespace,
+    stack_last,
+    to_numpy,
+    widen,
+)
+from handover_marl.geometry.poses import (
+    IDENTITY,
+    compute_lengths,
+    conjugate_quaternions,
+    multiply_quaternions,
+    normalize_quaternions,
+    rotate_points,
+)
+from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
+from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
+from handover_marl.learning.encodings.custom_features import AgentFeatures
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.policies.policy import PolicyContext
+
+#: Scale of positions, and of the translation to a grasp (1/m).
+SCALE, GRASP_SCALE = 10.0, 5.0
+#: Number of decisions in stacked features.
+N_STACKED = 4
+
+
+class ArrayFeatures(ABC):
+    """Function from observations of r episodes to feature vectors, float32.
+
+    Attributes:
+        uses_camera: Whether the features may depend on the wrist camera's data.
+    """
+
+    uses_camera = False
+
+    def reset(self, row: int) -> None:  # noqa: B027
+        """Clear the values that are stored from the previous episode.
+
+        Args:
+            row: Index of the episode.
+        """
+
+    @abstractmethod
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the feature vectors (r, m).
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            observation: Arrays (r, ...) of their observations.
+        """
+
+
+def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
+    """Return the frames at the objects' recorded positions 0.5 s later, with x towards the gripper.
+
+    Returns:
+        Origins (r, 3) in the world (m), and axes as columns (r, 3, 3) in the world: x points horizontally towards the
+        gripper, z up.
+    """
+    origins = widen(observation["replay_object_poses"][:, -1, :3])
+    xp, to_gripper = get_namespace(origins), observation["gripper_pose"][:, :2] - origins[:, :2]
+    length = compute_lengths(to_gripper)
+    is_long = length > 1e-6
+    length = xp.where(is_long, length, 1.0)
+    x, y = xp.where(is_long, to_gripper[:, 0] / length, 1.0), xp.where(is_long, to_gripper[:, 1] / length, 0.0)
+    zeros, ones = xp.zeros_like(x), xp.ones_like(x)
+    return origins, stack_last([x, -y, zeros, y, x, zeros, zeros, zeros, ones]).reshape(len(x), 3, 3)
+
+
+def rotate_to_frame(axes: AnyArray, vectors: AnyArray) -> AnyArray:
+    """Transform vectors (r, ..., 3) from the world to frames whose axes are the columns of (r, 3, 3)."""
+    matrix = axes.reshape(len(axes), *[1] * (vectors.ndim - 2), 3, 3)
+    parts = [vectors[..., axis, None] * matrix[..., axis, :] for axis in range(3)]
+    return parts[0] + parts[1] + parts[2]
+
+
+def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
+    """Transform vectors (r, 3) to the world from frames whose axes are the columns of (r, 3, 3)."""
+    return rotate_to_frame(axes.swapaxes(1, 2), vectors)
+
+
+class GiverFeatures(ArrayFeatures):
+    """Features (39) from which a giver can choose a handover pose.
+
+    In the frame of `compute_handover_frames`: horizontal distance and height of the gripper; origin of the
+    frame relative to the goal (in the world frame); wrist position, mean finger position and object
+    orientation 0.5 s later in the recording; whether the object was released; and the YCB class
+    of the object (one-hot; zeros for another class).
+
+    Args:
+        context: Task, with the position of the goal.
+        arrays: Creator of the arrays.
+    """
+
+    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the features (r, 39)."""
+        origins, axes = compute_handover_frames(observation)
+        xp, wrists = get_namespace(origins), widen(observation["replay_wrist_poses"][:, -1, :3])
+        later = normalize_quaternions(widen(observation["replay_object_poses"][:, -1, 3:]))
+        # The fingers keep their position relative to the object until then.
+        now = widen(observation["object_poses"][:, 0])
+        fingers = xp.mean(widen(observation["hand_keypoints"][:, 1:]), axis=1) - now[:, :3]
+        fingers = rotate_points(conjugate_quaternions(normalize_quaternions(now[:, 3:])), fingers)
+        gripper = observation["gripper_pose"][:, :3] - origins
+        orientation = matrices_from_quaternions(later)
+        parts = [
+            SCALE * xp.stack([compute_lengths(gripper[:, :2]), gripper[:, 2]], axis=1) - 5.0,
+            SCALE * (origins - self._goal),
+            SCALE * rotate_to_frame(axes, wrists - origins),
+            SCALE * rotate_to_frame(axes, rotate_points(later, fingers)),
+            _relative_columns(axes, orientation),
+            observation["released"],
+            _one_hot_classes(observation, self._classes),
+        ]
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
+
+
+class ReceiverFeatures(ArrayFeatures):
+    """Features (56) from which a receiver can take an object to the goal.
+
+    In the gripper frame: positions of the object, the person's wrist, the mean of the person's
+    fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
+    finger joints and their velocities, its arm joints, whether the object was released, the elapsed
+    share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
+    zeros for another class).
+
+    Args:
+        context: Task, with the position of the goal and the longest duration.
+        arrays: Creator of the arrays.
+    """
+
+    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
+        self._duration = context.protocol.horizon_steps * TIME_STEP
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the features (r, 56)."""
+        gripper, items = widen(observation["gripper_pose"]), widen(observation["object_poses"])
+        xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
+        keypoints = widen(observation["hand_keypoints"])
+        hand = xp.stack([keypoints[:, 0], xp.mean(keypoints[:, 1:], axis=1)], axis=1)
+        hand = xp.where(observation["hand_present"][..., None] != 0.0, hand, gripper[:, None, :3])
+        goal = xp.broadcast_to(self._goal, (len(rows), 1, 3))
+        positions = xp.concat([items[:, :1, :3], hand, goal], axis=1) - gripper[:, None, :3]
+        joints, velocities = observation["robot_joint_position"], observation["robot_joint_velocity"]
+        parts = [
+            rotate_to_frame(axes, 0.5 * SCALE * positions).reshape(len(rows), -1),
+            _relative_columns(axes, matrices_from_quaternions(items[:, 0, 3:])),
+            axes[:, 2],
+            50.0 * joints[:, 7:] - 1.0,
+            10.0 * velocities[:, 7:],
+            joints[:, :7],
+            observation["released"],
+            observation["time"] / self._duration,
+            observation["hand_present"],
+            _one_hot_classes(observation, self._classes),
+        ]
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
+
+
+class GraspFeatures(ArrayFeatures):
+    """Features (64): those of `ReceiverFeatures`, and of the known grasp of lowest cost (8).
+
+    In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
+    of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        arrays: Creator of the arrays.
+    """
+
+    def __init__(
+        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._selector, self._receiver = selector, ReceiverFeatures(context, arrays)
+        self._identity = arrays.asarray(IDENTITY.copy())
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the features (r, 64), those of the grasp last."""
+        vectors = [self._receiver(rows, observation), self.compute_grasps(rows, observation)]
+        return get_namespace(vectors[0]).concat(vectors, axis=1)
+
+    def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
+        grasps, clearances, exists = self._selector.select(rows, observation)
+        xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
+        grasps = xp.where(exists[:, None], grasps, self._identity)
+        gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
+        gripper_from_grasp = multiply_quaternions(gripper_from_world, normalize_quaternions(grasps[:, 3:]))
+        rotation = rotation_vectors_from_quaternions(gripper_from_grasp)
+        translation = GRASP_SCALE * rotate_points(gripper_from_world, grasps[:, :3] - gripper[:, :3])
+        others = xp.stack([10.0 * clearances, xp.ones_like(clearances)], axis=1)
+        parts = xp.concat([translation, rotation, others], axis=1)
+        return xp.astype(xp.where(exists[:, None], parts, 0.0), xp.float32)
+
+
+class GraspProximityFeatures(ArrayFeatures):
+    """Features (12) that suffice to decide when to close the gripper.
+
+    In the gripper frame: translation (3) and rotation vector (3) to the known grasp of lowest cost. Then
+    follow the proximity of position and orientation to the grasp, which decay exponentially (2), the
+    finger joints (2), whether the object was released (1), and whether grasps of the object are known (1). With so
+    few features a policy learns to close the gripper from few episodes.
+
+    Attributes:
+        position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).
+        angle_scale: Angle to the grasp at which the proximity of the orientation is 1/e (rad).
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        arrays: Creator of the arrays.
+    """
+
+    position_scale, angle_scale = 0.03, 0.2
+
+    def __init__(
+        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
+    ) -> None:
+        self._grasp = GraspFeatures(context, selector, arrays)
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the features (r, 12) of grasps and grippers."""
+        grasp = self._grasp.compute_grasps(rows, observation)
+        xp = get_namespace(grasp)
+        translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
+        distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
+        near = xp.exp(-distance / GRASP_SCALE / self.position_scale)
+        aligned = xp.exp(-angle / self.angle_scale)
+        fingers = 50.0 * observation["robot_joint_position"][:, 7:] - 1.0
+        parts = [translation, rotation, near * exists, aligned * exists, fingers, observation["released"], exists]
+        return xp.astype(xp.concat(parts, axis=1), xp.float32)
+
+
+class StackedFeatures(ArrayFeatures):
+    """Features of the last decisions of each episode, those of the present decision first.
+
+    Zeros stand for decisions before the first. From a stack, a policy without memory can estimate velocities and how
+    its partner reacts.
+
+    Args:
+        features: Features of one decision.
+        size: Number of these features.
+        count: Number of episodes.
+        arrays: Creator of the arrays.
+    """
+
+    def __init__(self, features: ArrayFeatures, size: int, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._features = features
+        self._stacks = arrays.zeros((count, N_STACKED, size), "float32")
+        self._times = arrays.full(count, -1.0)
+
+    def reset(self, row: int) -> None:
+        """Forget the decisions of the previous episode."""
+        self._features.reset(row)
+        self._stacks[row], self._times[row] = 0.0, -1.0
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the stacked features (r, N_STACKED * size), those of the present decision first."""
+        times = widen(observation["time"][:, 0])
+        later = rows[times != self._times[rows]]
+        self._stacks[later, 1:] = self._stacks[later, :-1]
+        self._times[rows] = times
+        self._stacks[rows, 0] = self._features(rows, observation)
+        return self._stacks[rows].reshape(len(rows), -1)
+
+
+class FlatFeatures(ArrayFeatures):
+    """Complete observations as vectors, in the order in which Gymnasium flattens them.
+
+    Args:
+        space: Observation space of the agent.
+    """
+
+    def __init__(self, space: spaces.Dict) -> None:
+        self._keys = list(space.spaces)
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the complete observations as vectors (r, n)."""
+        parts = [observation[key].reshape(len(rows), -1) for key in self._keys]
+        return get_namespace(*parts).concat(parts, axis=1)
+
+
+class SequentialFeatures(ArrayFeatures):
+    """User-defined features, one for each episode, that are called one after another with NumPy arrays.
+
+    Args:
+        features: Features of each episode.
+        arrays: Creator of the feature vectors.
+    """
+
+    uses_camera = True
+
+    def __init__(self, features: Sequence[AgentFeatures], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._features, self._arrays = features, arrays
+
+    def reset(self, row: int) -> None:
+        """Clear the values that the features store from the previous episode."""
+        self._features[row].reset()
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the feature vectors (r, m); see `ArrayFeatures`."""
+        own = {key: to_numpy(values) for key, values in observation.items()}
+        vectors = [
+            self._features[row]({key: values[number].copy() for key, values in own.items()})
+            for number, row in enumerate(rows.tolist())
+        ]
+        return self._arrays.asarray(np.stack(vectors))
+
+
+def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
+    """Return the first two columns of rotations (r, 3, 3) in frames (r, 3, 3), row by row, (r, 6)."""
+    return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
+
+
+def _list_classes(arrays: ArrayFactory) -> AnyArray:
+    return arrays.arange(LARGEST_YCB_CLASS) + 1
+
+
+def _one_hot_classes(observation: Observation, classes: AnyArray) -> AnyArray:
+    xp = get_namespace(classes)
+    return xp.astype(xp.astype(observation["object_classes"][:, :1], xp.int64) == classes, xp.float32)

@@ -1,0 +1,177 @@
+"""Base classes of action schemes of many episodes at once, and the view of a single episode.
+
+Actions do not depend on the other episodes.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
+from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.policies.policy import PolicyContext
+
+# The only episode of a single scheme.
+_ROW = np.array([0])
+
+
+class ArrayScheme(ABC):
+    """Decoder of network outputs into one agent's actions, in each of n episodes.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
+
+    Attributes:
+        name: Name of the scheme in policy files.
+        agent: Agent that acts, "giver" or "receiver".
+        size: Number of outputs.
+        wait: Time at the start of an episode during which the agent does not act (s); may be changed only in schemes
+            in which it is not zero by default.
+    """
+
+    name: ClassVar[str]
+    agent: ClassVar[str]
+    size: int
+    wait: float = 0.0
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        self._selector, self._arrays = selector, arrays
+        self._outputs = arrays.zeros((count, self.size))
+
+    def reset(self, row: int) -> None:
+        """Clear the state of the previous episode.
+
+        Args:
+            row: Index of the episode.
+        """
+        self._outputs[row] = 0.0
+
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether the network must be evaluated now, in each of r episodes."""
+        return self._arrays.full(len(rows), True, "bool")
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size), clipped to [-1, 1]."""
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
+
+    @abstractmethod
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the agent's actions (r, ...) for the current outputs, float32.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            observation: Arrays (r, ...) of the agent's observations.
+        """
+
+
+class RawScheme(ArrayScheme):
+    """Identity scheme: the outputs are the actions in physical units and are not clipped."""
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size) without clipping."""
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64)
+
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the current outputs as the actions, float32."""
+        xp = self._arrays.xp
+        return xp.astype(self._outputs[rows], xp.float32)
+
+
+class SequentialScheme(ArrayScheme):
+    """User-defined schemes, one for each episode, that are called one after another with NumPy arrays.
+
+    Args:
+        schemes: Scheme of each episode.
+        arrays: Creator of the actions.
+    """
+
+    def __init__(self, schemes: Sequence[ActionScheme], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self.size = schemes[0].size
+        self._schemes, self._arrays = schemes, arrays
+
+    def reset(self, row: int) -> None:
+        """Clear the state of the previous episode."""
+        self._schemes[row].reset()
+
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether the network must be evaluated now, in each of r episodes."""
+        needs = [scheme.needs_outputs(one) for scheme, one in self._pair(rows, observation)]
+        return self._arrays.asarray(needs, "bool")
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size)."""
+        for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
+            self._schemes[row].set_outputs(own)
+
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the agent's actions (r, ...) for the current outputs."""
+        actions = [scheme.compute_action(one) for scheme, one in self._pair(rows, observation)]
+        return self._arrays.asarray(np.stack(actions))
+
+    def _pair(self, rows: AnyArray, observation: Observation) -> Iterator[tuple[ActionScheme, Observation]]:
+        own = {key: to_numpy(values) for key, values in observation.items()}
+        for number, row in enumerate(rows.tolist()):
+            yield self._schemes[row], {key: values[number].copy() for key, values in own.items()}
+
+
+class SingleScheme(ActionScheme):
+    """Action scheme of one episode, without the leading axis.
+
+    Args:
+        scheme: Scheme of one episode.
+        context: Robot, task and known grasps of the objects.
+
+    Attributes:
+        scheme: Scheme of one episode.
+    """
+
+    def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:
+        self.name, self.agent, self.size = scheme.name, scheme.agent, scheme.size  # type: ignore[misc]
+        self.context, self.scheme = context, scheme
+        scheme.reset(0)
+
+    @property
+    def wait(self) -> float:
+        """Time at the start of an episode during which the agent does not act (s)."""
+        return self.scheme.wait
+
+    @wait.setter
+    def wait(self, wait: float) -> None:
+        self.scheme.wait = wait
+
+    def reset(self) -> None:
+        """Clear the state of the previous episode."""
+        self.scheme.reset(0)
+
+    def needs_outputs(self, observation: Observation) -> bool:
+        """Return whether the network must be evaluated now; else its previous outputs remain in use."""
+        return bool(self.scheme.needs_outputs(_ROW, add_axis(observation))[0])
+
+    def set_outputs(self, outputs: Outputs) -> None:
+        """Store new network outputs (size,)."""
+        self.scheme.set_outputs(_ROW, np.asarray(outputs)[None])
+
+    def compute_action(self, observation: Observation) -> Action:
+        """Return the agent's action for the current outputs, an element of its action space."""
+        action: Action = self.scheme.compute_actions(_ROW, add_axis(observation))[0]
+        return action
+
+
+def add_axis(observation: Observation) -> Observation:
+    """Return an observation as a batch of one."""
+    return {key: values[None] for key, values in observation.items()}

@@ -1,1 +1,0 @@
-"""Features and action schemes of many episodes at once, on arrays with the episode as first axis."""

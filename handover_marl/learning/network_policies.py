@@ -1,0 +1,150 @@
+"""Policies that run one dense network in many episodes at once.
+
+Actions equal those of single policies to the bit and do not depend on the other episodes of the batch. For PyTorch
+tensors, they equal those of single policies to 1e-5.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.learning.adapters.function_policy import FunctionPolicy
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
+from handover_marl.learning.features import list_features, make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.learned_policy import LearnedPolicy
+from handover_marl.learning.policy_spec import DenseNetwork
+from handover_marl.learning.schemes import make_array_scheme
+from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
+from handover_marl.policies.policy import Policy
+
+
+class TensorNetwork:
+    """Multilayer perceptron with the outputs of a `DenseNetwork`, evaluated on the device of its inputs.
+
+    Args:
+        network: Network, whose weights are copied to the device.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(self, network: DenseNetwork, arrays: ArrayFactory) -> None:
+        # Not at the top, because PyTorch is optional.
+        from torch.nn import functional
+
+        self._xp, self._functions, self._network = arrays.xp, functional, network
+        copy = functools.partial(arrays.asarray, dtype="float32")
+        self._layers = [
+            (copy(weight.T), copy(bias)) for weight, bias in zip(network.weights, network.biases, strict=True)
+        ]
+        scaling, bounds = network.normalization, network.bounds
+        self._scaling = scaling and tuple(map(arrays.asarray, (scaling.mean, scaling.scale, scaling.clip)))
+        self._bounds: Any = bounds and (copy(bounds.low), copy(bounds.high))
+
+    def __call__(self, inputs: AnyArray) -> AnyArray:
+        """Return the outputs (r, n_outputs), float32, for inputs (r, n_inputs)."""
+        network, values = self._network, inputs
+        if self._scaling:
+            mean, scale, clip = self._scaling
+            values = ((values - mean) / scale).clip(-clip, clip)
+        values = self._xp.astype(values, self._xp.float32)
+        names = [network.activation] * (len(self._layers) - 1) + [network.output]
+        for (weight, bias), name in zip(self._layers, names, strict=True):
+            values = values @ weight + bias
+            # PyTorch's functions have the names of `ACTIVATIONS`.
+            values = values if name == "identity" else getattr(self._functions, name)(values)
+        if network.bounds is None:
+            return values
+        low, high = self._bounds
+        return low + (values + 1.0) / 2.0 * (high - low) if network.bounds.is_scaled else values.clip(low, high)
+
+
+class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
+    """Batch of policies that evaluate one network, for all episodes in one call.
+
+    Args:
+        policy: Policy of a single episode, whose function is a `DenseNetwork`.
+        features: Features of n episodes.
+        scheme: Action scheme of n episodes.
+        count: Number n of episodes.
+        check: Function that checks an action that is not finite, and raises an error.
+        arrays: Creator of the arrays.
+    """
+
+    def __init__(
+        self,
+        policy: FunctionPolicy,
+        features: ArrayFeatures,
+        scheme: ArrayScheme,
+        count: int,
+        check: Callable[[object], Actions],
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(policy, count, policy.scheme.agent, arrays)
+        self._features, self._scheme, self._check = features, scheme, check
+        function: Any = policy.function
+        self._network = function if arrays == NUMPY_ARRAYS else TensorNetwork(function, arrays)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Clear the state of the previous episode."""
+        self._features.reset(row)
+        self._scheme.reset(row)
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, ...); evaluate the network for episodes whose action scheme needs outputs.
+
+        Raises:
+            ActionError: An action, or an output of an adapted policy, is not finite.
+        """
+        needs = self._arrays.xp.nonzero(self._scheme.needs_outputs(rows, observation))[0]
+        if len(needs):
+            inputs = self._features(rows[needs], {key: values[needs] for key, values in observation.items()})
+            self._scheme.set_outputs(rows[needs], self._evaluate(inputs))
+        actions = self._scheme.compute_actions(rows, observation)
+        for number in self._find_not_finite(actions):
+            self._check(to_numpy(actions[number]))
+        return actions
+
+    def _evaluate(self, inputs: AnyArray) -> AnyArray:
+        outputs = self._network(inputs)
+        for number in self._find_not_finite(outputs):
+            outputs[number] = self._arrays.asarray(self._policy.evaluate(to_numpy(inputs[number])))
+        return outputs
+
+    def _find_not_finite(self, vectors: AnyArray) -> list[int]:
+        """Return the indices of vectors (r, k) with a number that is not finite."""
+        xp = self._arrays.xp
+        found: list[int] = xp.nonzero(~xp.all(xp.isfinite(vectors), axis=1))[0].tolist()
+        return found
+
+
+def make_network_policy_batch(
+    policy: Policy, count: int, check: Callable[[object], Actions], arrays: ArrayFactory = NUMPY_ARRAYS
+) -> PolicyBatch | None:
+    """Return the batch of a policy with a dense network, built-in features and a built-in action scheme.
+
+    Args:
+        policy: Policy of a single episode.
+        count: Number of episodes.
+        check: Function that checks an action.
+        arrays: Creator of the arrays.
+
+    Returns:
+        The batch, or None for other policies: PyTorch modules and user-defined encodings are evaluated
+        episode by episode.
+    """
+    # A subclass may act in another way, so it has no batch.
+    if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
+        return None
+    if not isinstance(policy.function, DenseNetwork):
+        return None
+    agent, context = policy.scheme.agent, policy.scheme.context
+    if not isinstance(policy.scheme, SingleScheme) or policy.features not in list_features(agent):
+        return None
+    selector = LowestCostGraspSelector(context, count, arrays)
+    features = make_array_features(agent, policy.features, context, selector, count, arrays)
+    scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
+    scheme.wait = policy.scheme.wait
+    return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)

@@ -1,0 +1,391 @@
+"""Tests of the effects of the giver's action on the recorded motion, of one giver and of several at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
+from handover_marl.episode.observations import MotionPreview
+from handover_marl.episode.wrist_offset import apply_wrist_offsets, compute_wrist_positions
+from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links
+from tests.episode.one_giver import CONFIG, COUNT, HIGH, ROWS, SCENES, OneGiver
+
+SCENE = SCENES[0]
+
+
+def playback() -> OneGiver:
+    return OneGiver(SCENE)
+
+
+def advance(played: OneGiver, steps: int, wanted: np.ndarray = NO_DEVIATION, **states: bool) -> ReferenceMotion:
+    motion = played.plan(steps, wanted, **states)
+    played.commit(steps)
+    return motion
+
+
+def action(rate: float = 0.0, shift: tuple[float, ...] = (0, 0, 0), turn: tuple[float, ...] = (0, 0, 0)) -> np.ndarray:
+    return np.array([rate, *shift, *turn, 0.0], dtype=np.float32)
+
+
+def pose(dof: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    return dof[..., :3].astype(float), Rotation.from_euler("XYZ", dof[..., 3:6].astype(float))
+
+
+def wrist(motion: ReferenceMotion) -> np.ndarray:
+    return compute_wrist_positions(motion.hand, find_wrist_in_base(SCENE))
+
+
+def held() -> OneGiver:
+    """Return a playback in which the object has been lifted and all motion has ended."""
+    played = playback()
+    advance(played, SCENE.n_frames)
+    assert played.holding
+    return played
+
+
+def test_zero_is_the_recording_to_the_bit() -> None:
+    played, pieces = playback(), []
+    for steps in (1, 99, 100, 37, SCENE.n_frames):
+        pieces.append(advance(played, steps))
+    rows = np.minimum(np.arange(1, 238 + SCENE.n_frames), SCENE.n_frames - 1)
+    np.testing.assert_array_equal(np.concatenate([piece.objects for piece in pieces]), SCENE.object_dof[rows])
+    np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
+
+
+def test_the_start_is_the_first_frame() -> None:
+    start = GiverMotion(1, CONFIG).reset(0, SCENE)
+    np.testing.assert_array_equal(start.objects, SCENE.object_dof[:1])
+    np.testing.assert_array_equal(start.hand, SCENE.hand_dof[:1])
+    assert start.hand_present.tolist() == [False]
+
+
+def test_pausing_stops_and_doubling_skips() -> None:
+    played = playback()
+    advance(played, 1000)
+    pausing = advance(played, 400, action(rate=-1.0))
+    np.testing.assert_array_equal(pausing.hand[250:], np.tile(pausing.hand[-1], (150, 1)))
+    assert 1000 < played.frame < 1200, "people need a moment to stop"
+    before = played.frame
+    advance(played, 1000, action(rate=1.0))
+    assert played.frame == pytest.approx(before + 2000 - 400, abs=10)
+    assert played.deviation[0] == 1.0
+
+
+@settings(max_examples=25)
+@given(
+    st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda shift: np.linalg.norm(shift) > 1e-3),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 3),
+)
+def test_hand_and_object_move_as_one_about_the_wrist(shift: tuple[float, ...], turn: tuple[float, ...]) -> None:
+    played = held()
+    before = advance(played, 1)
+    after = advance(played, 3000, action(shift=shift, turn=turn))
+    change = Rotation.from_rotvec(np.float32(turn))
+    np.testing.assert_allclose(wrist(after)[-1], wrist(before)[-1] + shift, atol=2e-6)
+    for old, new in ((before.hand, after.hand), (before.objects[:, 0], after.objects[:, 0])):
+        (old_place, old_turn), (new_place, new_turn) = pose(old[-1]), pose(new[-1])
+        assert (new_turn * (change * old_turn).inv()).magnitude() < 1e-5
+        arm = change.apply(old_place - wrist(before)[-1])
+        np.testing.assert_allclose(new_place, wrist(after)[-1] + arm, atol=2e-6)
+    np.testing.assert_array_equal(after.hand[:, 6:], np.tile(before.hand[-1, 6:], (3000, 1)))
+    np.testing.assert_array_equal(after.objects[:, 1:], np.tile(before.objects[-1, 1:], (3000, 1, 1)))
+
+
+def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
+    played = held()
+    rows = [advance(played, 1)]
+    for turn in ((1, 1, 1), (-1, 1, -1), (-1, -1, 1), (0, 0, 0)):
+        rows.append(advance(played, 1500, action(shift=(0.3, -0.3, 0.3), turn=turn)))
+    moved = np.concatenate([wrist(motion) for motion in rows])
+    assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() <= CONFIG.speed * 0.001 + 1e-6
+    for part in ("hand", "objects"):
+        dof = np.concatenate([getattr(motion, part).reshape(len(motion.hand), -1)[:, :6] for motion in rows])
+        _, turns = pose(dof)
+        steps = (turns[1:] * turns[:-1].inv()).magnitude()
+        assert steps.max() < 0.01
+        assert np.abs(np.diff(dof[:, 3:], axis=0)).max() < 0.5, "angles go on without a jump of a turn"
+
+
+def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
+    played = playback()
+    lift = find_pick_up_frame(SCENE)
+    assert lift is not None
+    lying = advance(played, lift - 1, action(shift=(0.2, 0, 0)))
+    np.testing.assert_array_equal(lying.objects, SCENE.object_dof[1:lift])
+    np.testing.assert_array_equal(lying.hand, SCENE.hand_dof[1:lift])
+    assert not played.holding
+    advance(played, 1)
+    apply_wrist_offset = advance(played, 600, action(shift=(0.2, 0, 0)))
+    assert played.holding
+    assert apply_wrist_offset.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
+    played = playback()
+    lift = find_pick_up_frame(SCENE)
+    assert lift is not None
+    advance(played, lift - 50)
+    around = advance(played, 100, action(shift=(0.2, 0, 0)))
+    np.testing.assert_array_equal(around.objects, SCENE.object_dof[lift - 49 : lift + 51])
+    assert played.holding
+
+
+def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
+    played = held()
+    before = advance(played, 1)
+    after = advance(played, 1000, action(shift=(0.0, 0.2, 0.0)), released=True, is_opening=True)
+    np.testing.assert_array_equal(after.objects[-1], before.objects[-1])
+    assert wrist(after)[-1, 1] - wrist(before)[-1, 1] == pytest.approx(0.2, abs=1e-6)
+    np.testing.assert_allclose(after.hand[-1, 6:], (1 - CONFIG.opening) * before.hand[-1, 6:], atol=1e-6)
+    assert played.opening_progress == 1.0
+
+
+def test_moving_by_nothing_is_nothing() -> None:
+    rows = SCENE.object_dof[::100, 0]
+    still = np.zeros((len(rows), 2, 3))
+    both = np.stack([rows, rows])
+    (moved,) = apply_wrist_offsets([both], np.ones((1, 3)), [still], both[None, :, 0])
+    np.testing.assert_allclose(moved, both, atol=1e-6)
+
+
+def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
+    rng = np.random.default_rng(0)
+    bodies = rng.uniform(-1.0, 1.0, (2, 5, 6)).astype(np.float32)
+    offsets = rng.uniform(-0.3, 0.3, (5, 2, 3))
+    place = np.array([0.05, 0.0, 0.1])
+    (moved,) = apply_wrist_offsets([bodies], place[None], [offsets], bodies[None, :, 0])
+
+    def beside(first: npt.NDArray[np.float32], second: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+        return Rotation.from_euler("XYZ", first[:, 3:]).inv().apply(second[:, :3] - first[:, :3])
+
+    np.testing.assert_allclose(beside(*moved), beside(*bodies), atol=1e-5)
+    wrists = [compute_wrist_positions(one, place) for one in (bodies[0], moved[0])]
+    np.testing.assert_allclose(wrists[1] - wrists[0], offsets[:, 0], atol=1e-5)
+
+
+def test_the_preview_shows_what_comes() -> None:
+    preview = MotionPreview(SCENE, CONFIG)
+    ahead = np.array([100, 200, 300, 400, 500])
+    seen = preview.read_poses(1000)[1]
+    place, turn = pose(SCENE.object_dof[1000 + ahead, 0])
+    np.testing.assert_allclose(seen[:, :3], place, atol=1e-6)
+    assert (Rotation.from_quat(seen[:, 3:]) * turn.inv()).magnitude().max() < 1e-5
+    np.testing.assert_array_equal(preview.read_poses(10**6)[0], np.tile(preview.read_poses(10**6)[0][0], (5, 1)))
+    np.testing.assert_allclose(
+        preview.read_poses(1000)[0][:, :3],
+        compute_wrist_positions(SCENE.hand_dof, find_wrist_in_base(SCENE))[1000 + ahead],
+        atol=1e-6,
+    )
+
+
+def test_the_preview_has_zeros_without_a_hand() -> None:
+    preview = MotionPreview(replace(SCENE, hand_last=1250), CONFIG)
+    wrists, objects = preview.read_poses(1000)
+    assert (np.abs(wrists).max(axis=1) > 0).tolist() == [True, True, False, False, False]
+    assert (np.abs(objects).max(axis=1) > 0).all()
+
+
+def seen(played: OneGiver) -> tuple[object, ...]:
+    return played.frame, played.holding, played.opening_progress, played.deviation.tolist()
+
+
+def test_plans_change_nothing_until_they_are_committed() -> None:
+    played = held()
+    before, wanted = seen(played), action(rate=-0.5, shift=(0.1, 0, 0), turn=(0, 0.3, 0))
+    first = played.plan(100, wanted, released=True, is_opening=True)
+    again = played.plan(100, wanted, released=True, is_opening=True)
+    np.testing.assert_array_equal(again.hand, first.hand)
+    np.testing.assert_array_equal(again.objects, first.objects)
+    assert seen(played) == before
+    played.commit(0)
+    assert seen(played) == before
+
+
+def apply_wrist_offset() -> OneGiver:
+    """Return a playback that is 100 frames past the frame in which the object is picked up."""
+    played = playback()
+    lift = find_pick_up_frame(SCENE)
+    assert lift is not None
+    advance(played, lift + 100)
+    assert played.holding
+    return played
+
+
+@settings(max_examples=25)
+@given(st.integers(1, 99), st.floats(-1.0, 1.0))
+def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
+    """Steps that were planned but not simulated have no effect on the playback."""
+    wanted = action(rate=rate, shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
+    whole, cut = apply_wrist_offset(), apply_wrist_offset()
+    planned = whole.plan(100, wanted, is_opening=True)
+    whole.commit(done)
+    short = advance(cut, done, wanted, is_opening=True)
+    np.testing.assert_array_equal(planned.hand[:done], short.hand)
+    np.testing.assert_array_equal(planned.objects[:done], short.objects)
+    assert seen(whole) == seen(cut)
+    assert 0.0 < whole.opening_progress < 1.0
+    np.testing.assert_array_equal(advance(whole, 50).hand, advance(cut, 50).hand)
+
+
+@pytest.mark.parametrize("rate", [-1.0, 1.0])
+def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
+    """The motion of a pausing or hurrying giver does not depend on the number of steps per control period."""
+    whole = apply_wrist_offset()
+    planned = np.concatenate([advance(whole, 100, action(rate=rate)).hand for _ in range(3)])
+    for length in (1, 10, 20, 50):
+        cut = apply_wrist_offset()
+        parts = [advance(cut, length, action(rate=rate)).hand for _ in range(300 // length)]
+        np.testing.assert_array_equal(planned, np.concatenate(parts))
+        assert seen(whole) == seen(cut)
+
+
+def test_the_wrist_is_the_first_key_point_of_the_hand() -> None:
+    rows = SCENE.hand_dof[1500:4000:500]
+    frames = compute_link_trajectory(SCENE.assets.hand, rows)
+    (wrist,) = select_keypoint_links([])
+    expected = frames.get_positions(wrist)
+    np.testing.assert_allclose(compute_wrist_positions(rows, find_wrist_in_base(SCENE)), expected, atol=1e-6)
+
+
+def test_a_displaced_hand_rests() -> None:
+    """A displaced hand at rest keeps exactly the same pose in many steps and in single ones, and returns afterwards."""
+    many, few, wanted = held(), held(), action(shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
+    for played in (many, few):
+        advance(played, 3000, wanted)
+    rested = advance(many, 200, wanted)
+    for _ in range(3):
+        one = advance(few, 1, wanted)
+        for found, expected in ((rested.hand, one.hand), (rested.objects, one.objects)):
+            np.testing.assert_array_equal(found, np.repeat(expected, 200, axis=0))
+    back = advance(many, 3000)
+    np.testing.assert_allclose(back.objects[-1], SCENE.object_dof[-1], atol=1e-6)
+
+
+def test_a_replayed_recording_is_not_copied() -> None:
+    motion = advance(playback(), 500)
+    assert np.shares_memory(motion.hand, SCENE.hand_dof)
+    assert np.shares_memory(motion.objects, SCENE.object_dof)
+    np.testing.assert_array_equal(motion.hand_present, SCENE.is_hand_present(np.arange(1, 501)))
+
+
+def test_the_preview_of_later_frames() -> None:
+    """Previewed poses depend on the frame only, whichever frames were read before."""
+    preview, ahead = MotionPreview(SCENE, CONFIG), np.array([100, 200, 300, 400, 500])
+    for frame in (100, 900, 2500, 0, 1000, 999):
+        rows = np.minimum(frame + ahead, SCENE.n_frames - 1)
+        np.testing.assert_allclose(preview.read_poses(frame)[1][:, :3], SCENE.object_dof[rows, 0, :3], atol=1e-6)
+
+
+def test_rates_change_with_limited_slope() -> None:
+    """A change of rate by 1 takes 1 / rate_change seconds."""
+    played, duration = playback(), round(1000 / CONFIG.rate_change)
+    advance(played, 500)
+    advance(played, duration // 2, action(rate=1.0))
+    assert played.deviation[0] == pytest.approx(0.5, abs=0.01)
+    advance(played, duration // 2 - 1, action(rate=1.0))
+    assert 0.98 < played.deviation[0] < 1.0
+    advance(played, 2, action(rate=1.0))
+    assert played.deviation[0] == 1.0
+    assert played.frame == pytest.approx(500 + 1.5 * duration, abs=3)
+    advance(played, 100, action(rate=1.0))
+    assert played.frame == pytest.approx(500 + 1.5 * duration + 200, abs=4)
+
+
+def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
+    dof = np.zeros((4, 1, 6), dtype=np.float32)
+    for path, expected in (([0, 4, 6, 8], 2), ([0, 6, 0, 0], 1), ([0, 4, 5, 4], None), ([0, -6, 0, 0], 1)):
+        moved = dof.copy()
+        moved[:, 0, 1] = np.array(path) / 1000
+        assert find_pick_up_frame(replace(SCENE, object_dof=moved)) == expected
+
+
+@settings(max_examples=20)
+@example([(1.0, 300), (1.0, 100), (0.0, 300), (0.0, 10)])
+@example([(-1.0, 300), (-1.0, 10), (0.3, 100), (0.0, 100), (0.0, 300), (0.25, 300), (0.25, 7), (0.0, 60)])
+@given(st.lists(st.tuples(st.floats(-1.0, 1.0) | st.sampled_from([0.0, 0.5, -0.5, 1.0]), st.integers(1, 300))))
+def test_frames_follow_the_rates(parts: list[tuple[float, int]]) -> None:
+    """Rates change by at most 5/s; a frame is the rounded sum of the speeds so far."""
+    played, rate, clock = playback(), 0.0, 0.0
+    for target, steps in parts:
+        target = float(np.float32(target))
+        frames = []
+        start = rate
+        for number in range(1, steps + 1):
+            change = np.clip(target - start, -0.005 * number, 0.005 * number)
+            rate = target if abs(change) >= abs(target - start) else start + change
+            clock += 1.0 + rate
+            frames.append(min(round(round(clock, 9)), SCENE.n_frames - 1))
+        motion = advance(played, steps, action(rate=target))
+        np.testing.assert_array_equal(motion.objects, SCENE.object_dof[frames])
+        np.testing.assert_array_equal(motion.hand_present, SCENE.is_hand_present(np.array(frames)))
+        assert played.frame == frames[-1]
+        assert played.deviation[0] == np.float32(rate)
+
+
+def test_an_opening_hand_opens_evenly() -> None:
+    played = held()
+    before = advance(played, 1).hand[0]
+    parts = [advance(played, steps, released=True, is_opening=True) for steps in (100, 50, 350)]
+    opened = np.minimum(np.arange(1, 501) / 300.0, 1.0)
+    fingers = np.concatenate([part.hand[:, 6:] for part in parts])
+    np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
+    np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
+
+
+def test_the_progress_of_opening_is_kept() -> None:
+    played = held()
+    assert played.opening_progress == 0.0
+    advance(played, 150, released=True, is_opening=True)
+    assert played.opening_progress == pytest.approx(0.5)
+    advance(played, 75, released=True, is_opening=True)
+    assert played.opening_progress == pytest.approx(0.75)
+
+
+def start() -> GiverMotion:
+    motion = GiverMotion(COUNT, CONFIG)
+    for row, scene in enumerate(SCENES):
+        motion.reset(row, scene)
+    return motion
+
+
+def test_a_motion_does_not_depend_on_the_other_givers() -> None:
+    rng = np.random.default_rng(0)
+    together, alone = start(), start()
+    actions = np.zeros((COUNT, 8), dtype=np.float32)
+    for number in range(24):
+        if number % 3 == 0:
+            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
+            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
+        steps = int(rng.integers(1, 201))
+        released = rng.random(COUNT) < 0.3
+        opening = released & (rng.random(COUNT) < 0.5)
+        motion = together.plan(ROWS, steps, actions, released, opening)
+        taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
+        for row in range(COUNT):
+            one = slice(row, row + 1)
+            single = alone.plan(ROWS[one], steps, actions[one], released[one], opening[one])
+            np.testing.assert_array_equal(motion.references[row].hand, single.references[0].hand, strict=True)
+            np.testing.assert_array_equal(motion.references[row].objects, single.references[0].objects, strict=True)
+            alone.commit(single, taken[one])
+        together.commit(motion, taken)
+        np.testing.assert_array_equal(together.frame, alone.frame)
+        np.testing.assert_array_equal(together.deviation, alone.deviation)
+        np.testing.assert_array_equal(together.opening_progress, alone.opening_progress)
+
+
+def test_a_reset_forgets_the_deviation() -> None:
+    motion, held = start(), np.zeros(COUNT, dtype=bool)
+    actions = np.tile(HIGH, (COUNT, 1))
+    for _ in range(20):
+        motion.commit(motion.plan(ROWS, 200, actions, held, held), np.full(COUNT, 200))
+    assert motion.deviation[:, 1:4].all()
+    first = motion.reset(0, SCENES[0])
+    np.testing.assert_array_equal(first.hand, SCENES[0].hand_dof[:1])
+    assert not motion.deviation[0].any()
+    assert motion.deviation[1:].any(axis=1).all()

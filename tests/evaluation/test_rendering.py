@@ -1,0 +1,269 @@
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from handover_marl import givers, receivers
+from handover_marl.cli import main
+from handover_marl.config import CameraConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import run_episode
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import HandoverError, OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation import rendering as scene_rendering
+from handover_marl.evaluation.rendering import render_scene
+from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.simulation.contacts import Contacts
+from handover_marl.visualization import video as video_module
+
+CAMERA = CameraConfig(width=96, height=72)
+
+
+def draw(out: Path, **options: Any) -> Path:
+    chosen = {"dataset": "synthetic", "physics": "fast", "camera": CAMERA, "progress": False, **options}
+    return render_scene(209, out, **chosen)
+
+
+def pictures(sheet: Path) -> list[np.ndarray]:
+    """Return the images of a contact sheet, without the white cells that fill its last row."""
+    with Image.open(sheet) as image:
+        pixels = np.asarray(image)
+    rows, columns = pixels.shape[0] // CAMERA.height, pixels.shape[1] // CAMERA.width
+    assert pixels.shape == (rows * CAMERA.height, columns * CAMERA.width, 3)
+    cells = [part for row in np.split(pixels, rows) for part in np.split(row, columns, axis=1)]
+    shown = [not (part == 255).all() for part in cells]
+    assert shown == sorted(shown, reverse=True)
+    return [part for part, there in zip(cells, shown, strict=True) if there]
+
+
+@pytest.fixture
+def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return a list to which the number of simulated steps is added whenever an image is rendered."""
+    steps, render = [], Episode.render
+
+    def noted(episode: Episode, camera: CameraConfig) -> Any:
+        steps.append(episode.steps)
+        return render(episode, camera)
+
+    monkeypatch.setattr(Episode, "render", noted)
+    return steps
+
+
+def test_key_frames_span_the_episode(tmp_path: Path, drawn_after: list[int]) -> None:
+    path = draw(tmp_path / "new" / "sheet.png", key_frames=4)
+    shown = pictures(path)
+    end = SyntheticDataset().load_scene(209).n_frames + 500
+    assert drawn_after == np.linspace(0, end, 4).round().astype(int).tolist()
+    assert len(shown) == 4
+    assert shown[0].std() > 20
+    assert (shown[0] != shown[3]).any(axis=2).mean() > 0.003
+
+
+class Joints(EpisodeCallback):
+    def on_reset(self, episode: Episode) -> None:
+        self.rows: list[np.ndarray] = []
+
+    def on_step(self, episode: Episode) -> None:
+        self.rows.append(episode.world.read_agent_joints().robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scene_id", "physics"), [(209, "exact"), (214, "fast")])
+def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
+    """Outcome and joints do not depend on when images are rendered, even if the robot hits itself and the table."""
+    dataset = SyntheticDataset()
+    players = receivers.make("random", dataset), givers.make("noisy", dataset)
+    ends = []
+    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 80)):
+        episode, joints = Episode(physics), Joints()
+        episode.reset(dataset.load_scene(scene_id))
+        run_episode(
+            episode,
+            *players,
+            seed=0,
+            until=2000,
+            callbacks=[joints, video_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
+        )
+        ends.append((episode.status, episode.steps, np.array(joints.rows)))
+        episode.close()
+    for number, (*end, rows) in enumerate(ends[1:], start=1):
+        shorter = min(len(rows), len(ends[0][-1]))
+        different = np.flatnonzero((rows[:shorter] != ends[0][-1][:shorter]).any(axis=1))
+        assert not len(different), f"video {number} shows another episode from step {different[0] + 1} on"
+        assert end == list(ends[0][:-1])
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if suffix == ".mp4":
+        pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
+    for module in (video_module, scene_rendering):
+        monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
+    path = draw(tmp_path / f"video{suffix}")
+    head = path.read_bytes()[:12]
+    assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
+    if suffix == ".gif":
+        with Image.open(path) as video:
+            assert video.n_frames >= 3
+            assert video.size == (96, 72)
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "error"),
+    [
+        ("x.bmp", {}, OptionError),
+        ("x", {}, OptionError),
+        ("x.png", {"key_frames": 0}, OptionError),
+        ("x.png", {"receiver": "nobody"}, UnknownNameError),
+        ("x.png", {"camera": {"width": 5}}, OptionError),
+        ("x\0.png", {}, OptionError),
+    ],
+)
+def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
+    with pytest.raises(error):
+        draw(tmp_path / out, **options)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("side", "size"), [("--width", "0"), ("--height", "8193")])
+@pytest.mark.parametrize("plan", [[], ["--plan"]])
+def test_impossible_sizes(
+    tmp_path: Path, side: str, size: str, plan: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png"), *plan]
+    assert main([*command, side, size]) == 2
+    error = capsys.readouterr().err
+    assert f"{side[2:]} of CameraConfig must be" in error
+    assert f"got {size}" in error
+    assert not list(tmp_path.iterdir())
+
+
+def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("it is noticed too late")
+
+    for name in ("reset", "advance", "render"):
+        monkeypatch.setattr(Episode, name, fail)
+
+
+@pytest.mark.parametrize(
+    "out",
+    [
+        *("file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "x" * 300 + ".png"),
+    ],
+    ids=lambda out: out[-30:],
+)
+def test_invalid_output_paths_are_reported_before_rendering(
+    tmp_path: Path, out: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.png").mkdir()
+    refuse_to_draw(monkeypatch)
+    with pytest.raises(ResultsError, match="cannot write"):
+        draw(tmp_path / out)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.png"]
+
+
+def test_any_giver(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"key_frames": 4}
+    shown = {
+        giver: pictures(draw(tmp_path / f"{giver}.png", giver=giver, **options))
+        for giver in ("replay", "cooperative", "hesitant")
+    }
+    plain = pictures(draw(tmp_path / "plain.png", **options))
+    np.testing.assert_array_equal(plain, shown["replay"])
+    for other in ("cooperative", "hesitant"):
+        np.testing.assert_array_equal(shown[other][0], plain[0])
+        assert any(
+            (first != second).any(axis=2).mean() > 0.001 for first, second in zip(shown[other], plain, strict=True)
+        )
+    with pytest.raises(UnknownNameError, match="giver 'nobody'"):
+        draw(tmp_path / "x.png", giver="nobody")
+    with pytest.raises(OptionError, match="giver"):
+        draw(tmp_path / "x.png", giver=HoldReceiver)
+
+
+def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
+        draw(tmp_path / "x.mp4")
+
+
+def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    calls: list[dict[str, Any]] = []
+    monkeypatch.setattr(scene_rendering, "render_scene", lambda *_, **options: calls.append(options))
+    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
+    place = ["--position", "1.0", "-0.5", "2.0", "--target", "0.4", "0", "1.1", "--vertical-fov", "30"]
+    assert main([*command, *place, "--width", "320", "--no-caption"]) == 0
+    assert main(command) == 0
+    assert calls[0]["camera"] == CameraConfig(
+        width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0
+    )
+    assert [(options["camera"] is None, options["caption"]) for options in calls] == [(False, False), (True, True)]
+    assert main([*command, "--receiver", "omg", "--plan", *place]) == 2
+    assert "do not apply to --plan" in capsys.readouterr().err
+    assert main([*command, "--vertical-fov", "180"]) == 2
+    assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
+
+
+def test_captions_are_in_the_corner(tmp_path: Path) -> None:
+    options: dict[str, Any] = {"key_frames": 2, "physics": "fast", "camera": replace(CAMERA, width=320, height=240)}
+    with Image.open(draw(tmp_path / "with.png", **options)) as first:
+        captioned = np.asarray(first)
+    with Image.open(draw(tmp_path / "without.png", **options, caption=False)) as second:
+        plain = np.asarray(second)
+    rows, columns = np.nonzero((captioned != plain).any(axis=2))
+    assert len(rows) > 100
+    assert rows.min() > 210
+    assert columns[columns < 320].max() < 100
+    with pytest.raises(OptionError, match="caption must be"):
+        draw(tmp_path / "x.png", caption="no")
+
+
+@pytest.mark.parametrize("height", [48, 480, 1080])
+def test_captions_fit_into_images_of_any_size(height: int) -> None:
+    blank = np.full((height, 4 * height // 3, 3), 100, dtype=np.uint8)
+    shown = video_module.draw_caption(blank, "12.34 s, contact+drop")
+    rows, columns = np.nonzero((shown != blank).any(axis=2))
+    assert (blank == 100).all()
+    assert 8 <= np.ptp(rows) + 1 <= max(20, height // 8)
+    assert rows.min() > 0.5 * height
+    assert columns.max() < blank.shape[1]
+
+
+class AtStep:
+    """Substitute for an episode that has been simulated for 4250 steps."""
+
+    def __init__(self, status: EpisodeStatus, release_step: int | None = None, touching: bool = False) -> None:
+        self.steps, self.status, self.release_step = 4250, status, release_step
+        self.contacts = Contacts(robot_touches_object=touching)
+
+
+@pytest.mark.parametrize(
+    ("episode", "state"),
+    [
+        (AtStep(EpisodeStatus.RUNNING), ""),
+        (AtStep(EpisodeStatus.RUNNING, None, True), ", object touched"),
+        (AtStep(EpisodeStatus.RUNNING, 4000, True), ", released"),
+        (AtStep(EpisodeStatus.SUCCESS, 4000, True), ", goal reached"),
+        (AtStep(EpisodeStatus.HUMAN_CONTACT), ", contact"),
+        (AtStep(EpisodeStatus.HUMAN_CONTACT | EpisodeStatus.OBJECT_DROP, 4000), ", contact+drop"),
+        (AtStep(EpisodeStatus.TIMEOUT), ", timeout"),
+    ],
+)
+def test_caption_of_every_state(episode: Any, state: str) -> None:
+    assert video_module.format_caption(episode) == f"4.25 s{state}"
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["render", "--scene", "33", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
+    assert main([*command, "--physics", "fast", "--key-frames", "1", "--width", "64", "--height", "48"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "x.png")
+    assert main([*command[:-1], str(tmp_path / "x.tiff")]) == 2
+    assert ".tiff" in capsys.readouterr().err

@@ -1,0 +1,287 @@
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from handover_marl.cli import main
+from handover_marl.config import PhysicsConfig, ProtocolConfig, WorldConfig
+from handover_marl.episode.metrics.fluency import FluencyMetrics
+from handover_marl.errors import HandoverError, ResultsError
+from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
+from handover_marl.evaluation.config import EvaluationConfig, resolve_config
+from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
+from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results.result_folder import REPORT_FILES, read_result
+from handover_marl.evaluation.verification import (
+    StoredActions,
+    check_episode,
+    check_reports,
+    compare_results,
+    read_actions,
+    verify,
+)
+
+SCENE, INDEX = 19, 2
+OPTIONS: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False}
+#: World of short episodes whose initial joint positions depend on the seed.
+NOISY = WorldConfig(protocol=ProtocolConfig(horizon_steps=300), initial_joint_noise=0.1)
+Arrays = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("original")
+    benchmark("s0", "val", "yang2021", scenes=[SCENE], out=folder, **OPTIONS)
+    return folder
+
+
+@pytest.fixture
+def folder(original: Path, tmp_path: Path) -> Path:
+    return copy_files(original, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def runner() -> Iterator[EpisodeRunner]:
+    config, _ = resolve_config(EvaluationConfig("s0", "val", (SCENE,), "synthetic", physics="fast", receiver="hold"))
+    made = EpisodeRunner(config, parallelism="")
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def simulated(original: Path, runner: EpisodeRunner) -> EpisodeResult:
+    """Return the result of simulating the stored actions."""
+    stored = read_result(original / "002.npz")
+    receiver = StoredActions(read_actions(original / "002.npz", stored.steps))
+    return runner.run(SceneTask(INDEX, SCENE), receiver)[0]
+
+
+def copy_files(source: Path, folder: Path) -> Path:
+    for file in source.iterdir():
+        if file.is_file():
+            (folder / file.name).write_bytes(file.read_bytes())
+    return folder
+
+
+def change_arrays(folder: Path, change: Callable[[Arrays], object]) -> None:
+    path = folder / "002.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    change(arrays)
+    np.savez_compressed(path, **arrays)
+
+
+def replaced(key: str, value: Any) -> Callable[[Arrays], object]:
+    return lambda arrays: arrays.update({key: np.array(value)})
+
+
+def shorten(arrays: Arrays) -> None:
+    n = int(arrays["elapsed_frame"]) - 100
+    arrays.update(action=arrays["action"][:n], elapsed_time=arrays["elapsed_time"][:n], elapsed_frame=np.int64(n))
+
+
+def open_fingers(arrays: Arrays) -> None:
+    arrays["action"][:, 7:] = 0.04
+
+
+ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
+    "shortened": shorten,
+    "open fingers": open_fingers,
+    "missing": lambda arrays: arrays.pop("action"),
+    "shifted": lambda arrays: arrays.update(action=arrays["action"] + np.float32(0.05)),
+    "without fingers": lambda arrays: arrays.update(action=arrays["action"][:, :7]),
+    "one row less": lambda arrays: arrays.update(action=arrays["action"][:-1]),
+    "integers": lambda arrays: arrays.update(action=arrays["action"].astype(np.int64)),
+    "not a number": lambda arrays: arrays["action"].__setitem__((50, 3), np.nan),
+    "infinite": lambda arrays: arrays["action"].__setitem__((50, 3), np.inf),
+}
+VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
+    **{f"status {status}": replaced("result", np.int64(status)) for status in (2, 4, 6, 8)},
+    "fewer steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] - 1),
+    "more steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] + 1),
+    "half the steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] // 2),
+    "earlier release": lambda arrays: arrays.update(release_step=arrays["release_step"] - 1),
+    "no release": lambda arrays: arrays.pop("release_step"),
+    "other scene": replaced("scene_id", 14),
+    "other object": replaced("object_name", "025_mug"),
+    "other person": replaced("subject", "20200709-subject-01x"),
+    "other side": replaced("side", "both"),
+    "more objects": replaced("n_objects", 7),
+    "no object": lambda arrays: arrays.pop("object_name"),
+    "other models": replaced("models", "MANO hands"),
+    "other data": replaced("fingerprint", "0123456789abcdef"),
+    "no fluency": lambda arrays: [arrays.pop(key) for key in list(arrays) if key.startswith("fluency_")],
+    **{
+        f"{field.name} {word}": lambda arrays, key=f"fluency_{field.name}", factor=factor: arrays.update(
+            {key: np.nan_to_num(arrays[key]) * factor + 1e-4}
+        )
+        for field in fields(FluencyMetrics)
+        for word, factor in (("higher", 1.01), ("lower", 0.99))
+    },
+}
+
+
+def change_json(folder: Path, change: Callable[[Any], object]) -> None:
+    path = folder / "report.json"
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
+    "rate": lambda folder: change_json(folder, lambda report: report["rates"]["success"].update(rate=0.5)),
+    "interval": lambda folder: change_json(
+        folder, lambda report: report["rates"]["drop"].update(interval_95=[0, 0.01])
+    ),
+    "average success": lambda folder: change_json(folder, lambda report: report["AS"].update(mean=0.99)),
+    "time": lambda folder: change_json(folder, lambda report: report["times"]["exec_s"].update(mean=1.0)),
+    "episodes": lambda folder: change_json(folder, lambda report: report.update(n_episodes=144)),
+    "receiver": lambda folder: change_json(folder, lambda report: report.update(receiver="mine")),
+    "an episode": lambda folder: change_json(folder, lambda report: report["episodes"][0].update(steps=1)),
+    "missing key": lambda folder: change_json(folder, lambda report: report.pop("rates")),
+    "no report": lambda folder: (folder / "report.json").write_text("[]"),
+    "no JSON": lambda folder: (folder / "report.json").write_text("{"),
+    "an episode in CSV": lambda folder: (folder / "episodes.csv").write_text(
+        (folder / "episodes.csv").read_text().replace("success", "contact")
+    ),
+    "text": lambda folder: (folder / "report.md").write_text(
+        (folder / "report.md").read_text().replace("0.00", "0.01")
+    ),
+    "text without a report": lambda folder: [
+        (folder / "report.json").unlink(),
+        (folder / "report.md").write_text("# 98.6 %"),
+    ],
+    "no report beside a text": lambda folder: (folder / "report.json").unlink(),
+    "web page": lambda folder: (folder / "report.html").write_text(
+        (folder / "report.html").read_text().replace("100.0", "99.0")
+    ),
+}
+
+
+def test_an_unchanged_folder_is_verified(folder: Path) -> None:
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    verification = verify(folder, workers=1, progress=False)
+    assert verification.is_verified, str(verification)
+    assert verification.scenes == (SCENE,)
+    assert "Verified: all 1 episodes are equal." in str(verification)
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+
+
+@pytest.mark.parametrize("forgery", ACTION_FORGERIES)
+def test_forged_actions_are_found(forgery: str, folder: Path, runner: EpisodeRunner) -> None:
+    change_arrays(folder, ACTION_FORGERIES[forgery])
+    assert check_episode(runner, folder, SceneTask(INDEX, SCENE), same_version=True)
+
+
+@pytest.mark.parametrize("forgery", VALUE_FORGERIES)
+def test_forged_values_are_found(forgery: str, folder: Path, simulated: EpisodeResult) -> None:
+    assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True) == []
+    change_arrays(folder, VALUE_FORGERIES[forgery])
+    assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True)
+
+
+@pytest.mark.parametrize("forgery", REPORT_FORGERIES)
+def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
+    assert check_reports(folder) == []
+    REPORT_FORGERIES[forgery](folder)
+    assert check_reports(folder)
+
+
+def test_folders_without_reports_have_none_to_compare(folder: Path) -> None:
+    for name in REPORT_FILES:
+        (folder / name).unlink()
+    assert check_reports(folder) == []
+
+
+def test_what_was_not_compared_is_printed(folder: Path) -> None:
+    path = folder / "config.yaml"
+    text = str(verify(folder, workers=1, progress=False))
+    assert "35 of 36 scenes of the split were not simulated." in text
+    assert "Not compared" not in text
+    content = yaml.safe_load(path.read_text())
+    content["HANDOVER_MARL"]["version"] = "0.7.0"
+    path.write_text(yaml.safe_dump(content))
+    assert "Not compared, because version 0.7.0 wrote them: reports and hashes." in str(
+        verify(folder, workers=1, progress=False)
+    )
+
+
+def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    change_arrays(folder, replaced("result", np.int64(8)))
+    assert main(["verify", str(folder), "--workers", "1", "--no-progress"]) == 1
+    printed = capsys.readouterr().out
+    assert f"| {SCENE} " in printed
+    assert "timeout" in printed
+    assert "Not equal: 1 of 1 episodes" in printed
+
+
+def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
+    evaluate_pair("hesitant", "yang2021", "s0", "val", scenes=[SCENE], out=tmp_path, **OPTIONS)
+    assert verify(tmp_path, workers=1, progress=False).is_verified
+    other = verify(tmp_path, giver="replay", workers=1, progress=False)
+    assert {"giver", "giver_hash"} <= {
+        difference.key for difference in other.differences if difference.scene_id is None
+    }
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("noisy")
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=folder, world_config=NOISY, **OPTIONS)
+    return folder
+
+
+@pytest.mark.parametrize(("key", "value"), [("seed", "0"), ("seed", "1"), ("physics", "mujoco")])
+def test_another_seed_or_physics_in_the_configuration_is_found(
+    key: str, value: str, noisy: Path, tmp_path: Path
+) -> None:
+    path = copy_files(noisy, tmp_path) / "config.yaml"
+    content = yaml.safe_load(path.read_text())
+    is_other = content["HANDOVER_MARL"][key] != value
+    content["HANDOVER_MARL"][key] = value
+    path.write_text(yaml.safe_dump(content))
+    verification = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
+    assert verification.changed_scenes == ((SCENE,) if is_other else ())
+
+
+def test_a_copied_result_is_found(folder: Path) -> None:
+    (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
+    verification = verify(folder, workers=1, progress=False)
+    assert verification.changed_scenes == (24,)
+
+
+def test_another_world_must_be_passed(tmp_path: Path) -> None:
+    config = WorldConfig(physics=PhysicsConfig(gravity=-9.0))
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=config, **OPTIONS)
+    with pytest.raises(ResultsError, match="world_config"):
+        verify(tmp_path, workers=1, progress=False)
+    assert verify(tmp_path, workers=1, progress=False, world_config=config).is_verified
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("seed", "x"), ("physics", "bullet"), ("dataset", "mine"), ("robot", "ur5"), ("giver", "none")]
+)
+def test_unknown_names_in_a_folder_are_errors(key: str, value: str, folder: Path) -> None:
+    path = folder / "config.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["HANDOVER_MARL"][key] = value
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(HandoverError):
+        verify(folder, workers=1, progress=False)
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ResultsError, match=r"result folder .*absent does not exist"):
+        verify(tmp_path / "absent", progress=False)
+    with pytest.raises(ResultsError, match=r"is no result folder: it has no config\.yaml"):
+        verify(tmp_path, progress=False)
+
+
+def test_a_folder_without_results_is_an_error(folder: Path) -> None:
+    with pytest.raises(ResultsError, match="no results of these scenes"):
+        verify(folder, scenes=[14], progress=False)

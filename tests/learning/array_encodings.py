@@ -1,0 +1,51 @@
+"""Random observations of many episodes, for tests of features and action schemes."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import Observation, giver_observation_space
+from handover_marl.learning.features import list_features
+from handover_marl.learning.schemes import list_schemes
+from handover_marl.policies.policy import make_policy_context
+from tests.givers.test_givers import START, seen
+
+CONTEXT = make_policy_context(SyntheticDataset())
+COUNT = 24
+ROWS = np.arange(COUNT)
+
+
+def select(observation: Observation, rows: np.ndarray) -> Observation:
+    return {key: values[rows] for key, values in observation.items()}
+
+
+def draw_observation(seed: int) -> Observation:
+    """Draw observations (COUNT, ...) of all keys, with objects with and without grasps."""
+    rng = np.random.default_rng(seed)
+    rotations = Rotation.random(4 * COUNT, random_state=seed).as_quat().astype(np.float32).reshape(4, COUNT, 4)
+    space = giver_observation_space()
+    found = {key: rng.normal(size=(COUNT, *own.shape)).astype(np.float32) for key, own in space.items()}
+    base = seen()
+    for number, key in enumerate(("gripper_pose", "object_poses", "replay_object_poses", "replay_wrist_poses")):
+        poses = np.tile(base[key], (COUNT, *[1] * base[key].ndim)) + 0.1 * found[key]
+        poses[..., 3:] = rotations[number] if poses.ndim == 2 else rotations[number][:, None]
+        found[key] = poses.astype(np.float32)
+    found["hand_keypoints"] = (base["hand_keypoints"] + 0.05 * found["hand_keypoints"]).astype(np.float32)
+    found["robot_joint_position"] = (START + 0.1 * found["robot_joint_position"]).astype(np.float32)
+    found["object_classes"][:] = 0.0
+    found["object_classes"][:, 0] = rng.choice([1, 2, 5, 14, 16, 21], COUNT)
+    for key in ("hand_present", "released", "holding"):
+        found[key] = (rng.random((COUNT, 1)) < 0.7).astype(np.float32)
+    found["time"] = rng.uniform(0.0, 5.0, (COUNT, 1)).astype(np.float32)
+    return found
+
+
+def choices(names: dict[str, tuple[str, ...]]) -> Iterator[tuple[str, str]]:
+    return ((agent, name) for agent, own in names.items() for name in own)
+
+
+AGENTS = ("giver", "receiver")
+FEATURES = list(choices({agent: list_features(agent) for agent in AGENTS}))
+SCHEMES = list(choices({agent: list_schemes(agent) for agent in AGENTS}))

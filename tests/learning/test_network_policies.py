@@ -1,0 +1,237 @@
+"""Tests of policies that evaluate one network for all episodes of a batch."""
+
+import functools
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import handover_marl
+from handover_marl.config import WorldConfig
+from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.envs.vector.policy_batches import make_policy_batch
+from handover_marl.errors import ActionError
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.learning.features import count_features, list_features
+from handover_marl.learning.learned_policy import LearnedPolicy
+from handover_marl.learning.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import (
+    ACTIVATIONS,
+    DenseNetwork,
+    InputNormalization,
+    OutputBounds,
+    PolicySpec,
+)
+from handover_marl.learning.schemes import count_outputs, list_schemes
+from handover_marl.policies.batch import SequentialPolicyBatch
+from handover_marl.policies.reference import parse_policy
+from tests.learning.array_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
+from tests.tensors import make_device_tensors, make_observe_function
+
+PAIRS = [
+    (agent, features, scheme)
+    for agent, features in choices({agent: list_features(agent) for agent in AGENTS})
+    for scheme in list_schemes(agent)
+]
+#: Pairs with all features and all schemes, but not all combinations: the network alone connects them.
+FEW_PAIRS = [pair for pair in PAIRS if pair[0] == "giver" or pair[1] == "close_stack" or pair[2] == "grasp_servo"]
+
+
+def draw_network(n_inputs: int, n_outputs: int, seed: int, activation: str = "tanh") -> DenseNetwork:
+    rng = np.random.default_rng(seed)
+    sizes = [n_inputs, 32, 16, n_outputs]
+    weights = tuple(
+        (rng.normal(size=(after, before)) / np.sqrt(before)).astype(np.float32)
+        for before, after in itertools.pairwise(sizes)
+    )
+    biases = tuple(rng.normal(0.0, 0.3, size).astype(np.float32) for size in sizes[1:])
+    normalization = bounds = None
+    if seed % 2:
+        spread = rng.uniform(0.5, 2.0, n_inputs)
+        normalization = InputNormalization(rng.normal(size=n_inputs), spread, np.full(n_inputs, 3.0))
+        ones = np.ones(n_outputs, dtype=np.float32)
+        bounds = OutputBounds(-ones, ones, is_scaled=bool(seed % 4 == 1))
+    return DenseNetwork(weights, biases, activation, "identity", normalization, bounds)
+
+
+def write(path: Path, agent: str, features: str, scheme: str, network: DenseNetwork) -> Path:
+    write_policy(path, PolicySpec(agent, features, scheme, 0.1), network)
+    return path
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    rows=st.integers(1, 40),
+    sizes=st.tuples(st.integers(1, 130), st.integers(1, 70)),
+    activation=st.sampled_from(sorted(ACTIVATIONS)),
+)
+def test_a_network_of_many_inputs_equals_one_of_each_to_the_bit(
+    seed: int, rows: int, sizes: tuple[int, int], activation: str
+) -> None:
+    network = draw_network(*sizes, seed, activation)
+    inputs = np.random.default_rng(seed).normal(0.0, 2.0, (rows, sizes[0])).astype(np.float32)
+    found = network(inputs)
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, np.stack([network(one) for one in inputs]))
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    sizes=st.tuples(st.integers(1, 60), st.integers(1, 20)),
+    output=st.booleans(),
+    activation=st.sampled_from(sorted(ACTIVATIONS)),
+)
+def test_a_network_of_tensors_has_the_same_outputs(
+    seed: int, sizes: tuple[int, int], output: bool, activation: str
+) -> None:
+    network = draw_network(*sizes, seed, activation)
+    if output:
+        network = replace(network, output=activation)
+    inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
+    with make_device_tensors() as tensors:
+        found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
+    assert found.dtype == np.float32
+    expected = network(inputs)
+    # Sums of large terms that cancel each other are as accurate as the terms.
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize(("agent", "features", "scheme"), FEW_PAIRS)
+def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
+    network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
+    path = write(tmp_path / "policy.npz", agent, features, scheme, network)
+    with make_device_tensors() as tensors:
+        makers = (NUMPY_ARRAYS, tensors)
+        policy = LearnedPolicy(agent, CONTEXT, path)
+        batches = [make_network_policy_batch(policy, COUNT, np.asarray, arrays) for arrays in makers]
+        starts = np.zeros(COUNT, dtype=np.int64)
+        for decision in range(6):
+            observation = draw_observation(decision)
+            for row in ROWS.tolist() if decision == 0 else [decision]:
+                starts[row] = 100 * decision
+                for batch in batches:
+                    assert batch is not None
+                    batch.reset(row, row, ("025_mug",))
+            rows = ROWS[decision % 3 :: 2]
+            found = []
+            for batch, arrays in zip(batches, makers, strict=True):
+                assert batch is not None
+                steps = arrays.asarray(100 * decision - starts[rows])
+                found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
+            assert is_tensor(found[1])
+            np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
+def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
+    network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
+    path = write(tmp_path / "policy.npz", agent, features, scheme, network)
+    singles = [LearnedPolicy(agent, CONTEXT, path) for _ in ROWS]
+    batch, alone = (make_network_policy_batch(singles[0], COUNT, np.asarray) for _ in range(2))
+    assert batch is not None
+    assert alone is not None
+    some = np.array([5])
+    for episode in range(2):
+        for row, single in enumerate(singles):
+            single.reset(row)
+            batch.reset(row, row, ("025_mug",))
+            alone.reset(row, row, ("025_mug",))
+        for decision in range(5):
+            observation = draw_observation(8 * episode + decision)
+            steps = np.full(COUNT, 100 * decision)
+            found, _ = batch.act(ROWS, functools.partial(select, observation), steps)
+            expected = np.stack([single.act(select(observation, row)) for row, single in enumerate(singles)])
+            np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+            by_itself, _ = alone.act(some, functools.partial(select, observation), steps[some])
+            np.testing.assert_array_equal(by_itself, found[some])
+            # The action is held until the next decision.
+            held, _ = batch.act(ROWS, functools.partial(select, draw_observation(99)), steps + 99)
+            np.testing.assert_array_equal(held, found)
+
+
+def make_batch(policy: Any, agent: str = "receiver", arrays: ArrayFactory = NUMPY_ARRAYS) -> Any:
+    reference = parse_policy(agent, policy, trust=True)
+    return make_policy_batch(reference, SyntheticDataset(), WorldConfig(), "s0", 2, arrays)
+
+
+def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
+    network = draw_network(count_features("receiver", "close"), 7, 0)
+    path = write(tmp_path / "policy.npz", "receiver", "close", "grasp_servo", network)
+    policies = [f"learned:{path}", f"learned:{path}:wait=0.5", handover_marl.as_receiver(path)]
+    assert [type(make_batch(policy)) for policy in policies] == [NetworkPolicyBatch] * 3
+    assert type(make_batch("learned", "giver")) is NetworkPolicyBatch
+    own = "tests.learning.encodings.custom"
+    custom = write(tmp_path / "own.npz", "receiver", f"{own}:OffsetAndCount", "grasp_servo", draw_network(4, 7, 0))
+    assert type(make_batch(f"learned:{custom}")) is SequentialPolicyBatch
+
+    class Other(LearnedPolicy):
+        pass
+
+    assert make_network_policy_batch(Other("receiver", CONTEXT, path), 2, np.asarray) is None
+
+
+def test_a_batch_waits_as_the_option_says(tmp_path: Path) -> None:
+    network = draw_network(count_features("receiver", "close"), 7, 0)
+    path = write(tmp_path / "policy.npz", "receiver", "close", "grasp_servo", network)
+    batch = make_network_policy_batch(LearnedPolicy("receiver", CONTEXT, path, wait=0.5), COUNT, np.asarray)
+    usual = make_network_policy_batch(LearnedPolicy("receiver", CONTEXT, path), COUNT, np.asarray)
+    assert batch is not None
+    assert usual is not None
+    observation = draw_observation(0) | {"time": np.full((COUNT, 1), 0.6, dtype=np.float32)}
+    acted, waited = (one.act(ROWS, functools.partial(select, observation), 0 * ROWS)[0] for one in (batch, usual))
+    assert (acted != waited).any(axis=1).sum() > COUNT // 2
+
+
+def test_outputs_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    huge = np.full((9, count_features("receiver", "receiver")), 3e38, dtype=np.float32)
+    network = DenseNetwork((huge,), (np.zeros(9, dtype=np.float32),))
+    path = write(tmp_path / "policy.npz", "receiver", "receiver", "receiver", network)
+    observation = draw_observation(0)
+    with make_device_tensors() as tensors:
+        for policy, arrays in itertools.product(
+            (f"learned:{path}", handover_marl.as_receiver(path)), (NUMPY_ARRAYS, tensors)
+        ):
+            batch, rows = make_batch(policy, arrays=arrays), arrays.arange(2)
+            with np.errstate(all="ignore"), pytest.raises(ActionError, match="finite"):
+                batch.act(rows, make_observe_function(observation, arrays), 0 * rows)
+
+
+OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "control_period": 0.2}
+
+
+@pytest.mark.parametrize("agent", ["giver", "receiver"])
+def test_whole_episodes_equal_those_of_single_environments(agent: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
+    partner = "receiver" if agent == "giver" else "giver"
+    features, scheme = ("close", "grasp_servo") if partner == "receiver" else ("giver", "offer")
+    network = draw_network(count_features(partner, features), count_outputs(partner, scheme), 2)
+    policy = f"learned:{write(tmp_path / 'policy.npz', partner, features, scheme, network)}"
+
+    def make_single() -> gymnasium.Env[Any, Any]:
+        env = handover_marl.parallel_env(physics="mujoco", max_cycles=16, **OPTIONS)
+        return handover_marl.freeze(env, agent, policy, api="gymnasium")
+
+    envs = [
+        gymnasium.vector.SyncVectorEnv([make_single] * 2, autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP),
+        *(
+            handover_marl.vector_env(n, agent, policy, autoreset="same_step", threads=1, max_cycles=16, **OPTIONS)
+            for n in (2, 1)
+        ),
+    ]
+    for one in envs:
+        one.reset(seed=4)
+    low = envs[0].single_action_space.low
+    for _ in range(18):
+        expected, found, alone = (one.step(np.zeros((one.num_envs, *low.shape), dtype=np.float32)) for one in envs)
+        for key, values in found[0].items():
+            np.testing.assert_allclose(values, expected[0][key], rtol=0, atol=1e-4)
+            np.testing.assert_array_equal(alone[0][key], values[:1])
+    for one in envs:
+        one.close()

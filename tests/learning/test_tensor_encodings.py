@@ -1,0 +1,152 @@
+"""Tests of features and action schemes on PyTorch tensors: they equal those on NumPy arrays."""
+
+import functools
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="needs MuJoCo")
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+import handover_marl
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
+from handover_marl.learning.action_scheme import ActionScheme
+from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.features import make_array_features
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
+from handover_marl.learning.schemes import make_array_scheme
+from tests.learning.array_encodings import CONTEXT, FEATURES, SCHEMES, draw_observation, select
+from tests.tensors import make_device_tensors
+
+COUNT = 6
+STEPS = 35
+RANDOM_STATES = 8
+FLAGS = ("released", "holding", "hand_present")
+
+
+@functools.cache
+def record_observations() -> list[Observation]:
+    """Return observations (COUNT, ...) of every second step, in which givers release, and of random states.
+
+    In every second random state, grippers are near grasps.
+    """
+    envs = handover_marl.vector_env(
+        COUNT, None, dataset="synthetic", setup="s0", split="train", control_period=0.2, max_cycles=30, threads=1
+    )
+    rng, found = np.random.default_rng(0), [envs.reset(seed=0)[0]["giver"]]
+    for step in range(STEPS):
+        giver = np.zeros((COUNT, 8), dtype=np.float32)
+        giver[:, 7] = 5 * np.arange(COUNT) + 6 < step
+        near = found[-1]["robot_joint_position"] + 0.15 * rng.normal(size=(COUNT, 9))
+        found.append(envs.step({"giver": giver, "receiver": near.astype(np.float32)})[0]["giver"])
+    envs.close()
+    found = found[::2]
+    for seed in range(RANDOM_STATES):
+        found.append(select(draw_observation(seed), np.arange(COUNT)))
+        if seed % 2:
+            grasps, _, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(np.arange(COUNT), found[-1])
+            found[-1]["gripper_pose"][exists] = grasps[exists] + rng.normal(scale=0.03, size=(exists.sum(), 7))
+    return found
+
+
+def test_recorded_observations_have_all_states() -> None:
+    recorded = record_observations()[:-RANDOM_STATES]
+    for key in FLAGS:
+        assert set(np.unique([one[key] for one in recorded]).tolist()) == {0.0, 1.0}, key
+    assert max(one["time"].max() for one in recorded) > 3.0
+
+
+@pytest.fixture
+def arrays() -> Iterator[ArrayFactory]:
+    with make_device_tensors() as factory:
+        yield factory
+
+
+def iterate_steps(arrays: ArrayFactory, *batches: Any) -> Iterator[tuple[np.ndarray, Observation, Any, Any]]:
+    """Yield rows and observations of some episodes on the host and as tensors; reset some episodes before."""
+    rng = np.random.default_rng(1)
+    for recorded in record_observations():
+        for row in np.flatnonzero(rng.random(COUNT) < 0.03).tolist():
+            for batch in batches:
+                batch.reset(row)
+        rows = rng.permutation(COUNT)[: rng.integers(1, COUNT + 1)]
+        observation = select(recorded, rows)
+        tensors = {key: arrays.asarray(values) for key, values in observation.items()}
+        yield rows, observation, arrays.asarray(rows), tensors
+
+
+def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> None:
+    assert is_tensor(found)
+    own = to_numpy(found)
+    assert own.dtype == expected.dtype
+    np.testing.assert_allclose(own, expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize(("agent", "name"), FEATURES)
+def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
+    host = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
+    batch = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT, arrays), COUNT, arrays)
+    for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
+        assert_equal(batch(own_rows, tensors), host(rows, observation))
+
+
+@pytest.mark.parametrize(("agent", "name"), SCHEMES)
+def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
+    host = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
+    batch = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT, arrays), COUNT, arrays)
+    rng, n_outputs = np.random.default_rng(2), 0
+    for rows, observation, own_rows, tensors in iterate_steps(arrays, host, batch):
+        needs, own_needs = host.needs_outputs(rows, observation), batch.needs_outputs(own_rows, tensors)
+        assert_equal(own_needs, needs)
+        outputs = rng.uniform(-1.3, 1.3, (needs.sum(), host.size)).astype(np.float32)
+        n_outputs += len(outputs)
+        host.set_outputs(rows[needs], outputs)
+        batch.set_outputs(own_rows[own_needs], arrays.asarray(outputs))
+        assert_equal(batch.compute_actions(own_rows, tensors), host.compute_actions(rows, observation))
+    assert n_outputs > COUNT
+
+
+def test_selections_of_tensors(arrays: ArrayFactory) -> None:
+    host, batch = LowestCostGraspSelector(CONTEXT, COUNT), LowestCostGraspSelector(CONTEXT, COUNT, arrays)
+    n_grasps = 0
+    for rows, observation, own_rows, tensors in iterate_steps(arrays):
+        expected, found = host.select(rows, observation), batch.select(own_rows, tensors)
+        n_grasps += int(expected[2].sum())
+        for one, other in zip(found, expected, strict=True):
+            assert_equal(one, other, 1e-9)
+    assert n_grasps > 2 * COUNT
+
+
+@declare_size(2)
+def compute_fingers(observation: Observation) -> np.ndarray:
+    assert all(type(values) is np.ndarray for values in observation.values())
+    return observation["robot_joint_position"][7:]
+
+
+class PatientScheme(ActionScheme):
+    """User-defined scheme that accepts NumPy arrays only and waits."""
+
+    name, agent, size = "patient", "receiver", 7
+
+    def needs_outputs(self, observation: Observation) -> bool:
+        assert all(type(values) is np.ndarray for values in observation.values())
+        return bool(observation["time"][0] > 0.5)
+
+    def set_outputs(self, outputs: np.ndarray) -> None:
+        assert type(outputs) is np.ndarray
+        super().set_outputs(outputs)
+
+    def compute_action(self, observation: Observation) -> np.ndarray:
+        arm = observation["robot_joint_position"][:7] + 0.2 * self.outputs
+        return np.array([*arm, 0.04, 0.04], dtype=np.float32)
+
+
+def test_user_defined_features_get_arrays(arrays: ArrayFactory) -> None:
+    test_features_of_tensors("receiver", compute_fingers, arrays)  # type: ignore[arg-type]
+
+
+def test_user_defined_schemes_get_arrays(arrays: ArrayFactory) -> None:
+    test_actions_of_tensors("receiver", PatientScheme, arrays)  # type: ignore[arg-type]

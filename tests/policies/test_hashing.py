@@ -1,0 +1,149 @@
+"""Tests of hashes of policies: of their code, of the values that they use, of arrays and of files."""
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import handover_marl
+from handover_marl.datasets import open_dataset
+from handover_marl.errors import ResultsError
+from handover_marl.policies import hashing
+from handover_marl.policies.hashing import hash_object, hash_policy, list_packages
+from handover_marl.policies.policy import Action
+from handover_marl.policies.reference import parse_policy
+from handover_marl.receivers import Receiver
+from handover_marl.receivers.hold import HoldReceiver
+
+WEIGHTS = np.arange(3.0)
+
+
+class Weighted(Receiver):
+    """Receiver that holds an array of a file, or any state."""
+
+    name = "weighted"
+    file_options = ("weights",)
+
+    def __init__(self, weights: str = "", state: Any = None) -> None:
+        self._target = np.load(weights) if weights else None
+        self._state = state
+
+    def reset(self, seed: int | None = None) -> None:
+        pass
+
+    def act(self, observation: dict[str, Any]) -> Action:
+        return np.zeros(9, dtype=np.float32)
+
+
+def use_weights(value: float) -> float:
+    return float(WEIGHTS.sum()) * value
+
+
+def use_helper(value: float) -> float:
+    return use_weights(value)
+
+
+def make(gain: float, table: Any = None) -> Callable[[float], float]:
+    def multiply(value: float, power: int = 2) -> float:
+        return gain * value**power if table is None else float(table["weights"][0])
+
+    return multiply
+
+
+class Linear:
+    def __init__(self, slope: float) -> None:
+        self.slope = slope
+
+    def __call__(self, value: float) -> float:
+        return self.slope * value
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (lambda: make(1.0), lambda: make(2.0)),
+        (lambda: lambda value: value + 1, lambda: lambda value: value + 2),
+        (lambda: math.sin, lambda: math.cos),
+        (lambda: Linear(1.0), lambda: Linear(2.0)),
+        (lambda: Linear(1.0).__call__, lambda: Linear(2.0).__call__),
+        (lambda: functools.partial(make(1.0), power=1), lambda: functools.partial(make(1.0), power=3)),
+        (lambda: make(1.0, {"weights": np.zeros(2)}), lambda: make(1.0, {"weights": np.ones(2)})),
+        (lambda: make(1.0, {"weights": np.zeros(2)}), lambda: make(1.0, {"weights": np.zeros(2, np.float32)})),
+        (lambda: Path("a"), lambda: Path("b")),
+        (lambda: {"a", "b"}, lambda: {"a", "c"}),
+    ],
+)
+def test_values_differ(first: Callable[[], Any], second: Callable[[], Any]) -> None:
+    assert hash_object(first()) == hash_object(first())
+    assert hash_object(first()) != hash_object(second())
+
+
+@pytest.mark.parametrize("function", [use_weights, use_helper, lambda value: use_helper(value)])
+def test_variables_of_the_module_count_where_they_are_used(function: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, other = hash_object(function), hash_object(make)
+    monkeypatch.setitem(globals(), "WEIGHTS", np.arange(4.0))
+    assert hash_object(function) != before
+    assert hash_object(make) == other
+
+
+@pytest.mark.parametrize("kind", ["array", "tensor", "network", "list", "dictionary", "object"])
+def test_arrays_and_tensors_of_a_policy(kind: str) -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+
+    def hash_state(value: float) -> str:
+        layer, array = torch.nn.Linear(2, 2), np.full(3, value)
+        for part in layer.parameters():
+            torch.nn.init.constant_(part, value)
+        states = {
+            "array": array,
+            "tensor": torch.full((3,), value, dtype=torch.bfloat16, requires_grad=True),
+            "network": torch.jit.script(layer),
+            "list": [1, "a", array],
+            "dictionary": {"a": {"b": array}},
+            "object": functools.partial(max, Linear(layer)),  # type: ignore[arg-type]
+        }
+        return hash_object(Weighted(state=states[kind]), arrays_only=True)
+
+    assert hash_state(1.0) == hash_state(1.0) != hash_state(2.0)
+
+
+def test_a_policy_without_arrays() -> None:
+    loop: list[Any] = []
+    loop.append(loop)
+    assert hash_object(Weighted(state=[1, "a", None, np, loop]), arrays_only=True) == ""
+    assert hash_object([1, loop])
+
+
+def test_version_and_weights_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = hash_policy(HoldReceiver)
+    assert parse_policy("receiver", "hold").resolve(open_dataset("synthetic")).code_hash == hash_policy(
+        HoldReceiver, ()
+    )
+    assert hash_policy(HoldReceiver, weights=b"1").startswith(f"{code}.")
+    assert hash_policy(HoldReceiver, weights=b"1") != hash_policy(HoldReceiver, weights=b"2")
+    monkeypatch.setattr(hashing, "__version__", "0.0.1")
+    assert hash_policy(HoldReceiver) != code
+
+
+def test_packages_of_imported_functions() -> None:
+    assert list_packages(use_weights) == ("tests",)
+    assert list_packages(Linear(1.0)) == list_packages(Linear(1.0).__call__) == ("tests",)
+    assert list_packages(functools.partial(use_weights)) == ("tests",)
+    assert list_packages(lambda value: value) == ()
+    assert list_packages(np.linalg.norm) == list_packages(math.sin) == ()
+
+
+def test_results_of_other_weights_are_not_mixed(tmp_path: Path) -> None:
+    weights, out = tmp_path / "w.npy", tmp_path / "out"
+    options: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False, "out": out}
+    np.save(weights, np.zeros(9))
+    for scenes in ([9], [9, 14]):
+        report = handover_marl.benchmark("s0", "val", (Weighted, {"weights": str(weights)}), scenes=scenes, **options)
+    assert report.n_resumed == 1
+    np.save(weights, np.ones(9))
+    with pytest.raises(ResultsError, match="receiver hash"):
+        handover_marl.benchmark("s0", "val", (Weighted, {"weights": str(weights)}), scenes=[9, 14, 19], **options)
