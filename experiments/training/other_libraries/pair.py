@@ -84,8 +84,10 @@ def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -
         write_policy(path, PolicySpec(agent, FEATURES[agent], SCHEMES[agent], args.control_period, origin), network)
     data = args.open_dataset()
     setup = data.resolve_setup(args.setup)
+    giver, receiver = (f"learned:{Path(args.out) / agent}.npz" for agent in ("giver", "receiver"))
     report = handover_marl.evaluate_pair(
-        *(f"learned:{Path(args.out) / agent}.npz" for agent in ("giver", "receiver")),
+        giver,
+        receiver,
         setup,
         "val",
         scenes=select_scenes_evenly(data.list_scenes(setup, "val"), args.val_scenes),

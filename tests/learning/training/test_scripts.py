@@ -2,16 +2,18 @@
 
 import csv
 import functools
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from handover_marl import benchmark, givers, receivers
+from handover_marl import evaluate_pair, givers, receivers
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import OptionError, ResultsError
+from handover_marl.learning.imitation import run
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
 from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig
 from handover_marl.learning.training.run_folder import open_run_folder
@@ -127,17 +129,17 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "ViewDatasetConfig", functools.partial(ViewDatasetConfig, labels=labels))
     evaluated = []
 
-    def hold(setup: str, split: str, receiver: str, **how: Any) -> Any:
+    def evaluate_hold(config: Any, execution: Any) -> Any:
         """Evaluate `hold`, whose episodes take less time; the trained network acts in the rollouts of round 1."""
-        evaluated.append(receiver.rpartition("/")[2])
-        return benchmark(setup, split, "hold", **how)
+        evaluated.append(Path(config.receiver[1]["weights"]).name)
+        return evaluate_pair(replace(config, receiver="hold"), execution=execution)
 
-    monkeypatch.setattr(train, "benchmark", hold)
+    monkeypatch.setattr(run, "evaluate_pair", evaluate_hold)
     few = {"dataset": "synthetic", "updates": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
-    assert files(out) >= {"vision.npz", "checkpoint.pt", "logs", "round_1.npz"}
+    assert files(out) == {"arguments.json", "vision.npz", "latest.npz", "checkpoint.pt", "tensorboard", "views"}
     assert weights == out / "vision.npz"
     rounds = [out / "views" / name for name in ("round_0", "round_1")]
     assert [len(list(folder.glob("*.npz"))) for folder in rounds] == [2, 1], "of synthetic scenes"
