@@ -70,7 +70,8 @@ def measure_processor(args: Args) -> str:
     if args.vector_envs and MUJOCO in envs:
         for name, count in (("threads", 1), ("threads", 2), ("processes", 2)):
             label = f"mujoco, batch of {args.vector_envs}, {name}={count}"
-            envs[label] = handover_marl.vector_env(args.vector_envs, None, physics=MUJOCO, **{name: count}, **where)
+            options: dict[str, Any] = {**where, "physics": MUJOCO, name: count}
+            envs[label] = handover_marl.vector_env(args.vector_envs, None, **options)
     seconds = np.zeros((args.repetitions, len(envs)))
     for run in track(range(args.repetitions), "runs"):
         generators = [np.random.default_rng(run) for _ in envs]

@@ -54,8 +54,7 @@ class Args(ImitationArgs):
         stride: Use every n-th scene of the training split.
         extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
             theirs.
-        shared_views: Folder of the first round's views, shared by several runs; default: in `out`.
-        views_seed: Seed of the first round's views; default: `seed`. Runs that share views need the same one.
+        views_seed: Seed of the first round's views; default: `seed`.
     """
 
     out: str = "runs/vision"
@@ -66,14 +65,12 @@ class Args(ImitationArgs):
     round_stride: int = 3
     stride: int = 1
     extra_datasets: tuple[str, ...] = ()
-    shared_views: str | None = None
     views_seed: int | None = None
 
 
 def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int], number: int) -> GraspViews:
     """Return the views of scenes of a data set in a round; generate missing ones."""
-    shared = args.shared_views if number == 0 else None
-    folder = run.folder / "views" / f"round_{number}" if shared is None else Path(shared)
+    folder = run.folder / "views" / f"round_{number}"
     data_dir = args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None

@@ -52,7 +52,8 @@ class ImitationArgs(DatasetArgs):
     @property
     def update_counts(self) -> list[int]:
         """Number of updates at the end of the first round and of each round in which the network acts."""
-        return np.linspace(0, self.updates, self.rounds + 2).round().astype(int)[1:].tolist()
+        counts: list[int] = np.linspace(0, self.updates, self.rounds + 2).round().astype(int)[1:].tolist()
+        return counts
 
 
 class ImitationRun:

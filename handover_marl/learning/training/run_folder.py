@@ -23,7 +23,7 @@ _HELD_OUT = 10
 # Arguments that may change when a run is resumed: durations and paths.
 _FREE = ("resume", "out", "data_dir", "decisions", "minutes")
 # Arguments that the description of a policy's training omits: paths, and those without effect.
-_UNRECORDED_ARGUMENTS = ("out", "data_dir", "shared_views", "resume", "workers")
+_UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
 
 
 def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
