@@ -19,6 +19,6 @@ def register_environments() -> None:
         gymnasium.register(
             name,
             f"{_CONSTRUCTORS}:single_agent_env",
-            vector_entry_point=f"{_CONSTRUCTORS}:single_agent_vector_env",
+            vector_entry_point="handover_marl.envs.vector.vector_env:vector_env",
             kwargs={"agent": agent},
         )

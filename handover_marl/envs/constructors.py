@@ -7,15 +7,12 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
 from handover_marl.envs.arguments import RECEIVER
-from handover_marl.envs.config import EnvConfig, make_env_config
+from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.vector_env import HandoverVectorEnv, vector_env
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
 from handover_marl.errors import OptionError
 from handover_marl.execution.options import forward_signature
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
 
 # Fields that the benchmark does not fix; it prescribes physics, rules, horizon and camera.
@@ -65,53 +62,6 @@ def single_agent_env(
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
     return freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
-
-
-@forward_signature(EnvConfig)
-def single_agent_vector_env(
-    num_envs: int,
-    agent: str,
-    partner: PolicyLike | None = None,
-    features: FeaturesLike | None = None,
-    schemes: SchemeLike | None = None,
-    autoreset: str = "next_step",
-    threads: int | None = None,
-    processes: int | None = None,
-    trust: bool = False,
-    config: EnvConfig | None = None,
-    **fields: Any,
-) -> HandoverVectorEnv:
-    """Make a Gymnasium vector environment of one agent; `gymnasium.make_vec` calls this function.
-
-    It is `handover_marl.vector_env` with the defaults of `gymnasium.make`, so that physics is "exact"
-    unless another is chosen. "mujoco" is simulated in lockstep on several threads or in several processes.
-
-    Args:
-        num_envs: Number of environments.
-        agent: Agent that is controlled from outside, "receiver" or "giver".
-        partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
-        features: Features that replace observations, as in `encode`.
-        schemes: Action scheme whose outputs replace actions, as in `encode`.
-        autoreset: Gymnasium's mode of the reset after an episode's end: "next_step", "same_step" or
-            "disabled".
-        threads: Number of simulation threads; default: one per core, without processes.
-        processes: Number of processes that simulate the environments; default: this process simulates.
-        trust: Whether a policy file may run code.
-        config: Configuration of each environment; default: one made of `fields`.
-        fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
-    """
-    return vector_env(
-        num_envs,
-        agent,
-        partner,
-        features=features,
-        schemes=schemes,
-        autoreset=autoreset,
-        threads=threads,
-        processes=processes,
-        trust=trust,
-        config=make_env_config(config, fields),
-    )
 
 
 @forward_signature(EnvConfig, without=_PRESCRIBED, defaults={"split": "test"})

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -150,46 +150,6 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         }
 
 
-@overload
-def vector_env(
-    num_envs: int,
-    agent: str = ...,
-    partner: PolicyLike | None = ...,
-    *,
-    features: FeaturesLike | None = ...,
-    schemes: SchemeLike | None = ...,
-    wrappers: Sequence[WrapperFunction] = ...,
-    autoreset: str = ...,
-    threads: int | None = ...,
-    processes: int | None = ...,
-    backend: str = ...,
-    device: str = ...,
-    trust: bool = ...,
-    config: EnvConfig | None = ...,
-    **fields: Any,
-) -> HandoverVectorEnv: ...
-
-
-@overload
-def vector_env(
-    num_envs: int,
-    agent: Literal[None],
-    partner: None = ...,
-    *,
-    features: Mapping[str, FeaturesLike] | None = ...,
-    schemes: Mapping[str, SchemeLike] | None = ...,
-    wrappers: Sequence[WrapperFunction] = ...,
-    autoreset: str = ...,
-    threads: int | None = ...,
-    processes: int | None = ...,
-    backend: str = ...,
-    device: str = ...,
-    trust: bool = ...,
-    config: EnvConfig | None = ...,
-    **fields: Any,
-) -> ParallelVectorEnv: ...
-
-
 @forward_signature(EnvConfig, defaults={"physics": MUJOCO})
 def vector_env(
     num_envs: int,
@@ -207,8 +167,10 @@ def vector_env(
     trust: bool = False,
     config: EnvConfig | None = None,
     **fields: Any,
-) -> HandoverVectorEnv | ParallelVectorEnv:
+) -> Any:
     """Make many environments, which MuJoCo simulates together on several threads or in several processes.
+
+    The result is a `HandoverVectorEnv` of one agent, or with `agent=None` a `ParallelVectorEnv` of both.
 
     Each environment behaves as a single one with its seed, whatever the number of environments, threads and
     processes. In other physics, with a camera or with wrappers, the backend "threads" steps environments one after

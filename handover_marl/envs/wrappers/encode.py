@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from typing import Any, Literal, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,6 @@ from handover_marl.envs.wrappers.wrapper import (
     ByAgent,
     ParallelStep,
     ParallelWrapper,
-    SingleAgentEnv,
     WrappableEnv,
     convert_api,
 )
@@ -218,33 +217,13 @@ class EncodedEnv(ParallelWrapper):
         return any(scheme.needs_outputs(self._observations[agent]) for agent, scheme in self._schemes.items())
 
 
-@overload
-def encode(
-    env: WrappableEnv,
-    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
-    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
-    *,
-    api: Literal["parallel"] = "parallel",
-) -> EncodedEnv: ...
-
-
-@overload
-def encode(
-    env: WrappableEnv,
-    features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
-    schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
-    *,
-    api: Literal["gymnasium"],
-) -> SingleAgentEnv: ...
-
-
 def encode(
     env: WrappableEnv,
     features: FeaturesLike | Mapping[str, FeaturesLike] | None = None,
     schemes: SchemeLike | Mapping[str, SchemeLike] | None = None,
     *,
     api: Api = "parallel",
-) -> EncodedEnv | SingleAgentEnv:
+) -> Any:
     """Return an environment whose observations are feature vectors and whose actions are outputs in [-1, 1].
 
     Args:

@@ -1,6 +1,6 @@
 """Wrapper that leaves one agent to be controlled; a fixed policy acts for the other agent."""
 
-from typing import Any, Literal, overload
+from typing import Any
 
 from gymnasium.utils import EzPickle, seeding
 
@@ -11,7 +11,6 @@ from handover_marl.envs.wrappers.wrapper import (
     ByAgent,
     ParallelStep,
     ParallelWrapper,
-    SingleAgentEnv,
     WrappableEnv,
     convert_api,
 )
@@ -111,28 +110,6 @@ class FrozenPartnerEnv(ParallelWrapper):
         return {self.live_agent: by_agent[self.live_agent]}
 
 
-@overload
-def freeze(
-    env: WrappableEnv,
-    agent: str = RECEIVER,
-    partner: PolicyLike | None = None,
-    *,
-    api: Literal["parallel"] = "parallel",
-    trust: bool = False,
-) -> FrozenPartnerEnv: ...
-
-
-@overload
-def freeze(
-    env: WrappableEnv,
-    agent: str = RECEIVER,
-    partner: PolicyLike | None = None,
-    *,
-    api: Literal["gymnasium"],
-    trust: bool = False,
-) -> SingleAgentEnv: ...
-
-
 def freeze(
     env: WrappableEnv,
     agent: str = RECEIVER,
@@ -140,7 +117,7 @@ def freeze(
     *,
     api: Api = "parallel",
     trust: bool = False,
-) -> FrozenPartnerEnv | SingleAgentEnv:
+) -> Any:
     """Return an environment in which one agent is controlled; a fixed policy acts for the other.
 
     Args:

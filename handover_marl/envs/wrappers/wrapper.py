@@ -1,7 +1,7 @@
 """Base class of the environment's wrappers, and a Gymnasium adapter for one agent."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, TypeAlias, TypeVar, overload
+from typing import Any, Literal, TypeAlias
 
 import gymnasium
 from gymnasium.utils import EzPickle
@@ -145,18 +145,9 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
 
 
 Api = Literal["parallel", "gymnasium"]
-_Env = TypeVar("_Env", bound=ParallelWrapper)
 
 
-@overload
-def convert_api(env: _Env, api: Literal["parallel"]) -> _Env: ...
-
-
-@overload
-def convert_api(env: _Env, api: Api) -> _Env | SingleAgentEnv: ...
-
-
-def convert_api(env: _Env, api: Api) -> _Env | SingleAgentEnv:
+def convert_api(env: ParallelWrapper, api: Api) -> ParallelWrapper | SingleAgentEnv:
     """Convert a parallel environment to the requested API.
 
     Args:
