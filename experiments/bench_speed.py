@@ -11,6 +11,7 @@ against their number. Their first step, which compiles kernels, is not measured.
 import time
 from dataclasses import dataclass
 from datetime import date
+from typing import Any
 
 import numpy as np
 import tyro
@@ -61,15 +62,16 @@ class Args(SetupArgs):
 
 def measure_processor(args: Args) -> str:
     """Return a table of the speed of small random motions in wall-clock time, by engine and size of the batch."""
-    where = {"data_dir": args.data_dir, "dataset": args.dataset, "control_period": args.control_period}
+    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset}
+    where["control_period"] = args.control_period
     envs: dict[str, HandoverEnv | ParallelVectorEnv] = {
         physics: HandoverEnv(physics=physics, **where) for physics in list_available_physics()
     }
     if args.vector_envs and MUJOCO in envs:
-        for split in ({"threads": 1}, {"threads": 2}, {"processes": 2}):
-            ((name, count),) = split.items()
+        for name, count in (("threads", 1), ("threads", 2), ("processes", 2)):
             label = f"mujoco, batch of {args.vector_envs}, {name}={count}"
-            envs[label] = handover_marl.vector_env(args.vector_envs, None, physics=MUJOCO, **split, **where)
+            options: dict[str, Any] = {**where, "physics": MUJOCO, name: count}
+            envs[label] = handover_marl.vector_env(args.vector_envs, None, **options)
     seconds = np.zeros((args.repetitions, len(envs)))
     for run in track(range(args.repetitions), "runs"):
         generators = [np.random.default_rng(run) for _ in envs]

@@ -1,6 +1,6 @@
 """Train a giver for a frozen receiver with Stable-Baselines3's PPO.
 
-The script needs the extras `train` and `plot`.
+The script needs the extra `train`.
 
     python experiments/training/train_giver_sb3.py --data-dir DIR --out runs/giver
 
@@ -8,8 +8,8 @@ An episode is one decision: the handover pose of the object
 (`handover_marl.learning.giver_schemes.HandoverPoseScheme`); the rest of the person's motion is
 scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains from scratch),
 then learns on nine tenths of a training split in fast physics, with evaluations on the validation
-split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `learning_curve.csv`
-and `.png`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
+split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `progress.csv`, TensorBoard
+logs, and a checkpoint, from which `--resume` continues.
 """
 
 import functools
@@ -22,9 +22,7 @@ import tyro
 from stable_baselines3 import PPO
 
 from handover_marl.execution.options import count_available_cores
-from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.environments import record_first_decisions
-from handover_marl.learning.training.stable_baselines import train_agent
+from handover_marl.learning.training.stable_baselines import PpoArgs, record_first_decisions, train_agent
 
 
 @dataclass(frozen=True)

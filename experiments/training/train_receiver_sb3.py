@@ -1,15 +1,14 @@
 """Train a receiver from scratch for a frozen giver with Stable-Baselines3's PPO.
 
-The script needs the extras `train` and `plot`, and by default MuJoCo; `--physics fast` does not need it, but
-is slower.
+The script needs the extra `train`, and by default MuJoCo; `--physics fast` does not need it, but is slower.
 
     python experiments/training/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
 The policy learns when to close the gripper, and to correct the approach to a grasp
 (`handover_marl.learning.receiver_schemes.GraspServoScheme`), from the sparse reward, on nine tenths
 of a training split, with evaluations without exploration noise on the validation split. The folder
-gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `learning_curve.csv` and `.png`,
-TensorBoard logs, and a checkpoint, from which `--resume` continues.
+gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `progress.csv`, TensorBoard logs, and a
+checkpoint, from which `--resume` continues.
 """
 
 import functools
@@ -21,8 +20,7 @@ import torch
 import tyro
 from stable_baselines3 import PPO
 
-from handover_marl.learning.training.arguments import PpoArgs
-from handover_marl.learning.training.stable_baselines import train_agent
+from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@
 `fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
 after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated
 `cooperative`; there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in
-`OUT/pairs`. The script needs the extras `train` and `plot`. The same command continues an interrupted run
+`OUT/pairs`. The script needs the extra `train`. The same command continues an interrupted run
 after the last written policy.
 """
 
@@ -26,7 +26,7 @@ import tyro
 
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import write_atomically
-from handover_marl.learning.training.run_folder import RunFolder
+from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population
 
@@ -152,9 +152,7 @@ def open_folder(args: Args, name: str, free: tuple[str, ...]) -> Path:
         ResultsError: The folder was made with other arguments.
     """
     path = args.out / name
-    # Compares the arguments with those that are recorded in the folder, or records them.
-    RunFolder(path, args, path.exists(), args.open_dataset().name, free)
-    return path
+    return open_run_folder(path, args, path.exists(), args.open_dataset().name, free)
 
 
 def train_pairs(args: Args) -> Path:

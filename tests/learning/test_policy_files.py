@@ -68,13 +68,6 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.function(seen), wanted(seen))
 
 
-def test_other_file_names_are_refused_before_anything_is_written(tmp_path: Path) -> None:
-    spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
-    with pytest.raises(OptionError, match="a policy file to write must end in"):
-        write_policy(tmp_path / "policy", spec, network(count_features("receiver", "grasp"), 7))
-    assert not list(tmp_path.iterdir())
-
-
 def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     first, second = offer_file(tmp_path / "policy.npz"), tmp_path / "other" / "policy.npz"
     second.parent.mkdir()
@@ -152,13 +145,6 @@ def test_random_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, cont
     path = tmp_path_factory.mktemp("noise") / "policy.npz"
     path.write_bytes(content)
     with pytest.raises(DataFormatError):
-        read_policy(path, "giver")
-
-
-def test_truncated_file_is_refused(tmp_path: Path) -> None:
-    path = offer_file(tmp_path / "policy.npz")
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(DataFormatError, match="not a policy file of handover_marl"):
         read_policy(path, "giver")
 
 

@@ -133,6 +133,7 @@ def _adapt(
     _check_choice("features", features, (*list_features(agent), OBSERVATION))
     _check_choice("action scheme", action_scheme, list_schemes(agent))
     chosen = features, action_scheme
+    function: Callable[[Any], Any]
     if isinstance(policy, (str, os.PathLike)):
         stem, function, encoding = _read_file(agent, Path(policy).expanduser(), control_period, chosen, trust)
     elif is_sb3_model(policy):

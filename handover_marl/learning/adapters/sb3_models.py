@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.ppo import PPO
+from stable_baselines3.sac import SAC
 from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.td3 import TD3
 from stable_baselines3.td3.policies import TD3Policy
 from torch import nn
 

@@ -1,38 +1,158 @@
-"""Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`.
+"""Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`."""
 
-The module has functions for the training, its environments, policy files and checkpoints, and a
-callback that evaluates the policy.
-"""
-
+import functools
 import math
+import sys
+import time
+import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
 
-from handover_marl.envs.arguments import AGENTS
+from handover_marl import givers
+from handover_marl.datasets.splits import select_scenes_evenly
+from handover_marl.envs.arguments import AGENTS, GIVER
+from handover_marl.envs.config import EnvConfig
+from handover_marl.envs.constructors import parallel_env
+from handover_marl.envs.custom_rewards import set_discount
+from handover_marl.envs.vector.vector_env import vector_env
+from handover_marl.envs.wrappers.encode import EncodedEnv, encode
+from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX, EpisodeReturns
+from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import OptionError
+from handover_marl.evaluation.benchmark import evaluate_pair
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
-from handover_marl.learning.training.arguments import PpoArgs
+from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.encodings.custom_features import FeatureExtractor
+from handover_marl.learning.features import make_features
+from handover_marl.learning.policy_files import write_policy
+from handover_marl.learning.policy_spec import PolicySpec
+from handover_marl.learning.schemes import make_scheme, outputs_from_action
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.environments import make_frozen_env_factory, make_frozen_vector_env
-from handover_marl.learning.training.run_folder import read_checkpoint, write_checkpoint
-from handover_marl.learning.training.training_run import TrainingRun
+from handover_marl.learning.training.run_folder import (
+    CHECKPOINT,
+    OUTCOMES,
+    POLICY,
+    describe_origin,
+    open_run_folder,
+    read_checkpoint,
+    select_training_scenes,
+    summarize_evaluation,
+    write_checkpoint,
+)
+from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.policies.policy import PolicyContext
 from handover_marl.simulation.engines import MUJOCO
+
+# Number of episodes whose first decisions are recorded together.
+_RECORDED_TOGETHER = 64
+
+
+@dataclass(frozen=True)
+class PpoArgs(SetupArgs):
+    """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
+
+    Attributes:
+        out: Folder of the run.
+        seed: Seed of all random numbers.
+        features: Name of the features that the learning agent observes, or module:name of user-defined features.
+        actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
+        rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
+        control_period: Time between two decisions (s).
+        time_limit: Time after which training episodes are truncated (s).
+        physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
+        num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
+        decisions: Largest number of decisions of the agent.
+        minutes: Largest wall-clock time (min).
+        batch_size: Number of decisions in all environments together between updates.
+        epochs: Number of passes over the collected data between updates.
+        learning_rate: Learning rate of Adam.
+        discount: Discount factor; potential-based rewards use it too.
+        gae_lambda: Lambda of generalized advantage estimation.
+        width: Width of the two hidden layers of each network.
+        initial_std: Initial standard deviation of the network outputs, for exploration.
+        eval_interval: Number of decisions between evaluations.
+        eval_start: Whether to evaluate before the training, too.
+        val_scenes: Number of validation scenes per evaluation, evenly chosen.
+        resume: Whether to continue the run in the folder `out`.
+    """
+
+    out: str = "runs/training"
+    seed: int = 0
+    features: str = "close"
+    actions: str = "grasp_servo"
+    rewards: str = "sparse"
+    control_period: float = 0.2
+    time_limit: float = 8.0
+    physics: str = "mujoco"
+    num_envs: int = 0
+    decisions: int = 49_152
+    minutes: float = 30.0
+    batch_size: int = 2_048
+    epochs: int = 8
+    learning_rate: float = 1e-3
+    discount: float = 0.85
+    gae_lambda: float = 0.95
+    width: int = 128
+    initial_std: float = 0.4
+    eval_interval: int = 8_192
+    eval_start: bool = True
+    val_scenes: int = 36
+    resume: bool = False
+
+    def __post_init__(self) -> None:
+        # `module:name` may be in the working folder, which Python does not search when it runs a script.
+        folder = str(Path.cwd())
+        if folder not in sys.path and any(is_reference(value) for value in vars(self).values()):
+            sys.path.append(folder)
+        if self.batch_size < self.resolved_num_envs:
+            raise OptionError(
+                f"batch_size must be at least the number of environments, {self.resolved_num_envs}, got "
+                f"{self.batch_size}; choose fewer with num_envs"
+            )
+
+    @property
+    def resolved_num_envs(self) -> int:
+        """Number of environments simulated in parallel, where `num_envs` may be 0."""
+        return self.num_envs or (64 if self.physics == MUJOCO else 8)
+
+    def make_env_config(self) -> EnvConfig:
+        """Create the configuration of the environment on the training scenes."""
+        return EnvConfig(
+            setup=self.setup,
+            split="train",
+            data_dir=self.data_dir,
+            dataset=self.dataset,
+            physics=self.physics,
+            control_period=self.control_period,
+            rewards=set_discount(self.rewards, self.discount),
+            scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
+            max_cycles=math.ceil(self.time_limit / self.control_period),
+        )
 
 
 def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: Callable[[PPO], None]) -> Path:
     """Train one agent for a frozen partner, from a checkpoint if `args.resume` is set and there is one.
 
+    The folder gets `policy.npz`, a checkpoint, TensorBoard logs, and the same values in `progress.csv`.
+
     Args:
         args: Arguments of the training.
-        script: Name of the training script, which the policy files record.
+        script: Name of the training script, which the policy file records.
         agent: Agent that learns, "giver" or "receiver".
         partner: Name of the other agent's policy.
         prepare: Function that initializes the model of a new run, before the first evaluation.
@@ -41,21 +161,24 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
         Path of the policy file.
     """
     torch.set_num_threads(1)
-    (frozen_agent,) = set(AGENTS) - {agent}
-    run = TrainingRun(args, script, {agent: (args.features, args.actions)}, {frozen_agent: partner})
+    args = args.resolve_setup()
+    folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     envs = make_vec_env(args, agent, partner)
     model = make_ppo(args, envs)
-    if args.resume and run.folder.checkpoint.exists():
-        load_checkpoint(model, run.folder.checkpoint)
-        run.discard_points_after(model.num_timesteps)
+    checkpoint = folder / CHECKPOINT
+    if args.resume and checkpoint.exists():
+        load_checkpoint(model, checkpoint)
     else:
         prepare(model)
-    callback = EvaluationCallback(run, agent, args.eval_interval, args.eval_start)
+    suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
+    formats = [make_output_format("csv", str(folder), suffix)]
+    model.set_logger(Logger(str(folder), [*formats, make_output_format("tensorboard", str(folder / "tensorboard"))]))
+    callback = EvaluationCallback(args, script, agent, partner)
     remaining = max(0, args.decisions - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()
     envs.close()
-    return run.folder.policy
+    return folder / POLICY
 
 
 def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
@@ -71,13 +194,30 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
     """
     envs: VecEnv
     if args.physics == MUJOCO:
-        envs = BatchVecEnv(make_frozen_vector_env(args, agent, partner, count_available_cores()))
+        envs = BatchVecEnv(
+            vector_env(
+                args.resolved_num_envs,
+                agent,
+                partner,
+                features=args.features,
+                schemes=args.actions,
+                wrappers=[EpisodeReturns],
+                autoreset="same_step",
+                processes=count_available_cores(),
+                config=args.make_env_config(),
+            )
+        )
     else:
-        make = make_frozen_env_factory(args, agent, partner)
+        make = functools.partial(make_frozen_env, args, agent, partner, args.make_env_config())
         envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.resolved_num_envs)
     envs = VecMonitor(envs)
     envs.seed(args.seed)
     return envs
+
+
+def make_frozen_env(args: PpoArgs, agent: str, partner: str, config: EnvConfig) -> EncodedEnv:
+    """Make one environment of a learning agent, whose infos have the sums of the reward terms."""
+    return encode(freeze(EpisodeReturns(parallel_env(config)), agent, partner), args.features, args.actions)
 
 
 def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
@@ -92,7 +232,6 @@ def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
         gamma=args.discount,
         gae_lambda=args.gae_lambda,
         policy_kwargs={"net_arch": [args.width] * 2, "log_std_init": math.log(args.initial_std)},
-        tensorboard_log=str(Path(args.out) / "tensorboard"),
         seed=args.seed,
         device="cpu",
     )
@@ -100,13 +239,8 @@ def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
 
 def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     """Write a checkpoint of a PPO model, from which training can be resumed."""
-    state = {
-        "parameters": model.get_parameters(),
-        "num_timesteps": model.num_timesteps,
-        "updates": model._n_updates,
-        "random": torch.get_rng_state(),
-    }
-    write_checkpoint(path, state)
+    state = {"parameters": model.get_parameters(), "num_timesteps": model.num_timesteps}
+    write_checkpoint(path, state | {"random": torch.get_rng_state()})
 
 
 def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
@@ -119,7 +253,6 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     def restore(state: dict[str, Any]) -> None:
         model.set_parameters(state["parameters"], exact_match=True)
         model.num_timesteps = int(state["num_timesteps"])
-        model._n_updates = int(state["updates"])
         torch.set_rng_state(state["random"])
 
     read_checkpoint(path, restore)
@@ -132,44 +265,104 @@ class EvaluationCallback(BaseCallback):
     episodes differ from those of a run without an interruption.
 
     Args:
-        run: Training run with its folder and evaluations.
+        args: Arguments of the training, with a setup.
+        script: Name of the training script.
         agent: Agent that learns.
-        interval: Number of decisions between evaluations.
-        evaluates_at_start: Whether to evaluate before the training, too.
+        partner: Name of the other agent's policy.
     """
 
-    def __init__(self, run: TrainingRun, agent: str, interval: int, evaluates_at_start: bool = True) -> None:
+    def __init__(self, args: PpoArgs, script: str, agent: str, partner: str) -> None:
         super().__init__()
-        self._run, self._agent, self._interval, self._next = run, agent, interval, 0
-        self._evaluates_at_start = evaluates_at_start
+        (other,) = set(AGENTS) - {agent}
+        self._args, self._folder, self._next = args, Path(args.out), 0
+        self._spec = PolicySpec(agent, args.features, args.actions, args.control_period, describe_origin(script, args))
+        val = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
+        where = (args.setup, "val", val, args.dataset, args.data_dir, args.physics)
+        policies: dict[str, Any] = {agent: f"learned:{self._folder / POLICY}", other: partner}
+        self._config = EvaluationConfig(*where, **policies)
+        # User-defined features and schemes were named by the caller, so they may be imported.
+        trust = is_reference(args.features) or is_reference(args.actions)
+        self._execution, self._started = ExecutionConfig(progress=False, trust=trust), time.monotonic()
 
     def _on_training_start(self) -> None:
-        self._next = self.num_timesteps + self._interval
-        if self._evaluates_at_start and not self._run.folder.points:
+        self._next = self.num_timesteps + self._args.eval_interval
+        if self._args.eval_start and not self.num_timesteps:
             self.evaluate()
 
     def _on_step(self) -> bool:
         for info, is_last in zip(self.locals["infos"], self.locals["dones"], strict=True):
-            if is_last:
-                self._run.rewards.add_episode(self._agent, info)
-        return not self._run.is_out_of_time
-
-    def _on_rollout_end(self) -> None:
-        for name, mean in self._run.rewards.write_point(self.num_timesteps).items():
-            self.logger.record(f"rewards/{name}", mean)
+            for key, value in info.items() if is_last else ():
+                if key.startswith(RETURN_PREFIX):
+                    self.logger.record_mean(f"rewards/{key[len(RETURN_PREFIX) :]}", float(value))
+        return time.monotonic() - self._started < 60.0 * self._args.minutes
 
     def _on_rollout_start(self) -> None:
         if self.num_timesteps >= self._next:
-            self._next = self.num_timesteps + self._interval
+            self._next = self.num_timesteps + self._args.eval_interval
             self.evaluate()
 
     def evaluate(self) -> None:
         """Write the policy file, evaluate the policy and write a checkpoint."""
         if not isinstance(self.model, OnPolicyAlgorithm):
             raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
-        network = dense_network_from_sb3(self.model)
-        point = self._run.evaluate(self.num_timesteps, {self._agent: network})
-        for name in ("success", "contact", "drop", "timeout"):
-            self.logger.record(f"evaluation/{name}", getattr(point, name))
+        write_policy(self._folder / POLICY, self._spec, dense_network_from_sb3(self.model))
+        report = evaluate_pair(self._config, execution=self._execution)
+        for name in OUTCOMES:
+            self.logger.record(f"evaluation/{name}", getattr(report, f"{name}_rate"))
         self.logger.dump(self.num_timesteps)
-        save_checkpoint(self.model, self._run.folder.checkpoint)
+        print(summarize_evaluation(report, f"{self.num_timesteps} decisions"), flush=True)
+        save_checkpoint(self.model, self._folder / CHECKPOINT)
+
+
+def record_first_decisions(
+    args: PpoArgs, partner: str, teacher: str, count: int, seed: int, processes: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Record a giver's first decision in each of several episodes, as examples for a learning giver.
+
+    Args:
+        args: Arguments of the training.
+        partner: Name of the receiver.
+        teacher: Name of the giver whose decisions are recorded.
+        count: Number of episodes.
+        seed: Seed of the episodes.
+        processes: Number of processes that simulate the episodes; results do not depend on it.
+
+    Returns:
+        Features (count, m), and outputs (count, k) whose action is the nearest to the teacher's.
+    """
+
+    class TeacherFeatures(FeatureExtractor):
+        """Features of the giver, followed by the outputs whose action is the nearest to the teacher's."""
+
+        def __init__(self, context: PolicyContext) -> None:
+            super().__init__(context)
+            self._features = make_features(GIVER, args.features, context)
+            self._scheme = make_scheme(GIVER, args.actions, context)
+            self._teacher = givers.make(teacher, args.open_dataset())
+            self.size = self._features.size + self._scheme.size
+
+        def reset(self) -> None:
+            self._features.reset()
+
+        def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:
+            # Each observation gets a seed of its own, which does not depend on the other environments.
+            self._teacher.reset(zlib.crc32(observation["object_poses"].tobytes()))
+            action = self._teacher.act(observation)
+            outputs = outputs_from_action(self._scheme, action, observation)
+            return np.concatenate([self._features(observation), outputs]).astype(np.float32)
+
+    envs = vector_env(
+        min(count, _RECORDED_TOGETHER),
+        GIVER,
+        partner,
+        features=TeacherFeatures,
+        schemes=args.actions,
+        autoreset="disabled",
+        processes=processes,
+        config=args.make_env_config(),
+    )
+    size = envs.single_action_space.shape[0]
+    seeds = [seed, *[None] * ((count - 1) // envs.num_envs)]
+    found = np.concatenate([envs.reset(seed=one)[0] for one in seeds])[:count]
+    envs.close()
+    return found[:, :-size], found[:, -size:]

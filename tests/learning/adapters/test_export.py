@@ -1,6 +1,5 @@
 """Tests of policy files that are exported from models of Stable-Baselines3 and modules of PyTorch."""
 
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,16 +7,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers, dense_network_from_module
-from handover_marl.learning.policy_files import read_policy, write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, OutputBounds, PolicySpec
+from handover_marl.learning.adapters.torch_modules import dense_network_from_module
+from handover_marl.learning.policy_files import read_policy
+from handover_marl.learning.policy_spec import PolicySpec
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
@@ -165,17 +162,6 @@ def test_models_that_record_nothing(tmp_path: Path) -> None:
         np.testing.assert_allclose(made.evaluate(inputs), expected, atol=1e-5)
 
 
-def test_contradictions_to_the_training_are_refused(tmp_path: Path) -> None:
-    env = make_env()
-    model = make_model("PPO", env)
-    for name, value in (("agent", "giver"), ("features", "close"), ("control_period", 0.1)):
-        with pytest.raises(OptionError, match=f"{name} must be .* as in training, got"):
-            handover_marl.export_policy(model, tmp_path / "policy.npz", **{name: value})
-    with pytest.raises(OptionError, match="got one for the receiver"):
-        handover_marl.as_giver(model)
-    env.close()
-
-
 @pytest.mark.parametrize("activation", ["Tanh", "ReLU", "ELU", "LeakyReLU", "SiLU", "Sigmoid", "Identity"])
 def test_modules_of_dense_layers(activation: str, tmp_path: Path) -> None:
     net = make_net(activation=getattr(torch.nn, activation))
@@ -212,14 +198,6 @@ def test_given_activations_are_compared_with_the_module() -> None:
         net[-1].weight.mul_(0.001)
         net[-1].bias.zero_()
     assert dense_network_from_module(net, "relu").output == "identity"
-
-
-def test_layers_of_modules_that_are_not_called() -> None:
-    net = make_net()
-    found = dense_network_from_layers(net, "tanh", output="tanh", n_outputs=3)
-    inputs = np.linspace(-1.0, 1.0, found.n_inputs, dtype=np.float32)
-    expected = torch.tanh(net(torch.from_numpy(inputs)))[:3].detach().numpy()
-    np.testing.assert_allclose(found(inputs), expected, atol=1e-5)
 
 
 def test_modules_with_functional_activations(tmp_path: Path) -> None:
@@ -265,36 +243,3 @@ def test_wrong_arguments_are_refused(change: dict[str, Any], error: type, fault:
     path = tmp_path / options.pop("path", "policy.npz")
     with pytest.raises(error, match=fault):
         handover_marl.export_policy(make_net(), path, **options)
-
-
-def test_files_with_normalization_and_bounds(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    weights = tuple(rng.normal(size=shape).astype(np.float32) for shape in ((16, 64), (7, 16)))
-    normalization = InputNormalization(rng.normal(size=64), rng.uniform(1, 2, 64), np.full(64, np.inf))
-    bounds = OutputBounds(np.full(7, -2, np.float32), np.full(7, 3, np.float32), is_scaled=False)
-    biases = tuple(np.zeros(len(weight), np.float32) for weight in weights)
-    network = DenseNetwork(weights, biases, "silu", "identity", normalization, bounds)
-    write_policy(tmp_path / "p.npz", PolicySpec("receiver", "grasp", "cartesian_delta"), network)
-    found = read_policy(tmp_path / "p.npz", "receiver").function
-    for inputs in rng.normal(size=(5, 64)).astype(np.float32):
-        np.testing.assert_array_equal(found(inputs), network(inputs))
-        assert (found(inputs) >= -2).all()
-        assert (found(inputs) <= 3).all()
-
-
-@given(st.data())
-def test_faulty_normalization_and_bounds_are_refused(data: st.DataObject) -> None:
-    size = data.draw(st.integers(1, 4))
-    good = {"mean": np.zeros(size), "scale": np.ones(size), "clip": np.ones(size)}
-    InputNormalization(**good)
-    name = data.draw(st.sampled_from(sorted(good)))
-    bad = data.draw(st.sampled_from([np.zeros((size, 1)), np.ones(size + 1), np.full(size, np.nan)]))
-    with pytest.raises(DataFormatError):
-        InputNormalization(**{**good, name: bad})
-    for low, high in itertools.permutations([np.zeros(size, np.float32), np.full(size, np.nan, np.float32)]):
-        with pytest.raises(DataFormatError):
-            OutputBounds(low, high, is_scaled=True)
-    with pytest.raises(DataFormatError):
-        DenseNetwork(
-            (np.zeros((size, 5), np.float32),), (np.zeros(size, np.float32),), normalization=InputNormalization(**good)
-        )

@@ -3,7 +3,6 @@
 import pickle
 import shutil
 from collections import OrderedDict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
-from handover_marl.learning.networks.grasp_network import GraspNetwork
-from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.receivers import make
 
 ACTOR, FEATURES = "DDPG_actor_PandaYCBEnv_latest", "DDPG_state_feat_PandaYCBEnv_latest"
 STAGES = ((7, 64, 64, 128), (131, 128, 128, 256), (259, 256, 256, 512))
-
-
-def read_own(file: Path) -> tuple[torch.nn.Module, str]:
-    return read_network_weights(file, GraspNetwork)
 
 
 def encoder_weights(prefix: str, channels: int, rng: torch.Generator) -> dict[str, torch.Tensor]:
@@ -110,42 +102,6 @@ def test_weights_come_to_their_layers(made_up: Path) -> None:
     assert len(state) == count
     assert len(fingerprint) == 8
     assert np.ptp(network.predict_step(cloud(), 20)) > 0.01
-
-
-@pytest.mark.parametrize("name", [ACTOR, FEATURES])
-def test_either_file_names_the_checkpoint(made_up: Path, name: str) -> None:
-    network, fingerprint = read_gaddpg_checkpoint(str(made_up / name))
-    other, same = read_gaddpg_checkpoint(made_up)
-    np.testing.assert_array_equal(network.predict_step(cloud(), 3), other.predict_step(cloud(), 3))
-    assert fingerprint == same
-
-
-@pytest.fixture
-def double_precision() -> Iterator[None]:
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
-def test_the_default_precision_of_the_process_has_no_effect(made_up: Path, request: pytest.FixtureRequest) -> None:
-    files = [(read_gaddpg_checkpoint, made_up), *[(read_own, find_vision_weights(setup)) for setup in ("s0", "s1")]]
-    before = [read(file)[0].state_dict() for read, file in files]
-    request.getfixturevalue("double_precision")
-    for (read, file), expected in zip(files, before, strict=True):
-        for name, value in read(file)[0].state_dict().items():
-            assert value.dtype == expected[name].dtype
-            assert torch.equal(value, expected[name])
-    read_gaddpg_checkpoint(made_up)[0].predict_step(cloud(), 3)
-
-
-def test_names_without_the_wrapper_will_do(own: Path) -> None:
-    expected, before = read_gaddpg_checkpoint(own)
-    saved = torch.load(own / FEATURES, weights_only=True)
-    net = {name.removeprefix("module."): value for name, value in saved["net"].items()}
-    torch.save({"net": net}, own / FEATURES)
-    found, after = read_gaddpg_checkpoint(own)
-    np.testing.assert_array_equal(found.predict_step(cloud(), 3), expected.predict_step(cloud(), 3))
-    assert before != after
 
 
 def test_of_several_the_latest_is_taken(own: Path) -> None:

@@ -16,7 +16,6 @@ from handover_marl.learning.networks.grasp_network import (
     GraspNetworkConfig,
     GraspOutputs,
     PointCloudBatch,
-    rotations_from_6d,
 )
 
 SMALL = GraspNetworkConfig(point_width=16, group_width=16, cloud_width=16, head_width=16)
@@ -49,14 +48,6 @@ def random_poses(count: int, seed: int = 0) -> torch.Tensor:
     return torch.from_numpy(poses.astype(np.float32))
 
 
-def test_shapes() -> None:
-    found = predict(network(), some_views())
-    assert found.quality.shape == (3, 10)
-    assert found.positions.shape == (3, 10, 3)
-    assert found.rotations.shape == (3, 10, 3, 3)
-    assert found.object_center.shape == found.object_motion.shape == (3, 3)
-
-
 def test_order_of_points_does_not_matter() -> None:
     views, net = some_views(), network()
     order, hands = torch.randperm(64), torch.arange(15, -1, -1)
@@ -78,20 +69,6 @@ def test_points_of_the_hand_that_do_not_count_do_not_matter() -> None:
         torch.testing.assert_close(one, other)
     shown = predict(net, views._replace(hand_points=views.hand_points + 0.1))
     assert not torch.allclose(shown.quality[0], predict(net, views).quality[0])
-
-
-def test_who_does_not_see_hands_does_not_see_them() -> None:
-    views, net = some_views(), network(GraspNetworkConfig(16, 16, 16, 16, uses_hand_points=False))
-    for one, other in zip(
-        predict(net, views), predict(net, views._replace(hand_points=views.hand_points + 0.1)), strict=True
-    ):
-        torch.testing.assert_close(one, other)
-
-
-def test_turns_are_rotations() -> None:
-    turns = rotations_from_6d(torch.randn(50, 6, generator=torch.Generator().manual_seed(0)))
-    torch.testing.assert_close(turns @ turns.mT, torch.eye(3).expand(50, 3, 3), atol=1e-5, rtol=0.0)
-    torch.testing.assert_close(torch.linalg.det(turns), torch.ones(50))
 
 
 def test_poses_become_grasps() -> None:
@@ -138,22 +115,6 @@ def test_losses_are_least_for_what_is_good() -> None:
     assert worse.grasp == pytest.approx(0.02 * 3.0**0.5, rel=1e-3)
     assert best.quality < worse.quality
     assert best.object_center == best.object_motion == 0.0
-
-
-def test_it_learns() -> None:
-    views, net = some_views(), network().train()
-    poses = torch.cat([views.object_points[:, :20], random_poses(60)[:, 3:].reshape(3, 20, 4)], dim=-1)
-    good, nothing = grasp_targets_from_poses(poses, torch.ones(3, 20)), torch.zeros(3, 3)
-    centers = views.object_points.gather(1, views.center_indices[..., None].expand(-1, -1, 3))
-    optimizer, values = torch.optim.Adam(net.parameters(), 3e-3), []
-    for _ in range(60):
-        found = compute_grasp_losses(net(views), centers, good, nothing, nothing)
-        loss = 10.0 * found.grasp + found.quality + found.object_center + found.object_motion
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        values.append(float(loss.detach()))
-    assert values[-1] < 0.5 * values[0]
 
 
 def test_settings_in_files_of_earlier_versions_are_read() -> None:

@@ -117,34 +117,6 @@ def test_a_cloud_alone_gives_what_it_gives_among_others(device: str) -> None:
     np.testing.assert_allclose(together, at_home, atol=1e-3)
 
 
-def test_order_behind_the_first_means_nothing_to_pointnet_plus_plus() -> None:
-    """The order of points after the first matters only if a ball has more points than a group, as in the original."""
-    torch.manual_seed(0)
-    encoder = lively(PointNetPlusPlus(4))
-    order = torch.randperm(199, generator=torch.Generator().manual_seed(2)) + 1
-    order = torch.cat([torch.zeros(1, dtype=torch.long), order])
-    sparse, dense = patch(0, 200), patch(0, 200)
-    # All points are in one ball, and there are more of them than a group has.
-    dense[:, :3] = dense[:, :3, :1] + 0.15 * (dense[:, :3] - dense[:, :3, :1])
-    with torch.no_grad():
-        np.testing.assert_allclose(encoder(sparse[..., order]), encoder(sparse), atol=1e-5)
-        assert (encoder(dense[..., order]) - encoder(dense)).abs().max() > 1e-3
-
-
-def test_groups_are_seen_from_their_centers() -> None:
-    """A translation of the cloud translates the centers of the first stage, and does not change its features."""
-    torch.manual_seed(0)
-    encoder, cloud = PointNetPlusPlus(3).eval(), patch(0, 300)[:, :3]
-    stage: SetAbstraction = encoder.stages[0]
-    for features in (cloud, torch.zeros_like(cloud)):
-        moved = cloud + torch.tensor([0.02, -0.01, 0.03])[:, None]
-        with torch.no_grad():
-            places, found = stage(cloud.transpose(1, 2), features)
-            moved_places, again = stage(moved.transpose(1, 2), features)
-        np.testing.assert_allclose(again, found, atol=1e-5)
-        np.testing.assert_allclose(moved_places - places, np.broadcast_to([0.02, -0.01, 0.03], (1, 32, 3)), atol=1e-6)
-
-
 def test_the_head_is_given_the_time_and_keeps_bounds() -> None:
     torch.manual_seed(0)
     head, features = PolicyHead(), torch.randn(5, 512)
@@ -165,9 +137,3 @@ def test_the_gripper_is_left_out() -> None:
     np.testing.assert_array_equal(first, network.train().predict_step(cloud, 7))
     assert first.dtype == np.float32
     assert (first != network.predict_step(cloud, 8)).any()
-
-
-def test_gradients_reach_every_layer() -> None:
-    encoder = PointNetPlusPlus(4)
-    encoder.train()(patch(0, 128, batch=2)).square().sum().backward()
-    assert all(parameter.grad is not None for parameter in encoder.parameters())

@@ -81,21 +81,6 @@ def test_the_ball_is_open() -> None:
     assert query_ball(points, points[:, :1] + 9.0, 0.5, 2).tolist() == [[[0, 0]]]
 
 
-@settings(max_examples=25)
-@given(seed=st.integers(0, 10_000), order=st.permutations(range(1, 40)))
-def test_choices_go_with_their_points(seed: int, order: list[int]) -> None:
-    """The order of points after the first does not change which points are chosen and which are neighbours."""
-    points = clouds(seed, batch=1, count=40)
-    moved = [0, *order]
-    turned = points[:, moved]
-    chosen, again = sample_farthest_points(points, 16)[0], sample_farthest_points(turned, 16)[0]
-    assert [moved[number] for number in again] == chosen.tolist()
-    centers = points[:, chosen]
-    near, near_again = (query_ball(cloud, centers, RADIUS, 40)[0] for cloud in (points, turned))
-    for own, other in zip(near, near_again, strict=True):
-        assert {moved[number] for number in other} == set(own.tolist())
-
-
 def test_columns_are_gathered() -> None:
     values = torch.arange(24.0).reshape(2, 3, 4)
     indices = torch.tensor([[[3, 0], [1, 1]], [[2, 2], [0, 3]]])

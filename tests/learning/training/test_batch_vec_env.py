@@ -13,9 +13,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import handover_marl
 from handover_marl import givers
 from handover_marl.errors import OptionError, PolicyError
-from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.environments import make_frozen_env_factory, record_first_decisions
+from handover_marl.learning.training.stable_baselines import PpoArgs, make_frozen_env, record_first_decisions
 from tests.failing import Failing
 
 COUNT = 3
@@ -90,7 +89,7 @@ def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> No
     )
     inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=1)
     assert len(inputs) == len(outputs) == 3
-    env, teacher = make_frozen_env_factory(args, "giver", "hold")(), givers.make("cooperative")
+    env, teacher = make_frozen_env(args, "giver", "hold", args.make_env_config()), givers.make("cooperative")
     for number in range(3):
         expected = env.reset(seed=5 + number)[0]["giver"]
         teacher.reset()

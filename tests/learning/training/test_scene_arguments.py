@@ -1,12 +1,8 @@
 """Tests of the arguments that scripts share."""
 
-import json
-from pathlib import Path
-
 import pytest
 
 from handover_marl.errors import UnknownNameError
-from handover_marl.learning.training.arguments import PpoArgs
 from handover_marl.learning.training.scene_arguments import SetupArgs
 
 GENERATED = "generated:n=50,seed=7"
@@ -28,12 +24,10 @@ def test_unknown_setups_are_refused() -> None:
         SetupArgs(dataset=GENERATED, setup="s0").resolve_setup()
 
 
-def test_training_runs_record_the_setup(tmp_path: Path) -> None:
+def test_runs_without_a_setup_use_the_first() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
-    from handover_marl.learning.training.training_run import TrainingRun
+    from handover_marl.learning.training.stable_baselines import PpoArgs
 
-    args = PpoArgs(dataset=GENERATED, out=str(tmp_path / "run"), val_scenes=2)
-    TrainingRun(args, "train_giver_sb3", {"giver": ("giver", "offer")}, {"receiver": "hold"})
-    assert json.loads((tmp_path / "run" / "arguments.json").read_text())["setup"] == "random"
-    assert args.make_env_config().setup is None
-    assert len(args.make_env_config().scenes or ()) > 30
+    config = PpoArgs(dataset=GENERATED).make_env_config()
+    assert config.setup is None
+    assert len(config.scenes or ()) > 30

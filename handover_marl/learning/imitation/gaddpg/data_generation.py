@@ -5,14 +5,10 @@ training can be resumed.
 """
 
 import functools
-import hashlib
-import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +16,11 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import SceneAssets
-from handover_marl.datasets.registry import DataLocation, check_scene_fingerprint
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import open_pool
+from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
@@ -39,9 +34,6 @@ from handover_marl.policies.policy import make_policy_context
 CHUNK_SIZE = 16
 
 ExpertPlans = dict[int, ExpertPlan]
-
-_Task = TypeVar("_Task")
-_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -127,12 +119,6 @@ class DataGenerator:
         return replace(assets, objects=assets.objects[:1])
 
 
-@functools.lru_cache(maxsize=1)
-def get_data_generator(config: DataGeneratorConfig) -> DataGenerator:
-    """Return this process's data generator for a configuration, created at the first call."""
-    return DataGenerator(config)
-
-
 def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
     """Return the scenes in the training splits of all given setups whose object has known grasps.
 
@@ -147,34 +133,35 @@ def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
     return scenes
 
 
-def make_plans(
-    folder: Path,
-    config: DataGeneratorConfig,
-    count: int,
-    pool: PoolConfig,
-    report: Callable[[int], None] = lambda n: None,
-) -> ExpertPlans:
+def make_plans(folder: Path, config: DataGeneratorConfig, count: int, workers: int | None) -> ExpertPlans:
     """Return the expert's plans in scenarios 0 to `count` - 1; compute those that are not on disk.
 
     Scenarios without a reachable grasp are left out.
 
     Args:
-        folder: Folder of the files of plans.
+        folder: Folder of the files of plans, for one configuration only.
         config: Configuration of the data generation.
         count: Number of scenarios.
-        pool: Worker processes.
-        report: Function that is called with the number of newly finished scenarios.
+        workers: Number of worker processes; default: one per core.
 
     Raises:
         ResultsError: A file is damaged or cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {first: folder / f"plans-{_compute_key(config)}-{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
+    paths = {first: folder / f"{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
+
+    def make_writer() -> Callable[[int], None]:
+        generator = DataGenerator(config)
+
+        def write(first: int) -> None:
+            found = {number: generator.plan(number) for number in range(first, first + CHUNK_SIZE)}
+            _write_plans(paths[first], {number: plan for number, plan in found.items() if plan is not None})
+
+        return write
+
     missing = [first for first, path in paths.items() if not path.exists()]
-    report(count - CHUNK_SIZE * len(missing))
-    for index, plans in _map_unordered(_plan_chunk, config, missing, pool):
-        _write_plans(paths[missing[index]], plans)
-        report(CHUNK_SIZE)
+    for _ in map_with_progress(make_writer, missing, "plans", PoolConfig(workers), progress=True):
+        pass
     found: ExpertPlans = {}
     for path in paths.values():
         found |= _read_plans(path)
@@ -182,46 +169,27 @@ def make_plans(
 
 
 def collect_states(
-    config: DataGeneratorConfig,
-    tasks: Sequence[RolloutTask],
-    weights: bytes | None,
-    pool: PoolConfig,
-    report: Callable[[], None] = lambda: None,
+    config: DataGeneratorConfig, tasks: Sequence[RolloutTask], weights: Path | None, workers: int | None
 ) -> ImitationStates:
     """Return the imitation states of all rollouts, in the order of the tasks.
 
     Args:
         config: Configuration of the data generation.
         tasks: Scenarios of the rollouts, with the expert's plans.
-        weights: Content of the weight file of the network that acts; None lets the expert act.
-        pool: Worker processes.
-        report: Function that is called when a task is finished.
+        weights: Weight file of the network that acts; None lets the expert act.
+        workers: Number of worker processes; default: one per core.
     """
-    found: dict[int, ImitationStates] = {}
-    for index, states in _map_unordered(functools.partial(_collect_task, weights), config, tasks, pool):
-        found[index] = states
-        report()
-    return concatenate_states([found[index] for index in range(len(tasks))])
+
+    def make_collector() -> Callable[[int], ImitationStates]:
+        generator, policy = DataGenerator(config), None if weights is None else _load_policy(weights)
+        return lambda number: generator.collect_states(tasks[number], policy)
+
+    numbers = range(len(tasks))
+    found = dict(map_with_progress(make_collector, numbers, "rollouts", PoolConfig(workers), progress=True))
+    return concatenate_states([found[number] for number in numbers])
 
 
-def _compute_key(config: DataGeneratorConfig) -> str:
-    """Return the hash of the settings that plans depend on."""
-    parts = [asdict(part) for part in (config.scenarios, config.costs, config.expert)]
-    values = [config.scenes, config.seed, *parts]
-    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:12]
-
-
-def _plan_chunk(generator: DataGenerator, first: int) -> ExpertPlans:
-    plans = {number: generator.plan(number) for number in range(first, first + CHUNK_SIZE)}
-    return {number: plan for number, plan in plans.items() if plan is not None}
-
-
-def _collect_task(weights: bytes | None, generator: DataGenerator, task: RolloutTask) -> ImitationStates:
-    return generator.collect_states(task, None if weights is None else _load_policy(weights))
-
-
-@functools.lru_cache(maxsize=1)
-def _load_policy(weights: bytes) -> StepPolicy:
+def _load_policy(weights: Path) -> StepPolicy:
     # Imports PyTorch, which planning does not need.
     import torch
 
@@ -229,51 +197,7 @@ def _load_policy(weights: bytes) -> StepPolicy:
     from handover_marl.learning.networks.weights import read_network_weights
 
     torch.set_num_threads(1)
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "weights.npz"
-        file.write_bytes(weights)
-        return read_network_weights(file, GaddpgNetwork)[0].predict_steps
-
-
-def _map_unordered(
-    function: Callable[[DataGenerator, _Task], _Result],
-    config: DataGeneratorConfig,
-    tasks: Sequence[_Task],
-    pool: PoolConfig,
-) -> Iterator[tuple[int, _Result]]:
-    """Yield index and result of each task as it finishes, in this process or in workers.
-
-    Raises:
-        WorkerError: A worker died twice at the same task, or the cluster cannot be used.
-        DataFormatError: The data of another machine differ.
-    """
-    if tasks:
-        workers = open_pool(pool)
-        make_generator = functools.partial(get_data_generator, config)
-        if workers.is_remote:
-            make_generator = functools.partial(_load_remote_generator, config, *_read_fingerprints(config))
-        yield from workers.map_unordered(
-            lambda: nullcontext(functools.partial(function, make_generator())),
-            tasks,
-            lambda _: "generating plans or states",
-        )
-
-
-def _read_fingerprints(config: DataGeneratorConfig) -> tuple[DataLocation, dict[int, str]]:
-    """Return the location of the data, and a fingerprint of one scene per object class."""
-    data = open_dataset(config.dataset, config.data_dir, PANDA_CAMERA)
-    scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}.values()
-    return DataLocation.from_data_dir(config.data_dir), {scene: data.compute_fingerprint(scene) for scene in scenes}
-
-
-def _load_remote_generator(
-    config: DataGeneratorConfig, location: DataLocation, fingerprints: dict[int, str]
-) -> DataGenerator:
-    local = replace(config, data_dir=location.resolve())
-    data = open_dataset(local.dataset, local.data_dir, PANDA_CAMERA)
-    for scene, fingerprint in fingerprints.items():
-        check_scene_fingerprint(scene, data.compute_fingerprint(scene), fingerprint)
-    return get_data_generator(local)
+    return read_network_weights(weights, GaddpgNetwork)[0].predict_steps
 
 
 def _object_name_of(scene_id: int) -> str:

@@ -1,27 +1,34 @@
 """Files of rendered views, one per scene, so that interrupted generation can be resumed."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from handover_marl.config import ARM_DOF
 from handover_marl.datasets import open_dataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
-from handover_marl.execution.files import shorten_text, write_arrays, write_atomically
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import run_episode
+from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays
 from handover_marl.execution.tasks import map_with_progress
-from handover_marl.learning.imitation.vision.dagger import DaggerCollector
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, ViewRenderer
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.policies.policy import make_policy_context
+from handover_marl.policies.policy import PolicyContext, make_policy_context
+from handover_marl.receivers.vision.receiver import VisionReceiver
+
+Array = npt.NDArray[np.float64]
 
 _MAX_BYTES = 1_000_000_000
-_SOURCE = "source.json"
+# Commanded finger position below which the gripper is closing (m).
+_OPEN = 0.03
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,6 @@ class ViewDatasetConfig:
         labels: Configuration of the qualities of grasps.
         weights: File of a grasp network; if set, views are those that the receiver `vision` meets
             with it in fast physics.
-        wait: Time that the receiver `vision` waits (s).
     """
 
     dataset: str = "auto"
@@ -49,7 +55,58 @@ class ViewDatasetConfig:
     config: GraspViewConfig = field(default_factory=GraspViewConfig)
     labels: GraspLabelConfig = field(default_factory=GraspLabelConfig)
     weights: str | None = None
-    wait: float = 0.0
+
+
+class DaggerCollector:
+    """Collector of arm joint positions in rollouts of the receiver `vision` (DAgger; Ross et al., AISTATS 2011).
+
+    Rollouts run in fast physics; the giver replays the recording.
+
+    Args:
+        context: Robot and task.
+        weights: Weight file of the receiver's grasp network.
+
+    Raises:
+        HandoverError: The receiver cannot be created.
+    """
+
+    def __init__(self, context: PolicyContext, weights: str) -> None:
+        self._receiver = VisionReceiver(context, weights=weights)
+        self._episode = Episode("fast", context.config)
+
+    def collect_poses(self, scene: Scene, count: int, rng: np.random.Generator) -> list[tuple[int, Array]]:
+        """Return the time and the arm joints at up to `count` random decisions in a rollout.
+
+        Decisions after the gripper has started to close are left out.
+
+        Args:
+            scene: Scene of the rollout.
+            count: Largest number of decisions.
+            rng: Random generator.
+
+        Returns:
+            Pairs of the index of a frame (1 ms) of the recording and the arm joints (7,) (rad), in
+            order of time.
+        """
+        recorder = _PoseRecorder()
+        self._episode.reset(scene)
+        run_episode(self._episode, self._receiver, seed=int(rng.integers(2**31)), callbacks=[recorder])
+        poses = recorder.poses
+        chosen = np.sort(rng.choice(len(poses), min(count, len(poses)), replace=False))
+        return [poses[number] for number in chosen.tolist()]
+
+
+class _PoseRecorder(EpisodeCallback):
+    """Recorder of frame and arm joints at every decision until the gripper closes."""
+
+    def __init__(self) -> None:
+        self.poses: list[tuple[int, Array]] = []
+
+    def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
+        if float(decision.receiver_action[ARM_DOF]) < _OPEN or episode.release_reason is not None:
+            return
+        joints = episode.observe()["robot_joint_position"][:ARM_DOF].astype(np.float64)
+        self.poses.append((min(episode.steps, episode.scene.n_frames - 1), joints))
 
 
 class _ViewWorker:
@@ -61,7 +118,7 @@ class _ViewWorker:
         context = make_policy_context(self._data)
         arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.labels.receiver.limit_padding)
         self._renderer = ViewRenderer(context, arm, GraspLabeller(context, config.labels), config.config)
-        self._collector = None if config.weights is None else DaggerCollector(context, config.weights, config.wait)
+        self._collector = None if config.weights is None else DaggerCollector(context, config.weights)
 
     def write_scene(self, number: int) -> None:
         """Write the file of a scene."""
@@ -93,11 +150,10 @@ def generate_views(
         progress: Whether to show a progress bar on stderr.
 
     Raises:
-        ResultsError: The folder contains views of another configuration, or cannot be written.
+        ResultsError: The folder cannot be written.
         HandoverError: A scene cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    _check_config(config, folder)
     missing = [number for number in scenes if not get_view_path(folder, number).exists()]
     if missing:
         for _ in map_with_progress(
@@ -127,20 +183,3 @@ def _read_scene(path: Path) -> GraspViews:
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(f"{path}: not a file of views ({shorten_text(error)}); remove it") from error
     return GraspViews(*arrays.values())
-
-
-def _check_config(config: ViewDatasetConfig, folder: Path) -> None:
-    """Check that the folder is empty or has the same configuration, apart from paths."""
-    expected = json.loads(json.dumps(asdict(replace(config, data_dir=None, weights=config.weights and "given"))))
-    file = folder / _SOURCE
-    if not file.exists():
-        write_atomically(file, json.dumps(expected, indent=2))
-    elif _read_config(file) != expected:
-        raise ResultsError(f"{folder} has views of another configuration ({_SOURCE}); choose another folder")
-
-
-def _read_config(file: Path) -> Any:
-    try:
-        return json.loads(read_plain_file(file))
-    except (OSError, ValueError, RecursionError) as error:
-        raise ResultsError(f"{file}: not the configuration of views ({shorten_text(error)}); remove it") from error

@@ -23,14 +23,14 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.receivers import make
-from tests.learning.training.scripts import script, steps_of
+from tests.learning.training.scripts import script
 from tests.short_episodes import shorten_episodes
 
 # The validation of grasps and the planner are off, because they take minutes at first use.
 QUICK: dict[str, Any] = {
     "dataset": "synthetic",
     "scenarios": 4,
-    "rounds": 2,
+    "rounds": 1,
     "episodes": 1,
     "updates": 4,
     "batch_size": 4,
@@ -46,19 +46,31 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_gaddpg", monkeypatch)
 
 
-def test_interrupted_run_is_resumed(tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_run_is_resumed(
+    tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     args = {**QUICK, "out": str(tmp_path / "run")}
     shorten_episodes(monkeypatch, 4000)
     # Few scenes, because each one is generated when it is loaded.
     monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: (11, 12))
+
+    def stop(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    updates = train.train
     with monkeypatch.context() as patched:
-        patched.setattr(train.Training, "is_out_of_time", lambda training: training._round == 1)
-        train.main(train.Args(**args))
-    assert steps_of(tmp_path / "run") == ["steps", "2"]
+        patched.setattr(
+            train, "train", lambda args, learner, *rest: (stop if learner.done else updates)(args, learner, *rest)
+        )
+        with pytest.raises(KeyboardInterrupt):
+            train.main(train.Args(**args))
+    assert "2 gradient updates, wait 3.0: success" in capsys.readouterr().out
     with pytest.raises(ResultsError, match="holds a run; pass --resume"):
         train.main(train.Args(**args))
     policy = train.main(train.Args(**args, resume=True))
-    assert steps_of(tmp_path / "run") == ["steps", "2", "4"]
+    printed = capsys.readouterr().out
+    assert "4 gradient updates, wait 3.0: success" in printed
+    assert "\n2 gradient updates" not in printed
     receiver = make(("gaddpg", {"weights": str(policy)}), SyntheticDataset(robot="panda_camera"))
     assert receiver.label.startswith("gaddpg@own weights ")
 
@@ -79,7 +91,7 @@ def test_states_depend_on_the_seed_only() -> None:
 
 
 def test_numbers_out_of_range_are_refused(tmp_path: Path, train: ModuleType) -> None:
-    with pytest.raises(OptionError, match="rounds must be at least 1, got 0"):
-        train.main(train.Args(**{**QUICK, "rounds": 0, "out": str(tmp_path)}))
+    with pytest.raises(OptionError, match="episodes must be at least 1, got 0"):
+        train.Args(**{**QUICK, "episodes": 0, "out": str(tmp_path)})
     with pytest.raises(OptionError, match="setups"):
         list_shared_scenes(SyntheticDataset(), ())
