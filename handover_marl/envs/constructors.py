@@ -61,7 +61,8 @@ def single_agent_env(
         config: Configuration; default: one made of `fields`.
         fields: Fields of `handover_marl.envs.config.EnvConfig`, in place of `config`.
     """
-    return freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
+    frozen: SingleAgentEnv = freeze(HandoverEnv(config, **fields), agent, partner, api="gymnasium", trust=trust)
+    return frozen
 
 
 @forward_signature(EnvConfig, without=_PRESCRIBED, defaults={"split": "test"})
@@ -77,4 +78,5 @@ def benchmark_env(**fields: Any) -> FrozenPartnerEnv:
     fixed = [name for name in fields if name in _PRESCRIBED]
     if fixed:
         raise OptionError(f"benchmark_env() prescribes {', '.join(fixed)}; use parallel_env() and freeze()")
-    return freeze(HandoverEnv(**{"split": "test", **fields}), RECEIVER, "replay")
+    frozen: FrozenPartnerEnv = freeze(HandoverEnv(**{"split": "test", **fields}), RECEIVER, "replay")
+    return frozen

@@ -9,7 +9,7 @@ import handover_marl
 from tests.docs.pages import REPOSITORY, blocks
 
 PAGE = REPOSITORY / "docs" / "tutorials" / "own_object.md"
-N_RECORDINGS = 8
+N_RECORDINGS = 5
 
 
 def check_results(report: Any, n_episodes: int, min_success_rate: float) -> None:
