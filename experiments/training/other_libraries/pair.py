@@ -72,7 +72,8 @@ def make_env(args: PairArgs) -> EncodedEnv:
         control_period=args.control_period,
         max_cycles=math.ceil(args.time_limit / args.control_period),
     )
-    return handover_marl.encode(env, FEATURES, SCHEMES)
+    encoded: EncodedEnv = handover_marl.encode(env, FEATURES, SCHEMES)
+    return encoded
 
 
 def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -> None:
