@@ -53,6 +53,7 @@ fast: $(VENV)/.tested-with
 lint: $(VENV)/.tested-with
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m tests.line_budgets
 
 # Types are checked in a folder of links, where givers/, receivers/ and assets/ have their names. Scripts are modules
 # without a package, which import each other by their names.

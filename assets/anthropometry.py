@@ -58,8 +58,7 @@ class HandSize:
     breadth: float
 
 
-#: Size of the reference hand: mean bone lengths, mean breadth of women and men. All other hands are
-#: scaled from it.
+#: Size of the reference hand: mean bone lengths, mean breadth of women and men. All other hands are scaled from it.
 REFERENCE_SIZE: Final = HandSize(
     length=CARPUS["middle"] + DIGITS["middle"].metacarpal + sum(DIGITS["middle"].phalanges) + DIGITS["middle"].tip,
     breadth=0.0850,

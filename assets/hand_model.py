@@ -1,13 +1,12 @@
 """Procedural model of the human hand: dimensions, kinematics and model files.
 
-The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y,
-z), a palm that is fixed to the base at an offset, and 15 finger joints with three revolute axes (x,
-y, z) each. At zero angles all link frames are parallel to the base: fingers along -x, back of the
-hand along +y, thumb towards +z. A left hand is a right hand mirrored in x. Joint angles are
-intrinsic XYZ Euler angles (rad).
+The hand has HandoverSim's structure: a base on three prismatic and three continuous joints (x, y, z), a palm that is
+fixed to the base at an offset, and 15 finger joints with three revolute axes (x, y, z) each. At zero angles all link
+frames are parallel to the base: fingers along -x, back of the hand along +y, thumb towards +z. A left hand is a right
+hand mirrored in x. Joint angles are intrinsic XYZ Euler angles (rad).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
+from handover_marl.assets.object_models import TEMPLATES_PACKAGE
 from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.geometry.model_files.urdf import render_urdf
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
@@ -67,8 +68,7 @@ class HandGeometry:
         size: Length and breadth.
         scale: (3,) scale factors of the reference hand along x, y and z.
         palm_offset: (3,) position of the palm in the base's frame.
-        joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the
-            previous joint).
+        joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the previous joint).
         tips: (15, 3) ends of the phalanges' axes in their own frame; the end of a last phalanx is
             the center of the fingertip's sphere.
         radii: (15, 2) capsule radii of the phalanges at the joint and at the end.
@@ -83,14 +83,9 @@ class HandGeometry:
     radii: FloatArray
 
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Compute the poses of the palm and the 15 phalanges by forward kinematics.
+        """Return positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges.
 
-        Args:
-            dof: (..., 51) base position (m), base angles and 45 finger joint angles.
-
-        Returns:
-            Positions (..., 16, 3) (m) and rotation matrices (..., 16, 3, 3) in the frame in which
-            `dof` gives the base position.
+        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses are.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -108,9 +103,6 @@ class HandGeometry:
 
         The keypoints are the wrist, then three joints and the fingertip of index, middle, little and
         ring finger and thumb.
-
-        Args:
-            dof: (..., 51) base position (m), base angles and 45 finger joint angles.
         """
         positions, rotations = self.compute_link_poses(dof)
         ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], self.tips + self._compute_tip_offsets())
@@ -218,3 +210,36 @@ def find_hand_urdf(subject: int, side: Side) -> Path:
 def _round_to_micrometres(values: FloatArray) -> FloatArray:
     # As in the model files; adding zero turns -0.0 into 0.0.
     return np.round(values, 6) + 0.0
+
+
+#: Names of the links with meshes: palm, then phalanges.
+MESH_NAMES: Final = ("palm", *(f"{digit}{joint}" for digit in DIGIT_ORDER for joint in (1, 2, 3)))
+
+_PALM_MASS, _PHALANX_MASS = 0.2, 0.02
+_FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
+
+
+def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
+    """Return the URDF of a hand with HandoverSim's 53 links, in a color (red, green, blue), with a folder of meshes."""
+    return render_urdf(
+        TEMPLATES_PACKAGE,
+        "hand.urdf",
+        name=name,
+        color=format_numbers((*color, 1.0)),
+        scale=format_numbers(model.scale),
+        folder=folder,
+        meshes=MESH_NAMES,
+        positions=[format_numbers(position) for position in (model.palm_offset, *model.joint_origins)],
+        masses=(_PALM_MASS, _PHALANX_MASS),
+        limits=_FINGER_LIMITS,
+    )
+
+
+def format_numbers(values: Iterable[float]) -> str:
+    """Return numbers with up to 6 decimals, separated by spaces."""
+    return " ".join(_format_number(value) for value in values)
+
+
+def _format_number(value: float) -> str:
+    text = f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text

@@ -80,14 +80,9 @@ class HandSpheres:
         self.forearm = spheres_from_capsules(make_forearm_capsules(model), 4)
 
     def place_phalanges(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the centers of the phalanges' spheres and the phalanges' rotations.
+        """Return centers (n, 15, 3, 3) in m of three spheres per phalanx, and the phalanges' rotations.
 
-        Args:
-            angles: (n, 45) finger joint angles (rad).
-
-        Returns:
-            (n, 15, 3, 3) positions of three spheres for each phalanx (m), and (n, 15, 3, 3) rotation
-            matrices, both in the palm's frame.
+        Both are in the palm's frame, for finger joint angles (n, 45) in rad.
         """
         dof = np.concatenate([np.zeros((len(angles), 6)), angles], axis=1)
         dof[:, :3] = -self.model.palm_offset

@@ -69,11 +69,7 @@ class HumanGrasps:
     def compute_hand_dof(self, rows: int | slice = slice(None)) -> npt.NDArray[np.float64]:
         """Return the hand's joint positions (51,) in a grasp, or (n, 51) in several, of an object at the origin.
 
-        The joints are the base's position (m), its intrinsic XYZ Euler angles and the finger joint
-        angles (rad).
-
-        Args:
-            rows: Index of the grasp, or a slice; default: all.
+        These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
         """
         poses = self.object_from_base[rows]
         matrices = rotate_points(poses[..., None, 3:], np.eye(3)).swapaxes(-1, -2)
@@ -81,12 +77,7 @@ class HumanGrasps:
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of an object by one of the ten subjects.
-
-    Args:
-        object_name: YCB class name, e.g. "025_mug".
-        subject: Number of the subject, 1 to 10.
-        side: Side of the hand, "left" or "right".
+    """Load the grasps of an object, such as "025_mug", by the "left" or "right" hand of a subject, 1 to 10.
 
     Raises:
         UnknownNameError: The object, the subject or the side does not exist.

@@ -5,13 +5,23 @@ use, so object poses and grasps of both apply to them. Their shapes are simplifi
 `python -m handover_marl.assets.building.build_objects`.
 """
 
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Final
+
+import numpy as np
+import numpy.typing as npt
 
 from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.execution.options import require_pybullet
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
+
+Array = npt.NDArray[np.float64]
+Faces = npt.NDArray[np.int64]
 
 DATA_ROOT = Path(__file__).resolve().parent / "data"
 OBJECTS_ROOT = DATA_ROOT / "objects"
@@ -24,17 +34,17 @@ MASS, FRICTION = 0.5, 0.9
 #: Package with the templates of URDF files; it is imported without its modules, which need extras.
 TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 
+#: sRGB values (0 to 255) by color name.
+PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())
+PALETTE_FILES: Final = ("palette.png", "palette.mtl")
+
 #: Path of the table's URDF: HandoverSim's table as boxes, with a top of 1.77 x 0.73 x 0.04 m at a
 #: height of 0.92 m and four legs.
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
 
 def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
-    """Return the path of an object's URDF.
-
-    Args:
-        name: YCB class name, e.g. "025_mug".
-        root: Folder of the object models.
+    """Return the path of the URDF of a YCB class, such as "025_mug".
 
     Raises:
         UnknownNameError: The class does not exist.
@@ -49,23 +59,39 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
     return path
 
 
+@cache
 def format_object_urdf(mass: float = MASS, friction: float = FRICTION) -> str:
-    """Return the URDF of an object: six base joints, then a link with the meshes of its folder.
-
-    Args:
-        mass: Mass (kg).
-        friction: Lateral friction coefficient.
-    """
+    """Return the URDF of an object (mass in kg): six base joints, then a link with the meshes of its folder."""
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction)
 
 
-def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files.
+def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
+    """Return meshes (color name, vertices in m, faces) as one OBJ text, for a folder with the palette.
 
-    Args:
-        feature: Feature that needs the folder, for the error message.
-        advice: What to do without PyBullet, for the error message.
+    PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are
+    the center of a color's cell in a small image.
+    """
+    names = sorted(PALETTE)
+    lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
+    lines += [f"vt {(index + 0.5) / len(names):.4f} 0.5" for index in range(len(names))]
+    first = 1
+    for color, vertices, faces in colored:
+        texture = names.index(color) + 1
+        lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices.tolist()]
+        lines += [f"f {a}/{texture} {b}/{texture} {c}/{texture}" for a, b, c in (faces + first).tolist()]
+        first += len(vertices)
+    return "\n".join(lines) + "\n"
+
+
+def copy_palette(folder: Path) -> None:
+    """Copy the image and the material file of the colors, which all shipped objects have, into a folder."""
+    for name in PALETTE_FILES:
+        (folder / name).write_bytes((OBJECTS_ROOT / "025_mug" / name).read_bytes())
+
+
+def find_bullet_data(feature: str, advice: str) -> Path:
+    """Return PyBullet's folder of model files; errors name the feature that needs it, and what to do instead.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -1,11 +1,11 @@
 """Robot grasps, grasp validations and network weights that are part of the library.
 
-Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the
-hand approaches along z, and the Panda's hand link is the gripper frame rotated by -90 degrees
-about z.
+Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along
+z, and the Panda's hand link is the gripper frame rotated by -90 degrees about z.
 """
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -45,53 +45,20 @@ def find_vision_weights(setup: str) -> Path:
 
 
 def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.float64] | None:
-    """Load the robot grasps of a YCB class.
-
-    Args:
-        name: YCB class name, e.g. "025_mug".
-        path: Grasp file.
-
-    Returns:
-        (100, 4, 4) gripper poses in the object's frame (m), or None for a class without grasps.
+    """Load the gripper poses (100, 4, 4) of a YCB class in the object's frame (m), None for a class without grasps.
 
     Raises:
         UnknownNameError: The class does not exist.
-        DataNotFoundError: The grasp file is missing.
-        DataFormatError: The grasp file is damaged or lacks the class.
+        DataNotFoundError, DataFormatError: The grasp file is missing or damaged.
     """
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
-    grasps = _load_grasps(path)
-    if name not in grasps:
-        raise DataFormatError(
-            f"{path}: no grasps for {name}; rebuild with `python -m handover_marl.assets.building.build_grasps`"
-        )
-    own_copy: npt.NDArray[np.float64] = grasps[name].copy()
-    return own_copy
-
-
-@functools.cache
-def _load_grasps(path: Path) -> MappingProxyType[str, npt.NDArray[np.float64]]:
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; make it with `python -m handover_marl.assets.building.build_grasps`"
-        )
-    grasps = {name: array.astype(np.float64) for name, array in _load_npz(path, "grasp file").items()}
-    for name, transforms in grasps.items():
-        if transforms.ndim != 3 or transforms.shape[1:] != (4, 4) or not np.isfinite(transforms).all():
-            raise DataFormatError(f"{path}: {name} must be finite numbers of shape (n, 4, 4)")
-    return MappingProxyType(grasps)
+    return np.asarray(_load_npz(path)[name].astype(np.float64))
 
 
 def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
-    """Return the record (n, 4) of an object's grasp validations, or None if there is no such record.
-
-    `ValidationRecord` describes the columns.
-
-    Args:
-        name: Name of the record.
-        path: File of the records.
+    """Return the `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is no such record.
 
     Raises:
         DataFormatError: The file is damaged.
@@ -100,25 +67,21 @@ def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> Validatio
     return None if record is None else record.copy()
 
 
-@functools.cache
-def load_validation_records(path: Path) -> MappingProxyType[str, ValidationRecord]:
+def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
     """Load all grasp validation records of a file by name; return no records if the file is missing.
 
     Raises:
         DataFormatError: The file is damaged.
     """
-    if not path.is_file():
-        return MappingProxyType({})
-    records = _load_npz(path, "file of grasp validations")
-    for name, record in records.items():
-        if record.dtype != np.int16 or record.ndim != 2 or record.shape[1] != 4:
-            raise DataFormatError(f"{path}: {name} must be integers of shape (n, 4); install the library again")
-    return MappingProxyType(records)
+    return _load_npz(path) if path.is_file() else {}
 
 
-def _load_npz(path: Path, kind: str) -> dict[str, npt.NDArray[Any]]:
+@functools.cache
+def _load_npz(path: Path) -> Mapping[str, npt.NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            return MappingProxyType({name: archive[name] for name in archive.files})
+    except FileNotFoundError as error:
+        raise DataNotFoundError(f"{path} is missing; install the library again") from error
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(f"{path}: not a readable {kind} ({error}); install the library again") from error
+        raise DataFormatError(f"{path}: not a readable file of arrays ({error}); install the library again") from error

@@ -61,21 +61,11 @@ class ArrayGiver(Giver):
 
     @abstractmethod
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode.
-
-        Args:
-            row: Index of the episode.
-            seed: Seed of its random numbers.
-        """
+        """Start the episode of a row with a seed of its random numbers."""
 
     @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in some episodes.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of the giver's observations.
-        """
+        """Return the actions (r, 8) in the episodes of rows (r,), from their observations (r, ...)."""
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the seed determines its random numbers."""
@@ -126,13 +116,7 @@ class GiverBatch(ArrayPolicy[ArrayGiver]):
 
 
 def make_giver_batch(policy: Policy, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> ArrayPolicy[ArrayGiver] | None:
-    """Return the batch of a giver of the library, or None for another policy.
-
-    Args:
-        policy: Policy of a single episode.
-        count: Number of episodes.
-        arrays: Creator of the arrays.
-    """
+    """Return the batch of a giver of the library for a number of episodes, or None for another policy."""
     is_batched = isinstance(policy, ArrayGiver) and type(policy).act is ArrayGiver.act
     return GiverBatch(policy, count, arrays) if is_batched else None  # type: ignore[arg-type]
 

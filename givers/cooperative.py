@@ -92,11 +92,10 @@ class CooperativeConfig(CheckedConfig):
 class CooperativeGiver(ArrayGiver):
     """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
 
-    While the recorded hand moves to its handover pose, the hand turns behind the object as seen
-    from the gripper and moves towards the gripper. The pose is fixed once the recorded hand has
-    stopped or the gripper is near, because robots take resting objects best. `HandoverPoseVariation` varies
-    the pose if the gripper does not approach. The hand releases the object when both fingers have
-    stopped on the object, and withdraws after any release.
+    While the recorded hand moves to its handover pose, the hand turns behind the object as seen from the gripper and
+    moves towards the gripper. The pose is fixed once the recorded hand has stopped or the gripper is near, because
+    robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper does not approach. The hand
+    releases the object when both fingers have stopped on the object, and withdraws after any release.
 
     Args:
         context: Robot and task, which this giver does not use.
@@ -104,8 +103,7 @@ class CooperativeGiver(ArrayGiver):
 
     Attributes:
         near_distance: Distance from gripper to object at which the pose is fixed (m).
-        arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as
-            stopped (m).
+        arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as stopped (m).
         grasp_time: Time for which the fingers must rest on the object before the release (s).
     """
 

@@ -34,10 +34,6 @@ class DisplacedGiver(ArrayGiver):
 
     Displacements are uniformly distributed in a ball, rotations have a random axis and a uniform angle. The hand
     moves to the displaced motion once it has picked up the object.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `DisplacedConfig`.
     """
 
     name = "displaced"
@@ -62,5 +58,4 @@ class DisplacedGiver(ArrayGiver):
 
 def _draw_direction(rng: np.random.Generator) -> npt.NDArray[np.float64]:
     """Return a random unit vector (3,)."""
-    direction: npt.NDArray[np.float64] = Rotation.random(random_state=rng).as_matrix()[:, 0]
-    return direction
+    return np.asarray(Rotation.random(random_state=rng).as_matrix()[:, 0])

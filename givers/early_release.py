@@ -36,10 +36,6 @@ class EarlyReleaseGiver(ArrayGiver):
 
     The release does not depend on a grasp, so the robot must close its fingers in time. The rules of the task
     apply too: a grasp that is firm earlier leads to a release.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `EarlyReleaseConfig`.
     """
 
     name = "early_release"

@@ -40,10 +40,6 @@ class NoisyGiver(ArrayGiver):
     """Giver with Ornstein-Uhlenbeck noise on playback rate, wrist position and wrist rotation.
 
     The limits of the giver's motion apply, so that fast noise is smoothed.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `NoisyConfig`.
     """
 
     name = "noisy"

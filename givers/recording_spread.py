@@ -48,10 +48,6 @@ class RecordingSpreadGiver(ArrayGiver):
     split (`recording_spread.json`; for other objects those over all objects). The limits of the giver's motion apply:
     each component of the displacement is at most 0.3 m, that of the rotation vector at most 1 rad, and the motion is
     at most twice as fast as recorded.
-
-    Args:
-        context: Object classes; default: those of DexYCB.
-        options: Numbers in `RecordingSpreadConfig`.
     """
 
     name = "recording_spread"

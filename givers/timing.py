@@ -40,12 +40,7 @@ class HesitantConfig(CheckedConfig):
 
 
 class HesitantGiver(ArrayGiver):
-    """Giver that pauses the recorded motion at random times.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `HesitantConfig`.
-    """
+    """Giver that pauses the recorded motion at random times."""
 
     name = "hesitant"
     default_config = HesitantConfig()
@@ -90,12 +85,7 @@ class HurriedConfig(CheckedConfig):
 
 
 class HurriedGiver(ArrayGiver):
-    """Giver that replays the recorded motion faster, or slower, at a random speed per episode.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `HurriedConfig`.
-    """
+    """Giver that replays the recorded motion faster, or slower, at a random speed per episode."""
 
     name = "hurried"
     default_config = HurriedConfig()
@@ -131,10 +121,6 @@ class StopWhenNearGiver(ArrayGiver):
     """Giver that pauses the recording while the gripper is near the object.
 
     GenH2R has such a giver (Wang et al., CVPR 2024).
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `StopWhenNearConfig`.
     """
 
     name = "stop_when_near"

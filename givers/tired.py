@@ -42,10 +42,6 @@ class TiredGiver(ArrayGiver):
 
     The tremor is a sine wave along each axis with a random phase. The limits of the giver's motion apply: with the
     default limits, the acceleration of the tremor is at most 5 m/s^2.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `TiredConfig`.
     """
 
     name = "tired"

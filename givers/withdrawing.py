@@ -41,12 +41,7 @@ class WithdrawingConfig(CheckedConfig):
 
 
 class WithdrawingGiver(ArrayGiver):
-    """Giver that withdraws the hand while the gripper approaches fast, as a stress test.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `WithdrawingConfig`.
-    """
+    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
 
     name = "withdrawing"
     default_config = WithdrawingConfig()
@@ -112,10 +107,6 @@ class InterruptingGiver(ArrayGiver):
     Interruptions start after the object has been picked up and before it is released; their times do not depend
     on the robot. The limits of the giver's motion apply: with the default limits, the hand moves at up to 0.8 m/s
     and 5 m/s^2 relative to the recording, within 0.3 m of it.
-
-    Args:
-        context: Robot and task, which this giver does not use.
-        options: Numbers in `InterruptingConfig`.
     """
 
     name = "interrupting"

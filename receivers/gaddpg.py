@@ -47,37 +47,32 @@ Array = npt.NDArray[np.float64]
 # Suffix of weight files of this library.
 _OWN_SUFFIX = ".npz"
 
-#: Function from points (4, 1030) float64 and the number of remaining decisions to six numbers: the
-#: translation (m) and Euler angles (rad, static axes x, y, z) to the next pose of the hand link, in
-#: its present frame.
+#: Function from points (4, 1030) float64 and the number of remaining decisions to six numbers: the translation (m) and
+#: Euler angles (rad, static axes x, y, z) to the next pose of the hand link, in its present frame.
 GaddpgFunction = Callable[[Array, int], npt.ArrayLike]
 
 
 class GaddpgReceiver(PhasedReceiver):
     """Receiver whose hand poses are decided by a network from point clouds (GA-DDPG).
 
-    The receiver is intended for `robot="panda_camera"`, the Panda with the camera's body. If `act` is
-    called before the next decision is due, it repeats the last action; if it is called later, it
-    decides then. A receiver with another network is a subclass that passes its network to this class
-    and has its own name.
+    The receiver is intended for `robot="panda_camera"`, the Panda with the camera's body. If `act` is called before the
+    next decision is due, it repeats the last action; if it is called later, it decides then. A receiver with another
+    network is a subclass that passes its network to this class and has its own name.
 
     Args:
         context: The robot and the task.
         network: Function that decides on the next hand pose; must not be given with `weights`.
         weights: File or folder of the original authors' checkpoint, or an .npz file that
-            `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own
-            weights, with which the hand moves to the grasp that the network predicts. Result labels
-            of .npz weights contain "own weights".
-        wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for
-            "w/o hold".
+            `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own weights, with which
+            the hand moves to the grasp that the network predicts. Result labels of .npz weights contain "own weights".
+        wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for "w/o hold".
         max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
             the trained model. Default: the value in the library's own weights (30), or else 20.
         memory: Configuration of the point cloud memory.
         timing: Durations of the receiver's phases.
 
     Raises:
-        OptionError: PyTorch is not installed, both network and weights are given, or a number is
-            out of range.
+        OptionError: PyTorch is not installed, both network and weights are given, or a number is out of range.
         DataNotFoundError: The weight file does not exist.
         DataFormatError: The weight file cannot be read.
         UnsafeFileError: The checkpoint contains more than weights.
@@ -136,12 +131,7 @@ class GaddpgReceiver(PhasedReceiver):
         self._start_approach()
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            PolicyError: The network did not return six numbers.
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         timing, self._now_ms = self.timing, round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - timing.wait_ms
         if elapsed < 0:

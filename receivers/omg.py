@@ -1,9 +1,8 @@
 """OMG motion planner (Wang et al., RSS 2020) as a receiver, as in HandoverSim.
 
-The receiver waits until the object is held out, plans once to one of the object's grasps, executes
-the trajectory without feedback, closes the fingers and carries the object to the goal in a straight
-line. It uses the object's true pose. `omg` ignores the person's hand, `omg_hand_aware` keeps
-clear of the hand. All variants need the extra `planning`.
+The receiver waits until the object is held out, plans once to one of the object's grasps, executes the trajectory
+without feedback, closes the fingers and carries the object to the goal in a straight line. It uses the object's true
+pose. `omg` ignores the person's hand, `omg_hand_aware` keeps clear of the hand. All variants need the extra `planning`.
 """
 
 import logging
@@ -67,7 +66,6 @@ class OmgReceiver(PhasedReceiver):
         OptionError: The extra `planning` is not installed.
 
     Attributes:
-        config: Configuration of the planner.
         world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
     """
 
@@ -129,11 +127,7 @@ class OmgReceiver(PhasedReceiver):
         self._has_planned, self._plan = False, None
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self.timing.wait_ms
         if elapsed < 0:

@@ -38,9 +38,6 @@ class PhasedReceiver(Receiver):
         context: The robot and the task.
         wait: Time at the start or waiting pose (s); default: the time in `timing`.
         timing: Durations of the receiver's phases.
-
-    Attributes:
-        timing: Durations of the receiver's phases.
     """
 
     #: Durations of the phases unless others are given.

@@ -35,10 +35,8 @@ class PointCloudMemoryConfig(CheckedConfig):
             make more decisions (m).
         extra_steps: Number of decisions that are added after a motion above `motion_threshold`, up
             to `max_steps` in total.
-        cage_lower: Lower corner of the region between the fingers in the hand link's frame (m),
-            exclusive.
-        cage_upper: Upper corner of the region between the fingers in the hand link's frame (m),
-            exclusive.
+        cage_lower: Lower corner of the region between the fingers in the hand link's frame (m), exclusive.
+        cage_upper: Upper corner of the region between the fingers in the hand link's frame (m), exclusive.
         cage_points: Number of points between the fingers that must be exceeded to end the approach.
         seed: Seed of the random selection of points, the same in every episode.
     """
@@ -69,8 +67,7 @@ class PointCloudMemory:
     Attributes:
         config: Configuration of the memory.
         remaining: Number of decisions that remain for the approach.
-        cloud: (3, n) float64 points in the robot's base frame (m), without columns before the first
-            view of the object.
+        cloud: (3, n) float64 points in the robot's base frame (m), without columns before the first view of the object.
     """
 
     config: PointCloudMemoryConfig = field(default_factory=PointCloudMemoryConfig)
@@ -89,11 +86,9 @@ class PointCloudMemory:
         self._rng = np.random.RandomState(self.config.seed)
 
     def update(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:
-        """Replace the cloud by the object's points in a new view; an empty view changes nothing.
+        """Replace the cloud by the object's points (n, 3) float32 in the hand's frame; none change nothing.
 
-        Args:
-            points: (n, 3) float32 points in the hand link's frame (m), in the camera's order.
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
+        `base_from_hand` is the pose (4, 4) of the hand link in the robot's base frame.
         """
         if len(points) == 0:
             return
@@ -110,9 +105,6 @@ class PointCloudMemory:
     def make_network_input(self, base_from_hand: Array) -> Array:
         """Return the network's input: points of gripper and object in the hand link's frame.
 
-        Args:
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
-
         Returns:
             (4, 6 + n_points) float64 positions (m), and a row that is 1 for gripper points.
         """
@@ -123,11 +115,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether enough object points, drawn at random, are between the fingers.
-
-        Args:
-            base_from_hand: (4, 4) pose of the hand link in the robot's base frame.
-        """
+        """Return whether enough object points, drawn at random, are between the fingers."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)

@@ -8,11 +8,7 @@ from handover_marl.policies.policy import Action, PolicyContext, Receiver
 
 
 class RandomReceiver(Receiver):
-    """Receiver that samples target joint positions uniformly within the limits.
-
-    Args:
-        context: The robot and the task.
-    """
+    """Receiver that samples target joint positions uniformly within the limits."""
 
     name = "random"
 

@@ -1,25 +1,262 @@
 """Reactive handovers by grasp selection (Yang et al., ICRA 2021), as in HandoverSim.
 
-Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses
-from the pose selected last and from a preferred pose. It moves to the best reachable standoff, from
-there straight to the grasp, closes the fingers and carries the object to the goal. It uses the
-object's true pose and ignores the person's hand.
+Every 0.1 s the receiver ranks the object's known grasps by the distance of their standoff poses from the pose selected
+last and from a preferred pose. It moves to the best reachable standoff, from there straight to the grasp, closes the
+fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum, auto
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import check_config
+from handover_marl.config import ARM_DOF, CheckedConfig, Limits, check_config
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
+from handover_marl.geometry import panda
 from handover_marl.geometry.arrays import AnyIntegers, Indices
+from handover_marl.geometry.poses import (
+    compose,
+    compute_dot_products,
+    compute_lengths,
+    compute_pose_distances,
+    compute_rotation_angles,
+)
+from handover_marl.planning.ik_solvers import IkSolver, make_ik_solver
 from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.options import override_options
-from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
-from handover_marl.receivers.yang2021_controller import YangConfig, YangController, YangPhase
+from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait, require_reset
+from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
+
+Array = npt.NDArray[np.float64]
+Actions = npt.NDArray[np.float32]
+Flags = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class YangConfig(CheckedConfig):
+    """Constants of the method of Yang et al. (2021), as in HandoverSim.
+
+    Attributes:
+        wait: Time at the waiting pose (s).
+        decision_period: Time between decisions during the approach (s).
+        close_time: Time for which the fingers close (s).
+        standoff: (7,) standoff pose of the hand link, in the frame of the hand link at the grasp.
+        preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
+        rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
+        max_candidates: Maximum number of grasps that are checked for reachability.
+        region_width: Half width, for a standoff at the grasp, of the region around the line from
+            standoff to grasp in which the hand moves straight to the grasp (m).
+        region_slope: Growth of the region's width with the distance of the standoff from the grasp
+            (1/m), relative to `region_width`.
+        region_max_width: Maximum half width of the region around the line (m).
+        angle_tolerance: Maximum rotation error of the hand in the region and at the grasp (rad).
+        step_length: Length of a step from standoff to grasp (m).
+        grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
+    """
+
+    limits: ClassVar[Limits] = {
+        "wait": (0.0, 60.0),
+        "decision_period": (0.001, 60.0),
+        "close_time": (0.0, 60.0),
+        "rotation_weight": (0.0, np.inf),
+        "max_candidates": (1, np.inf),
+        "region_width": (0.0, np.inf),
+        "region_slope": (0.0, np.inf),
+        "region_max_width": (0.0, np.inf),
+        "angle_tolerance": (0.0, np.pi),
+        "step_length": (0.001, np.inf),
+        "grasp_tolerance": (0.0, np.inf),
+    }
+
+    wait: float = 3.0
+    decision_period: float = 0.1
+    close_time: float = 0.5
+    standoff: tuple[float, ...] = panda.RANKING_STANDOFF
+    preferred_pose: tuple[float, ...] = panda.PREFERRED_HAND_POSE
+    rotation_weight: float = panda.RANKING_ROTATION_WEIGHT
+    max_candidates: int = panda.MAX_RANKED_GRASPS
+    region_width: float = 0.015
+    region_slope: float = 50.0
+    region_max_width: float = 0.04
+    angle_tolerance: float = float(np.radians(15.0))
+    step_length: float = 0.05
+    grasp_tolerance: float = 0.005
+
+
+class YangPhase(IntEnum):
+    """Phase of a handover with the method of Yang et al. (2021)."""
+
+    WAIT = auto()
+    APPROACH = auto()
+    CLOSE = auto()
+    RETREAT = auto()
+
+
+class YangController:
+    """Controller of n episodes by the method of Yang et al. (2021).
+
+    The argument `rows` (r,) of methods contains the indices of the episodes to which a method applies; observations are
+    arrays (r, ...).
+
+    Args:
+        context: The robot, the task, the objects and their grasps.
+        config: Constants of the method.
+        count: Number n of episodes.
+
+    Attributes:
+        phase: Phase (n,) of each episode, a `YangPhase`.
+        selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
+    """
+
+    def __init__(self, context: PolicyContext, config: YangConfig, count: int) -> None:
+        self._context, self._config = context, config
+        self._ik_solver: IkSolver | None = None
+        self._library = GraspLibrary(context.grasps, context.object_names)
+        self._table = GraspTable(self._library.load_grippers)
+        self.phase, self._close_until = np.full(count, int(YangPhase.WAIT)), np.zeros(count)
+        self.selected = np.full((count, 2, 7), np.nan)
+        # Last selected standoffs, near which the next ones have a low cost; nan without one.
+        self._references = np.full((count, 7), np.nan)
+        self._goals = np.zeros((count, ARM_DOF))
+
+    def prepare(self, object_name: str) -> None:
+        """Read the grasps of an object class."""
+        self._library.get_gripper_poses(object_name)
+
+    def reset(self, rows: Indices) -> None:
+        """Start episodes."""
+        if self._ik_solver is None:
+            # Loaded here so that it does not count as planning time.
+            self._ik_solver = make_ik_solver(self._context.panda_urdf, self._context.panda)
+        self.phase[rows] = YangPhase.WAIT
+        self.selected[rows], self._references[rows] = np.nan, np.nan
+
+    def get_hold_times(self, rows: Indices) -> Array:
+        """Return the times (r,) until the next decisions (s), infinite during the retreat."""
+        config = self._config
+        times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
+        return np.take(times, self.phase[rows] - YangPhase.WAIT)
+
+    def act(self, rows: Indices, observation: Observation) -> Actions:
+        """Return the next target joint positions (r, 9) (rad, m)."""
+        time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
+        waits = time < self._config.wait
+        phase[~waits & (phase == YangPhase.WAIT)] = YangPhase.APPROACH
+        approaches = ~waits & (phase == YangPhase.APPROACH)
+        arms = observation["robot_joint_position"][:, :ARM_DOF].astype(np.float64)
+        if approaches.any():
+            in_region, at_grasp = self._find_places(rows, approaches, observation["gripper_pose"])
+            phase[at_grasp] = YangPhase.CLOSE
+            self._close_until[rows[at_grasp]] = np.round(time[at_grasp] + self._config.close_time, 3)
+            _fill(self._move_to_standoffs, approaches & ~in_region, arms, rows, observation)
+            _fill(self._move_to_grasps, in_region & ~at_grasp, arms, rows, observation)
+        retreats = ~waits & (phase == YangPhase.CLOSE) & (time >= self._close_until[rows])
+        if retreats.any():
+            phase[retreats] = YangPhase.RETREAT
+            _fill(self._move_to_goal, retreats, arms, rows, observation)
+            self._goals[rows[retreats]] = arms[retreats]
+        self.phase[rows] = phase
+        arms = np.where((phase == YangPhase.RETREAT)[:, None], self._goals[rows], arms)
+        fingers = np.where(phase >= YangPhase.CLOSE, panda.CLOSED, panda.OPEN)[:, None]
+        actions = np.concatenate([arms, fingers, fingers], axis=1)
+        return np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32)
+
+    def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
+        """Return whether hands (r, 7) are in the region between standoff and grasp, and whether at the grasp, (r,)."""
+        config = self._config
+        in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
+        some = np.flatnonzero(approaches & ~np.isnan(self.selected[rows, 0, 0]))
+        if len(some):
+            hand, (standoff, grasp) = hands[some], self.selected[rows[some]].transpose(1, 0, 2)
+            angle = compute_rotation_angles(hand[:, 3:], grasp[:, 3:])
+            nearest = np.minimum(compute_rotation_angles(hand[:, 3:], standoff[:, 3:]), angle)
+            axis = grasp[:, :3] - standoff[:, :3]
+            length = compute_lengths(axis)
+            # The projection is divided by the length twice and clipped in between, as in the reference.
+            share = np.clip(compute_dot_products(hand[:, :3] - standoff[:, :3], axis) / length, 0.0, 1.0) / length
+            distance = compute_lengths(standoff[:, :3] + share[:, None] * axis - hand[:, :3])
+            width = np.minimum(config.region_width * (1.0 + config.region_slope * length), config.region_max_width)
+            in_region[some] = (distance < width) & (nearest < config.angle_tolerance)
+            is_near = compute_lengths(grasp[:, :3] - hand[:, :3]) < config.grasp_tolerance
+            at_grasp[some] = in_region[some] & is_near & (angle < config.angle_tolerance)
+        return in_region, at_grasp
+
+    def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
+        """Select the cheapest reachable standoffs and return the arm joints (r, 7) there."""
+        joints = observation["robot_joint_position"]
+        arms = joints[:, :ARM_DOF].astype(np.float64)
+        index = self._table.find(observation["object_classes"][:, 0])
+        known = np.flatnonzero(index >= 0)
+        if not len(known):
+            return arms
+        grippers, is_grasp = self._table.arrays[0][index[known]], self._table.is_grasp[index[known]]
+        # In this order: the last bits of the reference depend on it.
+        objects = observation["object_poses"][known, :1]
+        grasps = compose(compose(objects, grippers), np.array(panda.GRIPPER_FROM_HAND))
+        standoffs = compose(grasps, np.array(self._config.standoff))
+        costs = self._compute_costs(rows[known], standoffs, observation["gripper_pose"][known])
+        order = np.argsort(np.where(is_grasp, costs, np.inf), axis=1, kind="stable")[:, : self._config.max_candidates]
+        self._references[rows[known]] = np.nan
+        left = np.arange(len(known))
+        for rank in range(order.shape[1]):
+            left = left[is_grasp[left, order[left, rank]]]
+            if not len(left):
+                break
+            chosen = order[left, rank]
+            goals = standoffs[left, chosen]
+            found = self._solve_ik(joints[known[left]], goals[:, :3], goals[:, 3:])
+            is_solved = ~np.isnan(found[:, 0])
+            solved = left[is_solved]
+            row = rows[known[solved]]
+            arms[known[solved]], self._references[row] = found[is_solved], goals[is_solved]
+            self.selected[row] = np.stack([goals[is_solved], grasps[solved, chosen[is_solved]]], axis=1)
+            left = left[~is_solved]
+        return arms
+
+    def _compute_costs(self, rows: Indices, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
+        """Return the costs (r, n) of standoffs (r, n, 7)."""
+        references, weight = self._references[rows], self._config.rotation_weight
+        references = np.where(np.isnan(references), hands, references)
+        to_preferred = compute_pose_distances(self._config.preferred_pose, standoffs, weight)
+        return compute_pose_distances(references, standoffs, weight) + to_preferred
+
+    def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
+        """Return the arm joints (r, 7) after one step towards the grasps."""
+        hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self._config.step_length
+        offsets = grasps[:, :3] - hands
+        distances = compute_lengths(offsets)[:, None]
+        # The reference rounds this set-point to float32, like the observed position.
+        steps = (hands + offsets / np.maximum(distances, length) * length).astype(np.float32)
+        positions = np.where(distances >= length, steps, grasps[:, :3])
+        return self._solve_ik_or_stay(observation, positions, grasps[:, 3:])
+
+    def _move_to_goal(self, rows: Indices, observation: Observation) -> Array:
+        """Return the arm joints (r, 7) at the goal."""
+        goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (len(rows), 1))
+        return self._solve_ik_or_stay(observation, goals)
+
+    def _solve_ik_or_stay(self, observation: Observation, positions: Array, turns: Array | None = None) -> Array:
+        """Return the solutions (r, 7) of IK queries, and the present joints where there is none."""
+        joints = observation["robot_joint_position"]
+        found = self._solve_ik(joints, positions, turns)
+        return np.where(np.isnan(found), joints[:, :ARM_DOF], found)
+
+    def _solve_ik(self, joints: npt.NDArray[np.float32], positions: Array, turns: Array | None) -> Array:
+        return require_reset(self._ik_solver, "yang2021").solve_many(joints, positions, turns)
+
+
+def _fill(
+    move: Callable[[Indices, Observation], Array], flags: Flags, arms: Array, rows: Indices, observation: Observation
+) -> None:
+    """Write the arm joints that a method of the controller computes into `arms` (r, 7), where a flag (r,) is set."""
+    some = np.flatnonzero(flags)
+    if len(some):
+        arms[some] = move(rows[some], {key: value[some] for key, value in observation.items()})
+
 
 _ROW = np.zeros(1, dtype=np.int_)
 
@@ -38,9 +275,6 @@ class Yang2021Receiver(Receiver):
 
     Raises:
         OptionError: `wait` or an option is out of range, or an option is unknown.
-
-    Attributes:
-        config: Constants of the method.
     """
 
     name = "yang2021"
@@ -82,11 +316,7 @@ class Yang2021Receiver(Receiver):
         return float(self._controller.get_hold_times(_ROW)[0])
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         action: Action = self._controller.act(_ROW, {key: values[None] for key, values in observation.items()})[0]
         return action
 

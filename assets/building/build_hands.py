@@ -1,8 +1,7 @@
 """Build the hand models: `python -m handover_marl.assets.building.build_hands [--out DIR]`.
 
-The meshes are made for the reference hand, a rounded palm and phalanges as tapered capsules; every
-subject's URDF scales them. A left hand has its own mirrored meshes. Building the models again gives
-the same files, byte by byte.
+The meshes are made for the reference hand, a rounded palm and phalanges as tapered capsules; every subject's URDF
+scales them. A left hand has its own mirrored meshes. Building the models again gives the same files, byte by byte.
 """
 
 from collections.abc import Callable
@@ -20,17 +19,19 @@ from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
 from handover_marl.assets.building.shapes import make_hull
 from handover_marl.assets.hand_model import (
     HANDS_FOLDER,
+    MESH_NAMES,
     SIDES,
     SUBJECTS,
     FloatArray,
     HandGeometry,
     Side,
     format_hand_name,
+    format_hand_urdf,
+    format_numbers,
     make_hand_geometry,
     scale_hand,
 )
 from handover_marl.assets.hand_spheres import make_forearm_capsules, make_palm_capsules
-from handover_marl.assets.hand_urdf import MESH_NAMES, format_hand_urdf, format_numbers
 from handover_marl.geometry.model_files.meshes import select_extreme_points
 
 #: Largest number of vertices of a collision mesh; Bullet is slow with more.

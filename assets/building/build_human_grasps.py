@@ -54,16 +54,7 @@ class Args:
 def make_human_grasps(
     name: str, solid: MeshSolid, size: HandSize, side: Side, count: int, *seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """Return grasps of an object by one hand, as arrays of the output file.
-
-    Args:
-        name: YCB class name.
-        solid: Object.
-        size: Size of the hand.
-        side: Side of the hand.
-        count: Number of grasps.
-        seed: Random seed.
-    """
+    """Return a number of grasps of a YCB class by one hand, as arrays of the output file."""
     random = RandomStream(*seed)
     grasps = draw_human_grasps(random, solid, _AXES, size, side, _SEARCH)
     if grasps is None:

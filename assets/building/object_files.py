@@ -1,24 +1,19 @@
-"""Reader and writer of the objects' OBJ files, and of the palette image that colors them.
+"""Reader and writer of the objects' OBJ files, and of the palette image that colors them."""
 
-PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of
-every face are the center of a color's cell in a small image.
-"""
-
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import trimesh
 
-from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
+from handover_marl.assets.object_models import (
+    PALETTE,
+    format_visual,
+)
 from handover_marl.geometry.model_files.meshes import concatenate_meshes
-from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 
-#: sRGB values (0 to 255) by color name.
-PALETTE: Mapping[str, Sequence[int]] = json.loads((files(__package__) / "palette.json").read_text())
 _CELL = 4  # pixels; texture interpolation at the center stays inside of the cell
 
 
@@ -39,27 +34,12 @@ def write_palette(folder: Path) -> None:
 
 def write_visual(path: Path, colored_meshes: Iterable[tuple[str, trimesh.Trimesh]]) -> None:
     """Write colored meshes (m) as one OBJ file next to the palette."""
-    names = sorted(PALETTE)
-    lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
-    lines += [f"vt {(index + 0.5) / len(names):.4f} 0.5" for index in range(len(names))]
-    first = 1
-    for color, mesh in colored_meshes:
-        texture = names.index(color) + 1
-        vertices, faces = _canonicalize(mesh)
-        lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
-        lines += ["f " + " ".join(f"{first + corner}/{texture}" for corner in face) for face in faces]
-        first += len(vertices)
-    path.write_text("\n".join(lines) + "\n", newline="\n")
+    path.write_text(format_visual((color, *_canonicalize(mesh)) for color, mesh in colored_meshes), newline="\n")
 
 
 def write_convex_parts(path: Path, parts: Sequence[trimesh.Trimesh]) -> None:
-    """Write convex meshes (m) as the objects of one OBJ file; PyBullet makes a hull of each."""
-    texts, first = [], 1
-    for number, part in enumerate(parts):
-        vertices, faces = _canonicalize(part)
-        texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
-        first += len(vertices)
-    path.write_text("".join(texts), newline="\n")
+    """Write convex meshes (m) as the objects of one OBJ file."""
+    path.write_text(format_convex_parts(map(_canonicalize, parts)), newline="\n")
 
 
 def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
@@ -72,27 +52,6 @@ def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.N
     faces = faces[whole]
     turned = np.stack([np.roll(face, -int(np.argmin(face))) for face in faces])
     return vertices, turned[np.lexsort(turned.T[::-1])]
-
-
-def load_visual_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
-    """Load the visual mesh (m) of an object in its frame, without colors.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    (mesh,) = read_parts(find_object_urdf(name, root).with_name(VISUAL_NAME))
-    return mesh
-
-
-def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> list[trimesh.Trimesh]:
-    """Load the convex collision meshes (m) of an object in its frame.
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The files are missing under `root`.
-    """
-    return read_parts(find_object_urdf(name, root).with_name(COLLISION_NAME))
 
 
 def read_parts(path: Path) -> list[trimesh.Trimesh]:

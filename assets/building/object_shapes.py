@@ -1,9 +1,8 @@
 """Shapes of the object models in millimetres, with the dimensions of the scanned YCB objects.
 
-Source: scans of the YCB set (Calli et al., 2015) as used by DexYCB; the profiles in
-`object_profiles.json` were measured on them and rounded. Boxes, cans and blocks are made upright at
-the origin and then placed by center and rotation vector (degrees); bottles, tools and clamps are
-made in the scan's frame.
+Source: scans of the YCB set (Calli et al., 2015) as used by DexYCB; the profiles in `object_profiles.json` were
+measured on them and rounded. Boxes, cans and blocks are made upright at the origin and then placed by center and
+rotation vector (degrees); bottles, tools and clamps are made in the scan's frame.
 """
 
 import json
@@ -61,38 +60,24 @@ def _make_carton(rows: Sequence[tuple[float, float, float]], depth: float, color
     return loft(stack_outlines(outlines, [row[0] for row in rows]), colors, (cut,))
 
 
-def make_cracker_box() -> tuple[Piece, ...]:
-    """Return the pieces of 003_cracker_box (mm): 71.5 x 163.5 x 213.5, 63 wide in the middle."""
+def _make_cracker_box() -> tuple[Piece, ...]:
     colors = ("red", "red", "yellow", "red", "white", "red")
     return (_make_carton(PROFILES["cracker_box"], 163.5, colors, 4).transform((0, -1.7, 0)),)
 
 
-def make_sugar_box() -> tuple[Piece, ...]:
-    """Return the pieces of 004_sugar_box (mm): 42 x 92 x 176, leaning by 1.5 degrees."""
+def _make_sugar_box() -> tuple[Piece, ...]:
     colors = ("yellow", "white", "yellow", "blue")
     return (_make_carton(PROFILES["sugar_box"], 91.5, colors, 2).transform((0, -1.4, 0), (0, 0, -2.6)),)
 
 
-def make_pudding_box() -> tuple[Piece, ...]:
-    """Return the pieces of 008_pudding_box (mm): 114.2 x 89.9 x 38.2."""
+def _make_pudding_box() -> tuple[Piece, ...]:
     pieces = _make_labelled_box((114.2, 89.9, 37.6), ("brown", "cream", "white"), 2, 4.0)
     return tuple(piece.transform((-1.4, 4.1, -3.8), (1.1, -1.4, 28.4)) for piece in pieces)
 
 
-def make_gelatin_box() -> tuple[Piece, ...]:
-    """Return the pieces of 009_gelatin_box (mm): 72.7 x 89.4 x 29.8."""
+def _make_gelatin_box() -> tuple[Piece, ...]:
     pieces = _make_labelled_box((72.7, 89.4, 29.2), ("red", "cream", "white"), 2)
     return tuple(piece.transform((-1.3, 0.3, -3.9), (0.4, -0.8, 13.3)) for piece in pieces)
-
-
-def make_wood_block() -> tuple[Piece, ...]:
-    """Return the pieces of 036_wood_block (mm): 89.7 x 88.9 x 206."""
-    return (make_block((89.7, 88.9, 206.0), "wood", 4.0).transform((-1.8, 2.2, -17.5), (0.3, -0.4, -12.4)),)
-
-
-def make_foam_brick() -> tuple[Piece, ...]:
-    """Return the pieces of 061_foam_brick (mm): 51.9 x 77.4 x 51.1."""
-    return (make_block((51.9, 77.4, 51.1), "red", 2.5).transform((0.0, -0.2, 8.1), (0.2, 0.4, -0.8)),)
 
 
 def _make_can(low: float, high: float, body: float, rim: float, colors: tuple[str, str]) -> Piece:
@@ -103,30 +88,13 @@ def _make_can(low: float, high: float, body: float, rim: float, colors: tuple[st
     return loft(stack_outlines([make_ellipse(r, n=40) for r in radii], heights), (metal, metal, paper, metal, metal))
 
 
-def make_master_chef_can() -> tuple[Piece, ...]:
-    """Return the pieces of 002_master_chef_can (mm): diameter 102.5, height 140.1."""
-    return (_make_can(-73.7, 66.5, 50.2, 51.3, ("blue", "white")).transform((-1.5, 0.6, 0)),)
-
-
-def make_tomato_soup_can() -> tuple[Piece, ...]:
-    """Return the pieces of 005_tomato_soup_can (mm): diameter 67.8, height 101.9."""
-    return (_make_can(-59.3, 42.6, 33.0, 33.8, ("red", "steel")).transform((-0.3, 1.8, 0)),)
-
-
-def make_tuna_fish_can() -> tuple[Piece, ...]:
-    """Return the pieces of 007_tuna_fish_can (mm): diameter 85.5, height 33.5."""
-    return (_make_can(-20.8, 12.7, 42.0, 42.8, ("blue", "steel")),)
-
-
-def make_potted_meat_can() -> tuple[Piece, ...]:
-    """Return the pieces of 010_potted_meat_can (mm): 101.6 x 57.3 x 83.4, widest at its lid."""
+def _make_potted_meat_can() -> tuple[Piece, ...]:
     body, rim = make_rectangle(96.5, 51.5, 17.0, 6), make_rectangle(101.6, 57.3, 19.0, 6)
     rings = stack_outlines([body, body, body, rim, rim], (-49.8, -40.0, 26.0, 31.5, 33.8))
     return (loft(rings, ("steel", "navy", "steel", "steel"), (2,)).transform((-2.4, -0.5, 0), (0, 0, 2.6)),)
 
 
-def make_banana() -> tuple[Piece, ...]:
-    """Return the pieces of 011_banana (mm): length 197, thickness 37."""
+def _make_banana() -> tuple[Piece, ...]:
     path = [row[:3] for row in PROFILES["banana"]]
     rings = sweep_outlines(path, [make_ellipse(row[3], n=20) for row in PROFILES["banana"]], (0, 0, 1))
     colors = ("brown", *["yellow"] * (len(PROFILES["banana"]) - 3), "olive")
@@ -138,8 +106,7 @@ def _stack_downwards(outlines: list[Array], heights: list[float]) -> Array:
     return stack_outlines(outlines, heights)[..., [0, 2, 1]]
 
 
-def make_power_drill() -> tuple[Piece, ...]:
-    """Return the pieces of 035_power_drill (mm): 184 x 187 x 57; barrel along x, handle along -y."""
+def _make_power_drill() -> tuple[Piece, ...]:
     circles = stack_outlines(
         [make_ellipse(radius, n=28) for _, radius in PROFILES["power_drill_barrel"]],
         [x for x, _ in PROFILES["power_drill_barrel"]],
@@ -156,8 +123,7 @@ def make_power_drill() -> tuple[Piece, ...]:
     return barrel, handle, battery, trigger
 
 
-def make_scissors() -> tuple[Piece, ...]:
-    """Return the pieces of 037_scissors (mm): 96 x 201.5 x 15.7; closed, blades towards +y."""
+def _make_scissors() -> tuple[Piece, ...]:
     pieces = []
     for (x, y), direction, (long, short) in PROFILES["scissors_loops"]:
         along = np.array(direction) / np.hypot(*direction)
@@ -189,19 +155,12 @@ def _make_clamp(
     return *arms, hub, loft(stack_outlines(outlines, heights), "orange").transform((*pivot, 0))
 
 
-def make_extra_large_clamp() -> tuple[Piece, ...]:
-    """Return the pieces of 052_extra_large_clamp (mm): 210 x 164 x 36."""
-    return _make_clamp(PROFILES["extra_large_clamp"], (-13.2, 13.6), (-3.0, 1.0), (-18.3, 17.9))
-
-
-def make_large_clamp() -> tuple[Piece, ...]:
-    """Return the pieces of 051_large_clamp (mm): 120 x 171 x 39, slightly tilted as in the scan."""
+def _make_large_clamp() -> tuple[Piece, ...]:
     pieces = _make_clamp(PROFILES["large_clamp"], (-11.5, 11.5), (0.0, -2.0), (-17.6, 18.0))
     return tuple(piece.transform(rotation_degrees=(3.0, 5.7, 0.0)) for piece in pieces)
 
 
-def make_large_marker() -> tuple[Piece, ...]:
-    """Return the pieces of 040_large_marker (mm): diameter 18.8, length 120.8."""
+def _make_large_marker() -> tuple[Piece, ...]:
     path = [(x, y, -0.3) for x, y, _ in PROFILES["marker"]]
     outlines = [make_ellipse(radius, n=24) for *_, radius in PROFILES["marker"]]
     body = loft(sweep_outlines(path, outlines, (0, 0, 1)), ("black", "white", "white", "black", "black"), (3,))
@@ -211,8 +170,7 @@ def make_large_marker() -> tuple[Piece, ...]:
     return body, end
 
 
-def make_mustard_bottle() -> tuple[Piece, ...]:
-    """Return the pieces of 006_mustard_bottle (mm): 96 x 57.6 x 191.4, with cap and nozzle."""
+def _make_mustard_bottle() -> tuple[Piece, ...]:
     body = loft(
         stack_outlines(
             [make_ellipse(a, b, exponent=e) for _, a, b, e in PROFILES["mustard_bottle"]],
@@ -228,8 +186,7 @@ def make_mustard_bottle() -> tuple[Piece, ...]:
     return tuple(piece.transform((-0.8, -2.4, 0), (0, 0, -21.1)) for piece in (body, cap, nozzle))
 
 
-def make_bleach_cleanser() -> tuple[Piece, ...]:
-    """Return the pieces of 021_bleach_cleanser (mm): 102.4 x 67.7 x 250.6."""
+def _make_bleach_cleanser() -> tuple[Piece, ...]:
     outlines = [make_span(row[1:3], row[3:5], exponent=3.0) for row in PROFILES["bleach_cleanser"]]
     colors = ("white", "white", "white", "blue", "white", "white", "white", "white", "white", "white", "white")
     body = loft(stack_outlines(outlines, [row[0] for row in PROFILES["bleach_cleanser"]]), colors, (3, 4, 5, 7, 9))
@@ -238,16 +195,14 @@ def make_bleach_cleanser() -> tuple[Piece, ...]:
     return body, collar, spout
 
 
-def make_bowl() -> tuple[Piece, ...]:
-    """Return the pieces of 024_bowl (mm): diameter 161, height 55, walls 3 thick, open at the top."""
+def _make_bowl() -> tuple[Piece, ...]:
     wall = revolve_wall(PROFILES["bowl"], "red", n_parts=18)
     rim = revolve_wall(((80.6, 26.5, 71.0, 26.5), (80.6, 30.0, 71.2, 30.4)), "red", n_parts=18)
     bottom = loft(stack_outlines([make_ellipse(44.0, n=48)] * 2, (-24.5, -22.0)), "red")
     return tuple(piece.transform((0.2, -0.9, 0)) for piece in (wall, rim, bottom))
 
 
-def make_mug() -> tuple[Piece, ...]:
-    """Return the pieces of 025_mug (mm): rim diameter 92.9, height 81.5, with an open handle."""
+def _make_mug() -> tuple[Piece, ...]:
     wall = revolve_wall(PROFILES["mug"], "red")
     rim = revolve_wall(((46.4, 40.0, 37.8, 39.8), (46.4, 42.0, 38.3, 42.4)), "red")
     floor = loft(
@@ -261,11 +216,7 @@ def make_mug() -> tuple[Piece, ...]:
     return *(piece.transform((-3.7, 0.7, 0)) for piece in (wall, rim, floor)), handle
 
 
-def make_pitcher_base() -> tuple[Piece, ...]:
-    """Return the pieces of 019_pitcher_base (mm): height 242.7, with lid, spout and handle.
-
-    The spout points to -x and -y, the handle to +x and +y.
-    """
+def _make_pitcher_base() -> tuple[Piece, ...]:
     radii, heights = (50.0, 54.0, 62.9), (-147.0, -141.0, 71.0)
     body = loft(stack_outlines([make_ellipse(radius, n=48) for radius in radii], heights), "blue")
     wall = revolve_wall(((62.9, 71.0, 58.5, 71.0), (66.4, 87.9, 60.5, 87.9)), "white")
@@ -287,26 +238,36 @@ def make_pitcher_base() -> tuple[Piece, ...]:
 #: Function that makes the pieces of an object, by YCB class name.
 OBJECT_SHAPES: MappingProxyType[str, Callable[[], tuple[Piece, ...]]] = MappingProxyType(
     {
-        "002_master_chef_can": make_master_chef_can,
-        "003_cracker_box": make_cracker_box,
-        "004_sugar_box": make_sugar_box,
-        "005_tomato_soup_can": make_tomato_soup_can,
-        "006_mustard_bottle": make_mustard_bottle,
-        "007_tuna_fish_can": make_tuna_fish_can,
-        "008_pudding_box": make_pudding_box,
-        "009_gelatin_box": make_gelatin_box,
-        "010_potted_meat_can": make_potted_meat_can,
-        "011_banana": make_banana,
-        "019_pitcher_base": make_pitcher_base,
-        "021_bleach_cleanser": make_bleach_cleanser,
-        "024_bowl": make_bowl,
-        "025_mug": make_mug,
-        "035_power_drill": make_power_drill,
-        "036_wood_block": make_wood_block,
-        "037_scissors": make_scissors,
-        "040_large_marker": make_large_marker,
-        "051_large_clamp": make_large_clamp,
-        "052_extra_large_clamp": make_extra_large_clamp,
-        "061_foam_brick": make_foam_brick,
+        "002_master_chef_can": lambda: (
+            _make_can(-73.7, 66.5, 50.2, 51.3, ("blue", "white")).transform((-1.5, 0.6, 0)),
+        ),
+        "003_cracker_box": _make_cracker_box,
+        "004_sugar_box": _make_sugar_box,
+        "005_tomato_soup_can": lambda: (
+            _make_can(-59.3, 42.6, 33.0, 33.8, ("red", "steel")).transform((-0.3, 1.8, 0)),
+        ),
+        "006_mustard_bottle": _make_mustard_bottle,
+        "007_tuna_fish_can": lambda: (_make_can(-20.8, 12.7, 42.0, 42.8, ("blue", "steel")),),
+        "008_pudding_box": _make_pudding_box,
+        "009_gelatin_box": _make_gelatin_box,
+        "010_potted_meat_can": _make_potted_meat_can,
+        "011_banana": _make_banana,
+        "019_pitcher_base": _make_pitcher_base,
+        "021_bleach_cleanser": _make_bleach_cleanser,
+        "024_bowl": _make_bowl,
+        "025_mug": _make_mug,
+        "035_power_drill": _make_power_drill,
+        "036_wood_block": lambda: (
+            make_block((89.7, 88.9, 206.0), "wood", 4.0).transform((-1.8, 2.2, -17.5), (0.3, -0.4, -12.4)),
+        ),
+        "037_scissors": _make_scissors,
+        "040_large_marker": _make_large_marker,
+        "051_large_clamp": _make_large_clamp,
+        "052_extra_large_clamp": lambda: _make_clamp(
+            PROFILES["extra_large_clamp"], (-13.2, 13.6), (-3.0, 1.0), (-18.3, 17.9)
+        ),
+        "061_foam_brick": lambda: (
+            make_block((51.9, 77.4, 51.1), "red", 2.5).transform((0.0, -0.2, 8.1), (0.2, 0.4, -0.8)),
+        ),
     }
 )

@@ -39,16 +39,9 @@ class GraspReport:
 def make_robot_grasps(
     urdf: Path, count: int, seed: int, workers: int | None = None, progress: bool = True
 ) -> GraspReport:
-    """Sample grasps of an object and keep those that hold it while it is shaken in simulation.
+    """Sample grasps of an object and keep up to `count` that hold it while it is shaken in simulation.
 
-    The result does not depend on the number of workers.
-
-    Args:
-        urdf: Model of the object.
-        count: Number of grasps to find; the most different ones are simulated first.
-        seed: Random seed.
-        workers: Number of worker processes; default: one per core.
-        progress: Whether to show progress bars on stderr.
+    The most different ones are simulated first. The result does not depend on the number of workers.
 
     Raises:
         OptionError: `count` is out of range.

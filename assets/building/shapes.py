@@ -29,12 +29,7 @@ class Piece:
     collision: tuple[trimesh.Trimesh, ...] = ()
 
     def transform(self, offset: Sequence[float] = (0, 0, 0), rotation_degrees: Sequence[float] = (0, 0, 0)) -> "Piece":
-        """Return the piece rotated about the origin and then translated.
-
-        Args:
-            offset: Translation.
-            rotation_degrees: Rotation vector (degrees).
-        """
+        """Return the piece rotated about the origin by a rotation vector (degrees) and then translated."""
         matrix = np.eye(4)
         matrix[:3, :3] = Rotation.from_rotvec(rotation_degrees, degrees=True).as_matrix()
         matrix[:3, 3] = offset
@@ -47,11 +42,7 @@ class Piece:
 def make_ellipse(half_x: float, half_y: float | None = None, n: int = 32, exponent: float = 2.0) -> Array:
     """Return the outline (n, 2) of the curve |x/half_x|^exponent + |y/half_y|^exponent = 1.
 
-    Args:
-        half_x: Half the size along x.
-        half_y: Half the size along y; default: `half_x`.
-        n: Number of points.
-        exponent: 2 for an ellipse; larger values approach a rectangle with rounded corners.
+    Exponents above 2 approach a rectangle with rounded corners.
     """
     angle = np.arange(n) * 2 * np.pi / n
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -60,14 +51,7 @@ def make_ellipse(half_x: float, half_y: float | None = None, n: int = 32, expone
 
 
 def make_rectangle(size_x: float, size_y: float, corner: float, n_corner: int = 4) -> Array:
-    """Return the outline (n, 2) of a rectangle with rounded corners, centered at the origin.
-
-    Args:
-        size_x: Side length along x (mm).
-        size_y: Side length along y (mm).
-        corner: Radius of the corners (mm).
-        n_corner: Number of points of each corner.
-    """
+    """Return the outline (n, 2) of a rectangle at the origin, whose rounded corners have `n_corner` points each."""
     arc = np.linspace(0, np.pi / 2, n_corner)
     rounded = []
     for quarter, (sign_x, sign_y) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
@@ -78,19 +62,11 @@ def make_rectangle(size_x: float, size_y: float, corner: float, n_corner: int = 
 
 
 def make_span(low: Sequence[float], high: Sequence[float], corner: float = 0.0, exponent: float = 0.0) -> Array:
-    """Return the outline (n, 2) of a rectangle or a superellipse with a given bounding box.
-
-    Args:
-        low: Smallest x and y (mm).
-        high: Largest x and y (mm).
-        corner: Radius of the rectangle's corners (mm).
-        exponent: Exponent of the superellipse, see `make_ellipse`; 0 makes a rectangle.
-    """
+    """Return the outline (n, 2) of a rectangle, or of a superellipse of an exponent, with a bounding box (x, y)."""
     lower, upper = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     x, y = (upper - lower).tolist()
     outline = make_ellipse(x / 2, y / 2, exponent=exponent) if exponent else make_rectangle(x, y, corner)
-    centerd: Array = outline + (lower + upper) / 2
-    return centerd
+    return np.asarray(outline + (lower + upper) / 2)
 
 
 def stack_outlines(outlines: Iterable[Array], heights: Iterable[float]) -> Array:
@@ -101,13 +77,9 @@ def stack_outlines(outlines: Iterable[Array], heights: Iterable[float]) -> Array
 
 
 def sweep_outlines(path: npt.ArrayLike, outlines: Sequence[Array], up: Sequence[float], closed: bool = False) -> Array:
-    """Return rings (m, n, 3): outlines placed along a path, perpendicular to the path.
+    """Return rings (m, n, 3): m outlines (n, 2) at places (m, 3) of a path, perpendicular to it.
 
-    Args:
-        path: (m, 3) centers of the rings.
-        outlines: m outlines (n, 2).
-        up: Direction (3,) to which the outlines' y axes point as far as the path allows.
-        closed: Whether the path is closed.
+    Their y axes point to `up` (3,) as far as the path allows.
     """
     points = np.asarray(path, dtype=float)
     tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0) if closed else np.gradient(points, axis=0)
@@ -124,13 +96,9 @@ def sweep_outlines(path: npt.ArrayLike, outlines: Sequence[Array], up: Sequence[
 
 
 def make_bar(edges: npt.ArrayLike, low: float, high: float, bevel: float = 2.0) -> Array:
-    """Return rings (m, 8, 3) of a flat bar in the xy plane.
+    """Return rings (m, 8, 3) of a flat bar in the xy plane, with bevelled edges, between two heights z.
 
-    Args:
-        edges: (m, 2, 2) positions xy of both edges at stations along the bar.
-        low: Height z of the lower face.
-        high: Height z of the upper face.
-        bevel: Width of the bevels of the four long edges.
+    `edges` (m, 2, 2) are the positions xy of both edges at stations along the bar.
     """
     stations = np.asarray(edges, dtype=float)
     across = stations[:, 1] - stations[:, 0]
@@ -151,15 +119,9 @@ def loft(
     closed: bool = False,
     collides: bool = True,
 ) -> Piece:
-    """Return the closed surface through consecutive convex rings.
+    """Return the closed surface through rings (m, n, 3) of the same winding, with one color or one for each band.
 
-    Args:
-        rings: (m, n, 3) rings with the same winding.
-        color: One color, or one for each band between rings.
-        breaks: Indices of the rings at which the collision body is split into convex parts; None
-            splits it at every ring.
-        closed: Whether the last ring is joined to the first.
-        collides: Whether the piece has a collision body.
+    The collision body is split into convex parts at the rings with the numbers `breaks`, or at every ring (None).
     """
     if closed:
         rings = np.concatenate([rings, rings[:1]])
@@ -178,13 +140,10 @@ def loft(
 
 
 def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int = 20) -> Piece:
-    """Return a thin wall as a surface of revolution about the z axis.
+    """Return a thin wall as a surface of revolution about the z axis, with `n` sides.
 
-    Args:
-        stations: (k, 4) outer radius, outer z, inner radius and inner z at k places along the wall (mm).
-        color: Color of the wall.
-        n: Number of sides of the visual mesh.
-        n_parts: Number of sectors of the collision body, with k - 1 convex parts each.
+    `stations` (k, 4) are outer radius and z, then inner radius and z at k places along the wall. Each of the
+    `n_parts` sectors of the collision body has k - 1 convex parts.
     """
     table = np.asarray(stations, dtype=float)
     visual = loft(_revolve(np.concatenate([table[:, :2], table[::-1, 2:]]), n), color, closed=True, collides=False)
@@ -196,13 +155,7 @@ def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int 
 
 
 def make_block(size: Sequence[float], color: str, corner: float = 1.5) -> Piece:
-    """Return a box centered at the origin, with rounded vertical and bevelled horizontal edges.
-
-    Args:
-        size: Side lengths along x, y and z (mm).
-        color: Color of the box.
-        corner: Radius of the vertical edges and width of the bevels (mm).
-    """
+    """Return a box at the origin, with vertical edges of radius `corner` and horizontal bevels of that width."""
     x, y, z = size
     full, inset = make_rectangle(x, y, corner), make_rectangle(x - 2 * corner, y - 2 * corner, corner * 0.5)
     heights = (-z / 2, -z / 2 + corner, z / 2 - corner, z / 2)
@@ -210,13 +163,7 @@ def make_block(size: Sequence[float], color: str, corner: float = 1.5) -> Piece:
 
 
 def make_label(low: Sequence[float], high: Sequence[float], color: str) -> Piece:
-    """Return a box without collision body, such as a label on a surface.
-
-    Args:
-        low: Smallest x, y and z (mm).
-        high: Largest x, y and z (mm).
-        color: Color of the box.
-    """
+    """Return a box without collision body from its lowest to its highest corner, such as a label on a surface."""
     outline = make_rectangle(high[0] - low[0], high[1] - low[1], 0.05, 2)
     center = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0]
     return loft(stack_outlines([outline, outline], (low[2], high[2])), color, collides=False).transform(center)

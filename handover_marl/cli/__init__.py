@@ -6,9 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from handover_marl.cli.streams import OutputError, discard_output, prepare_streams, print_message, print_result
+from handover_marl.cli.streams import discard_output, prepare_streams, print_message, print_result
 from handover_marl.errors import HandoverError
-from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.version import __version__
 
 # Help texts in much fewer columns take minutes, or never end.
@@ -26,7 +25,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message, 130 after Ctrl-C, 141 if the reader of the output closed it.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    open_missing_descriptors()
     prepare_streams()
     try:
         if list(arguments) == ["--version"]:
@@ -43,8 +41,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run_program(arguments)
     except HandoverError as error:
         print_message(str(error))
-        if isinstance(error, OutputError):
-            discard_output()
         return 2
     except KeyboardInterrupt:
         print_message("stopped; with --out, the same command resumes from here")

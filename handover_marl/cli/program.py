@@ -1,29 +1,10 @@
 """Commands of the program `handover-marl`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import tyro
 
-from handover_marl.cli import scenes
-from handover_marl.cli.data_folders import run_doctor, run_import
-from handover_marl.cli.folders import (
-    run_compare,
-    run_convert,
-    run_evaluate,
-    run_merge,
-    run_strangers_references,
-    run_strangers_table,
-    run_verify,
-)
-from handover_marl.cli.runs import (
-    run_agreement,
-    run_benchmark,
-    run_crossplay,
-    run_demonstrate,
-    run_pair,
-    run_render,
-    run_strangers,
-)
+from handover_marl.cli import data_folders, folders, runs, scenes
 from handover_marl.policies.registry import list_available
 
 _DESCRIPTION = """Simulate and evaluate human-to-robot handovers.
@@ -32,33 +13,26 @@ Receivers: {receivers}.
 Givers: {givers}.
 A policy may also be your own class (my_package.robots:MyReceiver) and take options (omg:wait=1.5)."""
 
-# In the order of the help text.
-_COMMANDS: dict[str, Callable[..., int | None]] = {
-    "benchmark": run_benchmark,
-    "pair": run_pair,
-    "agreement": run_agreement,
-    "crossplay": run_crossplay,
-    "strangers": run_strangers,
-    "strangers-table": run_strangers_table,
-    "strangers-references": run_strangers_references,
-    "demonstrate": run_demonstrate,
-    "convert": run_convert,
-    "render": run_render,
-    "evaluate": run_evaluate,
-    "verify": run_verify,
-    "compare": run_compare,
-    "merge": run_merge,
-    "import": run_import,
-    "doctor": run_doctor,
-}
-
-_SCENE_COMMANDS: dict[str, Callable[..., None]] = {
-    "add-object": scenes.add_object,
-    "add-motion": scenes.add_motion,
-    "add-split": scenes.add_split,
-    "check": scenes.check,
-    "preview": scenes.preview,
-}
+# In the order of the help text; `run_strangers_table` is the command `strangers-table`.
+_COMMANDS = (
+    runs.run_benchmark,
+    runs.run_pair,
+    runs.run_agreement,
+    runs.run_crossplay,
+    runs.run_strangers,
+    folders.run_strangers_table,
+    folders.run_strangers_references,
+    runs.run_demonstrate,
+    folders.run_convert,
+    runs.run_render,
+    folders.run_evaluate,
+    folders.run_verify,
+    folders.run_compare,
+    folders.run_merge,
+    data_folders.run_import,
+    data_folders.run_doctor,
+)
+_SCENE_COMMANDS = (scenes.add_object, scenes.add_motion, scenes.add_split, scenes.check, scenes.preview)
 
 
 def run_program(arguments: Sequence[str]) -> int:
@@ -71,12 +45,10 @@ def run_program(arguments: Sequence[str]) -> int:
         HandoverError: The command failed.
     """
     names = {f"{agent}s": ", ".join(list_available(agent)) for agent in ("receiver", "giver")}
-    app = tyro.extras.SubcommandApp()
-    for name, run in _COMMANDS.items():
-        app.command(name=name)(run)
-    scenes_app = tyro.extras.SubcommandApp()
-    for name, run in _SCENE_COMMANDS.items():
-        scenes_app.command(name=name)(run)
+    app, scenes_app = tyro.extras.SubcommandApp(), tyro.extras.SubcommandApp()
+    for group, commands in ((app, _COMMANDS), (scenes_app, _SCENE_COMMANDS)):
+        for run in commands:
+            group.command(name=run.__name__.removeprefix("run_").replace("_", "-"))(run)
     app.command(scenes_app, name="scenes", help="Build and check folders of custom scenes.")
     status: object = app.cli(
         prog="handover-marl",

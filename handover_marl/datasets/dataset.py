@@ -27,7 +27,6 @@ class SceneInfo:
     Attributes:
         scene_id: Number of the scene; for official scenes it is 100 * subject + 5 * object + trial.
         name: `<subject>/<sequence>` as in the data set.
-        subject: Name of the human giver, e.g. `20200709-subject-01`.
         side: Hand of the giver, "right" or "left".
         object_ids: Class numbers of the objects on the table, the handed-over one first: 1-21 for YCB
             classes, from 22 on for other classes of the data set.
@@ -36,10 +35,14 @@ class SceneInfo:
 
     scene_id: int
     name: str
-    subject: str
     side: str
     object_ids: tuple[int, ...]
     object_names: tuple[str, ...]
+
+    @property
+    def subject(self) -> str:
+        """Name of the human giver, e.g. `20200709-subject-01`."""
+        return self.name.partition("/")[0]
 
     @property
     def target_name(self) -> str:
@@ -210,9 +213,9 @@ class Dataset(ABC):
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return a text that changes with the scene's motion, models or robot grasps."""
 
-    @abstractmethod
     def describe_models(self, scene_id: int) -> str:
-        """Return a note for results on the origin of a scene's models; empty if there is none."""
+        """Return a note for results on the origin of a scene's models; empty for the user's and the library's."""
+        return ""
 
     def find_side(self, scene_id: int) -> str:
         """Return the hand of a scene's giver, "right" or "left"."""
@@ -230,11 +233,7 @@ class Dataset(ABC):
         return setup
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split in ascending order.
-
-        Args:
-            setup: One of `setups`; None is the default.
-            split: "train", "val" or "test".
+        """Return the scene numbers of a split ("train", "val" or "test") of a setup in ascending order.
 
         Raises:
             UnknownNameError: The setup or the split does not exist.
@@ -250,10 +249,6 @@ class Dataset(ABC):
     def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
         """Find the URDF files of a scene's bodies, with the library's table.
 
-        Args:
-            info: Description of the scene.
-            hand: URDF of the human hand.
-
         Raises:
             DataNotFoundError: A file is missing.
         """
@@ -268,13 +263,5 @@ class Dataset(ABC):
         hand_dof: npt.NDArray[np.float32],
         hand_span: tuple[int, int] | None,
     ) -> Scene:
-        """Make a scene of this data set; see `Scene`.
-
-        Args:
-            info: Description of the scene.
-            assets: URDF files of the bodies.
-            object_dof: (T, n, 6) motion of the objects.
-            hand_dof: (T, 51) motion of the hand.
-            hand_span: First and last frame in which the hand is visible, or None if it never is.
-        """
+        """Make a `Scene` of this data set, with the first and last frame of the hand, or None without one."""
         return Scene(info, self.name, assets, object_dof, hand_dof, *(hand_span or (None, None)))

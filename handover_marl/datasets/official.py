@@ -21,7 +21,6 @@ from handover_marl.datasets.official_files import (
     describe_origins,
     find_hand_origin,
     find_origin,
-    is_folder,
     require_file,
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
@@ -54,7 +53,7 @@ class OfficialDataset(Dataset):
         super().__init__(robot)
         self.data_dir = check_path("data_dir", data_dir)
         for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
-            if not is_folder(folder):
+            if not folder.is_dir():
                 raise DataNotFoundError(
                     f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
@@ -70,24 +69,12 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / PANDA_FILES[self.robot])
 
     def load_info(self, scene_id: int) -> SceneInfo:
-        """Load the description of a scene from its meta file.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: The meta file is missing.
-            DataFormatError: The meta file lacks a key or has an invalid object or hand.
-        """
+        """Load the description of a scene from its meta file."""
         self.check_scene_id(scene_id)
         return self._info(scene_id)[0]
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: The meta file, the pose file or a URDF is missing.
-            DataFormatError: The meta file or the pose file is damaged.
-        """
+        """Load a scene with its motion in the world frame."""
         self.check_scene_id(scene_id)
         info = self._info(scene_id)[0]
         object_dof, hand_dof = self.load_motion(scene_id)
@@ -112,35 +99,16 @@ class OfficialDataset(Dataset):
         return read_scene_motion(require_file(self._pose_path(scene_id)), self._info(scene_id)[1])
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a YCB class's URDF.
-
-        Raises:
-            DataNotFoundError: The file is missing.
-        """
+        """Return the path of a YCB class's URDF."""
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps of a YCB class.
-
-        Returns:
-            (n, 4, 4) gripper poses in the object's frame (m), or None for the master chef can and
-            the wood block, which have no grasps.
-
-        Raises:
-            DataNotFoundError: The grasp file is missing.
-            UnsafeFileError: The grasp file may run code.
-            DataFormatError: The grasp file is damaged.
-        """
+        """Load the robot grasps of a YCB class."""
         path = self._find_grasp_file(object_name)
         return None if path is None else _read_grasps(path, path.stat().st_mtime_ns)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that all files of the given scenes exist, and read the grasps of their objects.
-
-        Raises:
-            DataNotFoundError: A file is missing.
-            UnsafeFileError, DataFormatError: A grasp file may run code, or is damaged.
-        """
+        """Check that all files of the given scenes exist, and read the grasps of their objects."""
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)

@@ -5,7 +5,6 @@
 """
 
 import hashlib
-import os
 from collections import Counter
 from enum import Enum
 from functools import cache
@@ -71,12 +70,7 @@ def is_stand_in_file(path: Path) -> bool:
 
 
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
-    """Return the origin of a third-party file from its content.
-
-    Args:
-        path: Path relative to `assets/`.
-        content: Content of the file.
-    """
+    """Return the origin of a third-party file from its path in `assets/` and its content."""
     if is_stand_in(content):
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
@@ -85,14 +79,10 @@ def classify_file_origin(path: str, content: bytes) -> FileOrigin:
 
 
 def find_hand_origin(folder: Path) -> FileOrigin:
-    """Return ORIGINAL for a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
+    """Return ORIGINAL for the folder of a hand compiled from MANO by HandoverSim's rules, else STAND_IN.
 
-    A compiled hand has equal visual and collision meshes except for three links, and its meshes are
-    open surfaces. Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh
-    cannot be read.
-
-    Args:
-        folder: Folder of the hand with `mano.urdf` and `meshes/`.
+    A compiled hand has equal visual and collision meshes except for three links, and its meshes are open surfaces.
+    Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh cannot be read.
     """
 
     def mesh(kind: str, link: int) -> bytes:
@@ -129,23 +119,10 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return notes for reports, such as "stand-in grasps"; no notes if all files are HandoverSim's own.
-
-    Args:
-        kind: Kind of the files, such as "grasps".
-        origins: Origin of each file.
-    """
+    """Return notes on a kind of files, such as "stand-in grasps"; no notes if all are HandoverSim's own."""
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False if it cannot be looked up."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):  # permission denied in a parent folder, impossible name
-        return False
 
 
 def require_file(path: Path) -> Path:
@@ -166,6 +143,4 @@ def require_file(path: Path) -> Path:
         raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
     except ValueError as error:
         raise DataFormatError(f"{path} cannot be read ({error}); copy or expand the HandoverSim data again") from error
-    if not os.access(path, os.R_OK):
-        raise DataNotFoundError(f"{path} cannot be read; check its rights")
     return path

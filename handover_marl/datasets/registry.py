@@ -37,8 +37,7 @@ class DatasetKind:
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
         usage: Form of the name, for help and errors; "KIND:..." if the name has an argument.
-        open_dataset: Function from argument ("" without one), data folder (None without one) and robot to
-            the data set.
+        open_dataset: Function from argument ("" without one), data folder (None without one) and robot to the data set.
         note: Sentence below the tables of reports; "" for none.
     """
 
@@ -199,12 +198,7 @@ class DataLocation:
 
 
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
-    """Check that a scene on this machine equals the scene on the main machine, which starts the evaluation.
-
-    Args:
-        scene_id: Number of the scene.
-        found: Fingerprint on this machine.
-        expected: Fingerprint on the main machine; "" accepts any.
+    """Check that a scene here equals the scene on the main machine; an expected fingerprint "" accepts any.
 
     Raises:
         DataFormatError: The fingerprints differ.

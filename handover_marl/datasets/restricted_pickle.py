@@ -51,15 +51,12 @@ class _RestrictedUnpickler(pickle.Unpickler):
 
 
 def load_restricted(data: bytes, allowed: AllowedNames = ARRAY_NAMES) -> Any:
-    """Load a pickle from an untrusted source without importing anything.
+    """Load a pickle of any protocol, with functions and classes that it may use besides those in `ARRAY_NAMES`.
 
-    Args:
-        data: Pickle of any protocol.
-        allowed: Functions and classes that the pickle may use besides those in `ARRAY_NAMES`.
+    Nothing is imported.
 
     Raises:
-        UnsafeFileError: The pickle asks for another name; the message is the rest of a sentence that starts with "the
-            pickle".
+        UnsafeFileError: The pickle asks for another name; the message follows "the pickle".
         Exception: The pickle is damaged; any type may be raised.
     """
     return _RestrictedUnpickler(data, allowed).load()

@@ -38,7 +38,6 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
         check_scene_meta(path, ids, grasped, sides)
-        subject = name.split("/")[0]
     except DataFormatError:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -48,32 +47,24 @@ def read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
         ) from error
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
-    info = SceneInfo(
-        scene_id=scene_id,
-        name=name,
-        subject=subject,
-        side=sides[0],
-        object_ids=tuple(ids),
-        object_names=tuple(CLASS_NAMES[number] for number in ids),
-    )
-    return info, order
+    names = tuple(CLASS_NAMES[number] for number in ids)
+    return SceneInfo(scene_id, name, sides[0], tuple(ids), names), order
 
 
 def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Read the pose file of a scene.
-
-    Args:
-        path: Pose file.
-        order: Indices of the objects in the file, as returned by `read_scene_info`.
-
-    Returns:
-        Motion of the objects (T, n, 6), in the given order, and of the hand (T, 51).
+    """Read the motion of the objects (T, n, 6), in the order from `read_scene_info`, and of the hand (T, 51).
 
     Raises:
         DataFormatError: The file is damaged or has another number of objects.
     """
-    arrays = _read_npz(path, ("pose_y", "pose_m"))
-    objects, hand = arrays["pose_y"], arrays["pose_m"]
+    try:
+        arrays = read_arrays(path, ("pose_y", "pose_m"), MAX_MOTION_BYTES)
+        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise DataFormatError(
+            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
+            "copy or expand it again."
+        ) from error
     n_objects = len(order)
     if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
         raise DataFormatError(
@@ -88,13 +79,7 @@ def read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.floa
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check the objects and the hand of a scene's meta file.
-
-    Args:
-        path: Meta file, for error messages.
-        ids: YCB class numbers of the objects.
-        grasped: Index of the handed-over object in `ids`.
-        sides: Hands, ["right"] or ["left"].
+    """Check class numbers, index of the handed-over object and hand (["right"] or ["left"]) of a meta file.
 
     Raises:
         DataFormatError: A scene cannot have these objects or hands.
@@ -111,19 +96,3 @@ def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any])
         raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
     if sides not in (["right"], ["left"]):
         raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
-
-
-def _as_float32(array: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"array type must be numeric, got {array.dtype}")
-    return array.astype(np.float32)
-
-
-def _read_npz(path: Path, keys: tuple[str, ...]) -> dict[str, npt.NDArray[np.float32]]:
-    try:
-        return {key: _as_float32(array) for key, array in read_arrays(path, keys, MAX_MOTION_BYTES).items()}
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
-            "copy or expand it again."
-        ) from error

@@ -74,8 +74,7 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
     The position of a scene in this list is its index in the official result files.
 
     Args:
-        setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3"
-            (unseen objects).
+        setup: "s0" (no held-out factor), "s1" (unseen subjects), "s2" (unseen handedness) or "s3" (unseen objects).
         split: "train", "val" or "test".
         find_side: Function from a scene number to "right" or "left". It is only called for trial 4
             of setup s2; the hand of the other trials is prescribed.
@@ -106,16 +105,10 @@ def get_prescribed_side(scene: int) -> Literal["left", "right"]:
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen scenes of a split in ascending order without repetitions.
-
-    Args:
-        split_ids: Scene numbers of the split.
-        scenes: Chosen scene numbers, or None for the whole split.
-        where: Name of the split in error messages.
+    """Return the chosen scenes (None: all) of a split in ascending order without repetitions.
 
     Raises:
-        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of
-            the split.
+        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of the split.
     """
     if scenes is None:
         return split_ids

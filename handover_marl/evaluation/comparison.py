@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from handover_marl import __version__
 from handover_marl.errors import ResultsError, check_name
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
@@ -26,6 +25,7 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import EXACT, FAST, PHYSICS, check_physics
+from handover_marl.version import __version__
 from handover_marl.visualization.web_page import render_page
 
 AGREEMENT_FILE = "agreement.md"

@@ -21,7 +21,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion_trace import TraceRecorder
-from handover_marl.errors import ActionError, DataNotFoundError, HandoverError, OptionError, PolicyError
+from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
@@ -108,18 +108,21 @@ class EpisodeRunner:
         writers: Writers whose recorders observe each episode.
 
     Attributes:
+        config: Resolved configuration.
+        dataset: Dataset of the scenes.
         receiver: Policy of the receiver.
+        giver: Policy of the giver, or None for the replayed one, which cannot fail and takes no time.
+        episode: Episode of the last scene.
     """
 
-    def __init__(self, config: EvaluationConfig, parallelism: str, writers: Sequence[EpisodeWriter] = ()) -> None:
-        self._config, self._machine = config, f"{describe_machine()}, {parallelism}"
-        self._dataset = config.open_dataset()
+    def __init__(self, config: EvaluationConfig, parallelism: str = "", writers: Sequence[EpisodeWriter] = ()) -> None:
+        self.config, self._machine = config, f"{describe_machine()}, {parallelism}"
+        self.dataset = config.open_dataset()
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
-        self.receiver = receiver.make(self._dataset, config.world_config, config.setup)
-        # The replayed giver needs no policy object: it cannot fail and takes no time.
-        is_replay = giver.name == REPLAY
-        self._giver = None if is_replay else giver.make(self._dataset, config.world_config, config.setup)
-        self._episode = Episode(config.physics, config.world_config, wrist_camera=config.camera)
+        arguments = self.dataset, config.world_config, config.setup
+        self.receiver = receiver.make(*arguments)
+        self.giver = None if giver.name == REPLAY else giver.make(*arguments)
+        self.episode = Episode(config.physics, config.world_config, wrist_camera=config.camera)
         self._trace_recorder, self._action_recorder = TraceRecorder(), ActionRecorder()
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
@@ -134,30 +137,29 @@ class EpisodeRunner:
             HandoverError: The scene cannot be simulated, its data differ from the main machine's,
                 or a policy fails.
         """
-        scene = self._dataset.load_scene(task.scene_id)
-        fingerprint = self._dataset.compute_fingerprint(task.scene_id)
+        scene = self.dataset.load_scene(task.scene_id)
+        fingerprint = self.dataset.compute_fingerprint(task.scene_id)
         check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
-        self._episode.reset(scene, derive_robot_seed(self._config.seed, scene))
+        self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
         callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
         try:
-            run_episode(
-                self._episode, receiver or self.receiver, self._giver, seed=self._config.seed, callbacks=callbacks
-            )
+            run_episode(self.episode, receiver or self.receiver, self.giver, seed=self.config.seed, callbacks=callbacks)
         except (ActionError, OptionError, PolicyError) as error:
-            raise self._add_context(error, task) from error
+            giver = "" if self.giver is None else f" and giver {self.giver.name!r}"
+            raise type(error)(f"receiver {self.receiver.name!r}{giver} in scene {task.scene_id}: {error}") from error
         info = scene.info
         result = EpisodeResult(
             index=task.index,
-            status=self._episode.status,
-            steps=self._episode.steps,
+            status=self.episode.status,
+            steps=self.episode.steps,
             plan_s=float(self._action_recorder.times.sum()),
             scene_id=task.scene_id,
-            release_step=self._episode.release_step,
+            release_step=self.episode.release_step,
             object_name=info.target_name,
             subject=info.subject,
             side=info.side,
             n_objects=len(info.object_ids),
-            models=self._dataset.describe_models(task.scene_id) or None,
+            models=self.dataset.describe_models(task.scene_id) or None,
             fingerprint=fingerprint,
             machine=self._machine,
             fluency=compute_fluency(self._trace_recorder.trace),
@@ -166,14 +168,8 @@ class EpisodeRunner:
 
     def close(self) -> None:
         """Free the memory and the physics client of the simulation."""
-        self._episode.close()
+        self.episode.close()
         self._trace_recorder.close()
-
-    def _add_context(self, error: HandoverError, task: SceneTask) -> HandoverError:
-        policies = f"receiver {self.receiver.name!r}"
-        if self._giver is not None:
-            policies += f" and giver {self._giver.name!r}"
-        return type(error)(f"{policies} in scene {task.scene_id}: {error}")
 
 
 def run_episodes(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from handover_marl.config import CameraConfig, check_config
+from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_robot_seed, run_episode
@@ -21,6 +22,7 @@ from handover_marl.evaluation.config import (
     build_configs,
     set_dataset,
 )
+from handover_marl.evaluation.episode_runner import EpisodeRunner
 from handover_marl.evaluation.replays import format_replay_facts
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_boolean, forward_signature, require_modules
@@ -55,65 +57,31 @@ PLAN_CAMERA = CameraConfig(width=1200, height=600)
 _SINGLE_SCENE = ("setup", "split", "scenes", "world_config", *MULTI_SCENE_FIELDS)
 
 
-class ScenePlayer:
-    """Simulation of one scene with a receiver and a giver.
+def _open_scene(
+    scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any
+) -> tuple[EpisodeRunner, Scene, ExecutionConfig]:
+    """Return the runner of a scene with two policies, the scene, and the configuration of the execution."""
+    config, execution = build_configs(None, options, receiver=receiver, giver=giver)
+    dataset = config.open_dataset()
+    scene = dataset.load_scene(scene_id)
+    policies: Any = {
+        agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
+        for agent in ("receiver", "giver")
+    }
+    return EpisodeRunner(set_dataset(replace(config, **policies), dataset)), scene, execution
 
-    Args:
-        scene_id: Number of the scene.
-        receiver: The robot's policy.
-        giver: The person's policy.
-        options: Fields of `EvaluationConfig` and `ExecutionConfig` by name.
 
-    Attributes:
-        config: Configuration of the evaluation.
-        execution: Configuration of the execution.
-        dataset: Dataset of the scene.
-        scene: The scene.
-        receiver: Policy of the receiver.
-        episode: Episode of the scene, reset by `play`.
-    """
-
-    def __init__(self, scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any) -> None:
-        self.config, self.execution = build_configs(None, options, receiver=receiver, giver=giver)
-        self.dataset = self.config.open_dataset()
-        self.scene = self.dataset.load_scene(scene_id)
-        self._references = {
-            agent: parse_policy(agent, getattr(self.config, agent), self.execution.trust)
-            for agent in ("receiver", "giver")
-        }
-        self.receiver, self._giver = (
-            reference.make(self.dataset, self.config.world_config) for reference in self._references.values()
-        )
-        self.episode = Episode(self.config.physics, self.config.world_config, wrist_camera=self.config.camera)
-
-    def play(self, until: int | Callable[[], bool] | None, callbacks: Sequence[EpisodeCallback] = ()) -> int:
-        """Simulate the scene and return the number of physics steps.
-
-        Args:
-            until: Number of physics steps, or a function that returns whether to stop; default: the
-                end of the episode.
-            callbacks: Callbacks of the episode.
-        """
-        seed = self.config.seed
-        self.episode.reset(self.scene, derive_robot_seed(seed, self.scene))
-        run_episode(self.episode, self.receiver, self._giver, seed=seed, until=until, callbacks=callbacks)
-        return self.episode.steps
-
-    def build_replay_page(self, until: int | None, camera: CameraConfig | None) -> bytes:
-        """Simulate the scene to its end, or for `until` steps, and return its replay page."""
-        recorder = ReplayRecorder(self.receiver)
-        self.play(until, [recorder])
-        config, dataset = self.config, self.dataset
-        resolved = {
-            agent: reference.resolve(dataset, config.world_config) for agent, reference in self._references.items()
-        }
-        config = set_dataset(replace(config, **resolved), dataset)  # type: ignore[arg-type]
-        facts = format_replay_facts(config, dataset.describe_models(self.scene.info.scene_id))
-        return build_replay_page(recorder.log, facts, camera).encode()
-
-    def close(self) -> None:
-        """Free the memory and the physics client of the simulation."""
-        self.episode.close()
+def _play(
+    runner: EpisodeRunner,
+    scene: Scene,
+    until: int | Callable[[], bool] | None = None,
+    callbacks: Sequence[EpisodeCallback] = (),
+) -> int:
+    """Simulate a scene to its end, for a number of steps, or until a predicate holds; return the number of steps."""
+    seed = runner.config.seed
+    runner.episode.reset(scene, derive_robot_seed(seed, scene))
+    run_episode(runner.episode, runner.receiver, runner.giver, seed=seed, until=until, callbacks=callbacks)
+    return runner.episode.steps
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=_SINGLE_SCENE)
@@ -166,28 +134,31 @@ def render_scene(
     draw = _make_draw_function(view, camera or CameraConfig(), caption)
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
-    player = ScenePlayer(scene_id, "hold" if receiver is None else receiver, giver, options)
-    wrist_camera = player.config.camera
+    runner, scene, execution = _open_scene(scene_id, "hold" if receiver is None else receiver, giver, options)
+    config = runner.config
     if view == "wrist":
-        resolve_renderer(wrist_camera.renderer, player.config.physics)
-    until = player.scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
+        resolve_renderer(config.renderer, config.physics)
+    until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
 
     def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
-        recorder = FrameRecorder(steps, draw, player.execution.progress, with_end)
-        player.play(until, [recorder])
+        recorder = FrameRecorder(steps, draw, execution.progress, with_end)
+        _play(runner, scene, until, [recorder])
         return recorder.frames
 
     if suffix == ".html":
-        content = player.build_replay_page(until, camera)
+        recorder = ReplayRecorder(runner.receiver)
+        _play(runner, scene, until, [recorder])
+        facts = format_replay_facts(config, runner.dataset.describe_models(scene_id))
+        content = build_replay_page(recorder.log, facts, camera).encode()
     elif suffix == ".png":
         # Simulated twice: the steps of the key frames are known only after the episode's end.
-        end = player.play(None, []) if until is None else until
+        end = _play(runner, scene) if until is None else until
         steps = np.linspace(0, end, key_frames).round().astype(int).tolist()
         content = encode_grid(record_frames(steps, False), _GRID_COLUMNS)
     else:
-        horizon = until or player.config.world_config.protocol.horizon_steps
+        horizon = until or config.world_config.protocol.horizon_steps
         content = encode_video(record_frames(range(0, horizon, FRAME_PERIOD_MS), True), suffix)
-    player.close()
+    runner.close()
     write_atomically(path, content)
     return path
 
@@ -242,16 +213,15 @@ def render_plan(
     path = check_output_path(out, (".png",))
     require_modules("a plan", "plot", "matplotlib")
     check_config("camera", camera, CameraConfig)
-    player = ScenePlayer(scene_id, receiver, giver, options)
-    policy, dataset = player.receiver, player.dataset
+    runner, scene, _ = _open_scene(scene_id, receiver, giver, options)
+    policy, dataset, info = runner.receiver, runner.dataset, scene.info
     if not isinstance(policy, OmgReceiver):
         raise OptionError(
             f"receiver must have a motion planner to render, got {receiver!r}; choose omg or omg_hand_aware"
         )
-    player.play(lambda: policy.has_planned)
-    observation = player.episode.observe()
-    player.close()
-    plan, info = policy.plan, player.scene.info
+    _play(runner, scene, lambda: policy.has_planned)
+    observation, plan = runner.episode.observe(), policy.plan
+    runner.close()
     reached = (
         f"{len(plan.goals)} goals (green), the chosen one red, {plan.steps} steps" if plan else "no goal can be reached"
     )

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
-from handover_marl import __version__
 from handover_marl.config import PANDA_DOF, TIME_STEP, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import choose_scenes
@@ -23,7 +22,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.report import Report, describe_episode
+from handover_marl.evaluation.reports.report import describe_episode
 from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.evaluation.results.episode_result import EpisodeResult
@@ -44,8 +43,9 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import open_pool
-from handover_marl.policies.reference import PolicyLike, PolicyReference
+from handover_marl.policies.reference import PolicyLike
 from handover_marl.policies.registry import check_stored_reference, list_available
+from handover_marl.version import __version__
 
 Actions = npt.NDArray[np.float32]
 
@@ -202,8 +202,16 @@ def verify(
     with contextlib.closing(open_pool(PoolConfig(workers)).map_unordered(open_checker, tasks, _describe_task)) as found:
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
-    folder_differences = [*_check_giver(require_policy_reference(config.giver), metadata), *check_reports(path)]
-    differences = [*folder_differences, *(difference for check in checks for difference in check)]
+    reference = require_policy_reference(config.giver)
+    expected = {"giver": reference.label}
+    if metadata.version == __version__:
+        expected["giver_hash"] = reference.code_hash
+    stored = {key: getattr(metadata, key) for key in expected}
+    differences = [
+        *_compare_json(stored, expected),
+        *check_reports(path),
+        *(each for check in checks for each in check),
+    ]
     return Verification(metadata, config.scenes or (), tuple(differences), len(split))
 
 
@@ -256,14 +264,6 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
     return [replace(each, scene_id=simulated.scene_id) for each in _compare_json(values, expected)]
 
 
-def _check_giver(giver: PolicyReference, metadata: ResultMetadata) -> list[Difference]:
-    """Compare label and code hash of the giver that is simulated with the values in the folder."""
-    found = [] if giver.label == metadata.giver else [Difference(None, "giver", metadata.giver, giver.label)]
-    if metadata.version == __version__ and metadata.giver_hash != giver.code_hash:
-        found.append(Difference(None, "giver_hash", metadata.giver_hash, giver.code_hash))
-    return found
-
-
 def check_reports(path: Path) -> list[Difference]:
     """Compare the reports in a result folder with reports that are computed from its result files.
 
@@ -277,24 +277,21 @@ def check_reports(path: Path) -> list[Difference]:
     names = [name for name in REPORT_FILES if (path / name).exists()]
     if report.metadata.version != __version__ or not names:
         return []
-    differences = []
     try:
         stored = json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES))
         report = replace(report, n_resumed=min(max(int(stored["n_resumed"]), 0), len(report.episodes)))
         expected = json.loads(json.dumps(report.to_json()))
-        differences += [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in _compare_json(stored, expected)]
+        differences = [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in _compare_json(stored, expected)]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        differences.append(Difference(None, REPORT_JSON, shorten_text(error), "a report"))
-    return [*differences, *_compare_texts(path, report, names)]
-
-
-def _compare_texts(path: Path, report: Report, names: Sequence[str]) -> list[Difference]:
-    """Compare text, web page and CSV file in a folder with those of a report."""
+        differences = [Difference(None, REPORT_JSON, shorten_text(error), "a report")]
     texts = format_report_files(path, report)
     return [
-        Difference(None, name, "other text", "the text of these results")
-        for name in names
-        if name != REPORT_JSON and (path / name).read_bytes() != texts[name].encode()
+        *differences,
+        *(
+            Difference(None, name, "other text", "the text of these results")
+            for name in names
+            if name != REPORT_JSON and (path / name).read_bytes() != texts[name].encode()
+        ),
     ]
 
 

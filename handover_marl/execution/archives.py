@@ -20,10 +20,14 @@ def open_folder(source: Path) -> Iterator[Path]:
         UnsafeFileError: The archive contains devices, links or paths to places outside itself.
         DataFormatError: The archive is damaged, or the file is not an archive.
     """
-    if source.is_dir():
+    try:
+        is_folder, is_file = source.is_dir(), source.is_file()
+    except OSError as error:  # such as a name that is too long
+        raise DataNotFoundError(f"cannot read {source} ({error.strerror or error})") from error
+    if is_folder:
         yield source
         return
-    if not source.is_file():
+    if not is_file:
         raise DataNotFoundError(f"{source} must be a folder or an archive, got no such file")
     with tempfile.TemporaryDirectory() as folder:
         try:

@@ -61,17 +61,6 @@ def forward_signature(
     return decorate
 
 
-def open_missing_descriptors() -> None:
-    """Open the null device on the file descriptors 0 to 2 that are closed.
-
-    Otherwise a pipe or file of the library could get one of these numbers, which worker processes use as
-    their standard streams.
-    """
-    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(handle, True)
-    os.close(handle)
-
-
 def count_available_cores() -> int:
     """Return the number of processor cores that the current process may use.
 

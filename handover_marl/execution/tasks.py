@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import track
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution.options import RAY, PoolConfig, check_pool, open_missing_descriptors, resolve_worker_count
+from handover_marl.execution.options import RAY, PoolConfig, check_pool, resolve_worker_count
 from handover_marl.execution.pool import (
     Job,
     OpenWorker,
@@ -124,7 +124,6 @@ class LocalPool(Pool):
         """Return the running processes, or start new ones if there are not enough."""
         if self._executor is None or self._n_processes < n_workers:
             self.close()
-            open_missing_descriptors()
             self._executor = ProcessPoolExecutor(n_workers, initializer=_start_worker)
             self._n_processes = n_workers
         return self._executor

@@ -38,13 +38,12 @@ class LinkFrames:
 
 
 class ArmKinematics:
-    """Forward kinematics and Jacobians of a Panda with a fixed finger opening.
+    """Forward kinematics and Jacobians of a Panda with open fingers.
 
     Links are numbered along the chain: 0-6 are the arm's, 7 is the hand, 8 and 9 are the fingers.
 
     Args:
         tree: Kinematic tree of the Panda.
-        opening: Position of both finger joints (m).
 
     Attributes:
         link_names: Names of the ten links in the order of their numbers.
@@ -54,7 +53,7 @@ class ArmKinematics:
         SimulationError: A Panda link is missing, or a joint's axis is not z.
     """
 
-    def __init__(self, tree: KinematicTree, opening: float = OPEN) -> None:
+    def __init__(self, tree: KinematicTree) -> None:
         names = [joint.link for joint in tree.joints]
         missing = {HAND_LINK, *FINGER_LINKS} - set(names)
         if missing:
@@ -67,11 +66,10 @@ class ArmKinematics:
             if not np.allclose(tree.joints[link].axis, (0.0, 0.0, 1.0)):
                 raise SimulationError(f"the joint of {names[link]} must turn about its z axis; check the URDF")
         self._segments = [
-            _fixed_transform(tree, link, before, opening)
-            for link, before in zip(revolute, [-1, *revolute], strict=False)
+            _fixed_transform(tree, link, before) for link, before in zip(revolute, [-1, *revolute], strict=False)
         ]
-        self._hand = _fixed_transform(tree, hand, revolute[-1], opening)
-        self._fingers = [_fixed_transform(tree, names.index(finger), hand, opening) for finger in FINGER_LINKS]
+        self._hand = _fixed_transform(tree, hand, revolute[-1])
+        self._fingers = [_fixed_transform(tree, names.index(finger), hand) for finger in FINGER_LINKS]
 
     def compute_chain_frames(self, joints: Array) -> LinkFrames:
         """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
@@ -105,8 +103,7 @@ class ArmKinematics:
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]
         columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
-        jacobian: Array = columns.transpose(1, 0, 2)
-        return jacobian
+        return np.asarray(columns.transpose(1, 0, 2))
 
     def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute Jacobians and rotations of the robot's hand for arm joints (n, 7) in rad.
@@ -143,8 +140,8 @@ class IndependentArmKinematics(ArmKinematics):
     same.
     """
 
-    def __init__(self, tree: KinematicTree, opening: float = OPEN) -> None:
-        super().__init__(tree, opening)
+    def __init__(self, tree: KinematicTree) -> None:
+        super().__init__(tree)
         # Homogeneous transforms (8, 4, 4) of the arm links and the hand from the link before, with joints at zero.
         self._fixed = np.zeros((self.n_joints + 1, 4, 4))
         for matrix, (offset, turn) in zip(self._fixed, [*self._segments, self._hand], strict=True):
@@ -168,15 +165,7 @@ def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Transform points on the links of a robot to its base frame for n configurations.
-
-    Args:
-        frames: Frames of L links.
-        on_links: (m, 3) points in the frame of each of these links (m).
-
-    Returns:
-        (3, L * m, n) points, link by link (m).
-    """
+    """Return points (3, L * m, n) in the base frame of (m, 3) points on each of L links in n configurations (m)."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
@@ -184,15 +173,15 @@ def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Arra
     return np.concatenate(moved, axis=1)
 
 
-def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: float) -> tuple[Array, Array]:
+def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Array, Array]:
     """Return offset (3,) and rotation (3, 3) of a link in an ancestor link's frame.
 
-    Revolute joints are at zero, prismatic joints at the position `opening` (m).
+    Revolute joints are at zero, prismatic joints at the position of open fingers (m).
     """
     offset, turn = np.zeros(3), np.eye(3)
     while link != ancestor:
         joint = tree.joints[link]
-        slide = opening * joint.axis if joint.kind == "prismatic" else np.zeros(3)
+        slide = OPEN * joint.axis if joint.kind == "prismatic" else np.zeros(3)
         offset = joint.offset + joint.rotation @ (slide + offset)
         turn = joint.rotation @ turn
         link = joint.parent
@@ -202,10 +191,9 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int, opening: flo
 class ReachabilityBound:
     """Test for hand poses that the Panda cannot reach, by two necessary conditions.
 
-    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long.
-    For a given orientation, the wrist (origin of the last joint but one) can only be on a circle
-    around the last joint's axis, and the distance of a point of that circle from the shoulder must be
-    at most the length of the arm without the hand.
+    Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
+    orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis, and
+    the distance of a point of that circle from the shoulder must be at most the length of the arm without the hand.
 
     Args:
         tree: Kinematic tree of the arm.
@@ -230,13 +218,9 @@ class ReachabilityBound:
     def is_unreachable(
         self, position: npt.ArrayLike, orientation: npt.ArrayLike | None, distance: float, angle: float
     ) -> npt.NDArray[np.bool_]:
-        """Return whether the robot's hand can certainly not reach poses within tolerances, (...).
+        """Return whether the hand can certainly not reach positions (..., 3) and quaternions (..., 4), or None for any.
 
-        Args:
-            position: (..., 3) world positions of the hand (m).
-            orientation: (..., 4) world orientations of the hand, quaternions xyzw; None for any orientation.
-            distance: Position tolerance (m).
-            angle: Orientation tolerance (rad).
+        The tolerances are those of position (m) and orientation (rad).
         """
         target = np.asarray(position, dtype=np.float64)
         is_too_far = np.asarray(compute_lengths(target - self._shoulder) > self._arm_length + distance)

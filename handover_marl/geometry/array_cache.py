@@ -31,14 +31,9 @@ def get_cache_folder(kind: str) -> Path:
 
 
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
-    """Return the path of the cache file for an object model.
+    """Return the path of the cache file of a kind for an object model.
 
-    The file name has a hash of the object's collision shapes and of the parameters.
-
-    Args:
-        kind: Kind of cached files.
-        urdf: URDF file of the object.
-        parameters: All other inputs that the cached content depends on.
+    The file name has a hash of the object's collision shapes and of all other inputs, the parameters.
     """
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):
@@ -47,13 +42,7 @@ def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
 
 
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
-    """Load arrays from a cache file; return None if the file is missing or damaged.
-
-    Args:
-        path: Cache file.
-        names: Names of the arrays.
-        what: Description of the content for a warning.
-    """
+    """Load arrays by name from a cache file; warn, and return None, if it is missing or damaged."""
     if not path.exists():
         return None
     try:
@@ -64,13 +53,7 @@ def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | 
 
 
 def save_cached_arrays(path: Path, arrays: Arrays, what: str) -> None:
-    """Write arrays to a cache file; log a warning if that fails.
-
-    Args:
-        path: Cache file.
-        arrays: Arrays by name.
-        what: Description of the content for the warning.
-    """
+    """Write arrays to a cache file; log a warning, with a description of them, if that fails."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_arrays(path, arrays)

@@ -110,13 +110,9 @@ class DistanceField:
 def distance_field_from_mesh(
     vertices: Array, faces: npt.NDArray[np.int64], margin: float, cell: float
 ) -> DistanceField:
-    """Compute the signed distance field of a mesh; needs libigl (extra `planning`).
+    """Compute the signed distance field of a mesh with libigl (extra `planning`), on a grid `margin` beyond it (m).
 
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex numbers of triangles; components may overlap, and have holes.
-        margin: Distance by which the grid extends beyond the mesh (m).
-        cell: Spacing of the nodes (m).
+    Components may overlap, and have holes.
     """
     import igl
 
@@ -129,14 +125,7 @@ def distance_field_from_mesh(
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
-    """Sample a signed distance function on a grid over a box.
-
-    Args:
-        distance: Function that returns distances (n,) in m at points (n, 3).
-        lower: Lowest corner of the box (m).
-        upper: Highest corner of the box (m).
-        cell: Spacing of the nodes (m).
-    """
+    """Sample a function from points (n, 3) to signed distances (n,) in m on a grid over a box."""
     counts = np.ceil((upper - lower) / cell).astype(int) + 1
     axes = [start + cell * np.arange(count) for start, count in zip(lower, counts, strict=True)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -158,14 +147,9 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 
 
 def load_object_sdf(urdf: Path, margin: float, cell: float = CELL) -> DistanceField:
-    """Load an object's signed distance field from the cache, or compute and cache the field.
+    """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The field describes the surface of the object's collision shapes, in the object's frame.
-
-    Args:
-        urdf: URDF file of the object.
-        margin: Distance by which the grid extends beyond the shapes (m).
-        cell: Spacing of the grid (m).
+    The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.

@@ -110,28 +110,16 @@ class KinematicTree:
         self.levels = [(links, parents[links]) for links in levels]
 
     def compute_link_frames(self, dof: npt.ArrayLike) -> tuple[Array, Array]:
-        """Compute the frames of all L links in the base link's frame for n configurations.
+        """Compute origins (n, L, 3) in m and rotations (n, L, 3, 3) of all links in the base link's frame.
 
-        Args:
-            dof: (n, d) positions of the moving joints (rad, m).
-
-        Returns:
-            (n, L, 3) origins (m) and (n, L, 3, 3) rotation matrices.
+        `dof` (n, d) are the positions of the moving joints (rad, m).
         """
         values = np.asarray(dof, dtype=np.float64)
         values = np.concatenate([values, np.zeros((len(values), 1))], axis=1)[:, self.columns]
         return compute_tree_frames(self.constants, self.levels, values)
 
     def compute_link_poses(self, dof: npt.ArrayLike, links: Sequence[int]) -> Array:
-        """Compute the poses of some links in the base link's frame for n configurations.
-
-        Args:
-            dof: (n, d) positions of the moving joints (rad, m).
-            links: Numbers of the k links.
-
-        Returns:
-            (n, k, 7) positions xyz (m) and quaternions xyzw.
-        """
+        """Compute poses (n, k, 7) of k links in the base link's frame for joint positions (n, d) (rad, m)."""
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
         return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
@@ -193,11 +181,8 @@ class KinematicTree:
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute the largest distance (m) from a link's origin to shapes that the link carries.
 
-        These are the shapes of the link and its descendants; joints may have any position.
-
-        Args:
-            link: Number of the link.
-            spheres: Bounding spheres by link number; links without shapes have none.
+        These are the shapes, in bounding spheres by link number, of the link and its descendants; joints may
+        have any position.
         """
         children: dict[int, list[int]] = {}
         for child, joint in enumerate(self.joints):
@@ -236,15 +221,10 @@ class KinematicTree:
 def compute_tree_frames(
     constants: TreeConstants, levels: Sequence[tuple[AnyArray, AnyArray]], values: AnyArray
 ) -> tuple[AnyArray, AnyArray]:
-    """Compute the frames of all L links in the base link's frame for any batch (...) of configurations.
+    """Compute origins (..., L, 3) in m and rotations (..., L, 3, 3) of L links in the base link's frame.
 
-    Args:
-        constants: Constants of the joints, arrays or tensors that broadcast to the batch.
-        levels: Links and their parents, see `KinematicTree.levels`.
-        values: Positions (..., L) of the links' joints (rad, m), 0 for fixed joints.
-
-    Returns:
-        (..., L, 3) origins (m) and (..., L, 3, 3) rotation matrices.
+    The constants, arrays or tensors, broadcast to the batch; `levels` are `KinematicTree.levels`; `values` (..., L)
+    are the positions of the links' joints (rad, m), 0 for fixed joints.
     """
     xp = get_namespace(values)
     sines, cosines = xp.sin(values)[..., None, None], xp.cos(values)[..., None, None]
@@ -314,5 +294,4 @@ def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
 
 def matrix_from_rpy(rpy: str) -> Array:
     """Convert a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
-    matrix: Array = Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix()
-    return matrix
+    return np.asarray(Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix())

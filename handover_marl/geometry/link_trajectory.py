@@ -39,12 +39,7 @@ class LinkFrameTrajectory:
 def compute_link_trajectory(
     urdf: Path, dof: npt.ArrayLike, world_from_base: npt.ArrayLike = IDENTITY
 ) -> LinkFrameTrajectory:
-    """Compute the link frames of a URDF model for joint positions over time.
-
-    Args:
-        urdf: URDF file of the model.
-        dof: (n, d) positions of the moving joints (m, rad).
-        world_from_base: (7,) world pose of the model's base, xyz (m) and quaternion xyzw.
+    """Compute the link frames of a URDF model for joint positions (n, d) over time and a base pose (7,).
 
     Raises:
         SimulationError: The URDF file cannot be read.

@@ -94,8 +94,7 @@ def compute_cross_products(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
     a, b = np.asarray(left), np.asarray(right)
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    product: Array = stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
-    return product
+    return np.asarray(stack_last([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]))
 
 
 def quaternion_from_matrix(matrix: AnyArray) -> AnyArray:
@@ -190,14 +189,10 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
 
 
 def unwrap_euler(angles: Array, previous: Array) -> Array:
-    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row.
+    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row, from `previous` (3,) on.
 
-    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the
-    sum of absolute differences.
-
-    Args:
-        angles: (n, 3) XYZ Euler angles (rad).
-        previous: (3,) angles before the first row (rad).
+    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the sum of
+    absolute differences.
     """
     rows = np.empty(angles.shape)
     done = 0

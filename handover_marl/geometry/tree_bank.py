@@ -39,14 +39,9 @@ class TreeBank:
         return self._numbers[key]
 
     def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute the frames of all L links in the models' base frames.
+        """Compute origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
 
-        Args:
-            numbers: Numbers (r,) of the models.
-            joints: Positions (r, k, d) of the moving joints in k configurations of each model (rad, m), float64.
-
-        Returns:
-            (r, k, L, 3) origins (m) and (r, k, L, 3, 3) rotation matrices.
+        `joints` (r, k, d) are positions in k configurations of each model (rad, m), float64.
         """
         xp = self._arrays.xp
         constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))

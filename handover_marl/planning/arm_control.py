@@ -29,11 +29,6 @@ class ArmInWorld:
         arm: Kinematics in the base frame.
         base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
         limits: Lower and upper joint limits, (7,) each (rad).
-
-    Attributes:
-        arm: Kinematics in the base frame.
-        base: (7,) pose of the arm's base in the world, position (m) and quaternion xyzw.
-        limits: Lower and upper joint limits, (7,) each (rad).
     """
 
     def __init__(self, arm: ArmKinematics, base: Array, limits: tuple[Array, Array]) -> None:
@@ -43,12 +38,7 @@ class ArmInWorld:
 
     @classmethod
     def for_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
-        """Create the kinematics of a Panda whose base pose is given by a configuration.
-
-        Args:
-            urdf: URDF model of the robot.
-            panda: Configuration with the world pose of the robot's base.
-            padding: Amount by which the joint limits are narrowed on each side (rad).
+        """Create the kinematics of a configured Panda, with joint limits narrowed by `padding` on each side (rad).
 
         Raises:
             SimulationError: The model cannot be read.
@@ -66,8 +56,7 @@ class ArmInWorld:
 
     def compute_hand_pose(self, joints: Array) -> Array:
         """Return the world pose (7,) of the hand link at one configuration (7,) (rad)."""
-        pose: Array = self.compute_hand_poses(joints[None])[0]
-        return pose
+        return np.asarray(self.compute_hand_poses(joints[None])[0])
 
     def compute_link_frames(self, joints: Array) -> tuple[Array, Array]:
         """Return the world frames of the seven moving links at configurations (n, 7) (rad).
@@ -84,39 +73,25 @@ class ArmInWorld:
         """Return the Jacobian (6, 7) of the hand's origin at joints (7,), linear rows first."""
         local = self.arm.compute_jacobian(self.arm.compute_chain_frames(joints[None]))[..., 0]
         rotation = self._world_from_base_rotation
-        jacobian: Array = np.concatenate([rotation @ local[:3], rotation @ local[3:]])
-        return jacobian
+        return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
-        """Return the (3, 7) Jacobian of a point that is fixed to a link.
-
-        Args:
-            joints: (7,) configuration (rad).
-            point: (3,) world position of the point (m).
-            link: Index of the moving link, from 0.
-        """
+        """Return the (3, 7) Jacobian of a world point (3,) that is fixed to a moving link, counted from 0."""
         chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
         axes = chain.rotations[:-1, :, 2, 0] @ rotation.T
         origins = chain.origins[:-1, :, 0] @ rotation.T + self.base[:3]
         columns = np.cross(axes, point - origins)
         columns[link + 1 :] = 0.0
-        jacobian: Array = columns.T
-        return jacobian
+        return np.asarray(columns.T)
 
     def solve(
         self, poses: Array, seeds: Array, iterations: int, tolerance: float = 1e-3
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve inverse kinematics for world poses of the hand link.
+        """Solve inverse kinematics for world poses (n, 7) of the hand link from seeds (n, 7) in rad.
 
-        Args:
-            poses: (n, 7) wanted world poses, position (m) and quaternion xyzw.
-            seeds: (n, 7) configuration at which the search for each pose starts (rad).
-            iterations: Maximum number of iterations.
-            tolerance: Maximum error of each component of position (m) and rotation vector (rad).
-
-        Returns:
-            Configurations (n, 7), and whether each one reaches its pose (n,).
+        The tolerance is the maximum error of each component of position (m) and rotation vector (rad). Returns
+        configurations (n, 7), and whether each one reaches its pose (n,).
         """
         local = compose(self._base_from_world, poses)
         rotations = Rotation.from_quat(local[:, 3:]).as_matrix()
@@ -125,16 +100,10 @@ class ArmInWorld:
     def compute_joint_velocity(
         self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float
     ) -> Array:
-        """Return joint velocities (7,) in rad/s that give the robot's hand a wanted velocity.
+        """Return joint velocities (7,) in rad/s that give the hand a linear (m/s) and an angular velocity (rad/s).
 
-        Joints that would exceed their limit within the control period are not moved.
-
-        Args:
-            joints: (7,) present configuration (rad).
-            linear: (3,) wanted velocity of the hand's origin (m/s).
-            angular: (3,) wanted angular velocity of the hand (rad/s).
-            rotation_weight: Weight of the angular velocity relative to the linear one (m/rad).
-            period: Control period for which the velocities are commanded (s).
+        Joints that would exceed their limit within the control period (s) are not moved. `rotation_weight` is
+        the weight of the angular velocity relative to the linear one (m/rad).
         """
         weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
         rows = weights[:, None] * self.compute_jacobian(joints)
@@ -175,8 +144,7 @@ class ServoConfig(CheckedConfig):
 class ArmServo:
     """Controller that converts joint velocities to position targets of the arm's motors.
 
-    Position motors lag behind their target; a target that leads by the same amount makes the arm
-    arrive on time.
+    Position motors lag behind their target; a target that leads by the same amount makes the arm arrive on time.
 
     Args:
         config: Joint speeds and accelerations.
@@ -185,7 +153,6 @@ class ArmServo:
         time_step: Duration of a physics step (s).
 
     Attributes:
-        config: Joint speeds and accelerations.
         period: Control period (s), which may be changed before each command.
         max_speeds: (7,) joint speed limits (rad/s).
     """
@@ -207,12 +174,7 @@ class ArmServo:
         return self._velocity
 
     def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
-        """Return joint velocities (7,) in rad/s towards a goal, slowing down to stop there.
-
-        Args:
-            joints: (7,) present configuration (rad).
-            goal: (7,) wanted configuration (rad).
-        """
+        """Return joint velocities (7,) in rad/s towards a goal (7,) in rad, slowing down to stop there."""
         error = goal - joints
         # Speeds change once in a period, so braking starts half a period early.
         half = 0.5 * self.config.deceleration * self.period
@@ -229,27 +191,17 @@ class ArmServo:
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
-        """Return wanted joint velocities (..., 7) clipped to what the acceleration limit allows.
-
-        Args:
-            velocity: (..., 7) wanted joint velocities (rad/s).
-            acceleration: Maximum change of a joint's speed (rad/s^2) instead of the configured one.
-        """
+        """Return wanted joint velocities (..., 7) clipped to the configured or another acceleration limit (rad/s^2)."""
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
         most = (acceleration or self.config.max_acceleration) * self.period
-        reached: Array = self._velocity + np.clip(velocity - self._velocity, -most, most)
-        return reached
+        return np.asarray(self._velocity + np.clip(velocity - self._velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
-        """Return motor position targets (7,) in rad that make the joints move at a velocity.
+        """Return motor position targets (7,) in rad that make the joints move at a velocity (7,) in rad/s.
 
-        Args:
-            joints: (7,) present configuration (rad).
-            velocity: (7,) wanted joint velocities (rad/s).
-            acceleration: Maximum change of a joint's speed (rad/s^2) instead of the configured one.
+        `acceleration` is the maximum change of a joint's speed (rad/s^2) instead of the configured one.
         """
         self._velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
-        target: Array = joints + lead * self.period * self._velocity
-        return target
+        return np.asarray(joints + lead * self.period * self._velocity)

@@ -1,8 +1,7 @@
 """Clearances of the Panda's gripper and forearm, for many configurations at once.
 
-The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres.
-Lengths are in metres, poses are position and quaternion xyzw, and a negative clearance is the
-penetration depth.
+The gripper is modelled as boxes, elbow to wrist as capsules, and everything else as spheres. Lengths are in metres,
+poses are position and quaternion xyzw, and a negative clearance is the penetration depth.
 """
 
 import itertools
@@ -102,14 +101,7 @@ class ClosestPoints:
 
 
 def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Spheres:
-    """Place spheres on the surface of a mesh by farthest point sampling.
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex indices.
-        count: Number of spheres.
-        radius: Radius of each sphere (m).
-    """
+    """Place a number of spheres of a radius (m) on the surface of a mesh by farthest point sampling."""
     weights = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
     points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
     chosen = find_farthest_points(points, min(count, len(points)), 0)
@@ -117,13 +109,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
-    """Return the indices of `count` of the points (n, 3), chosen by farthest point sampling.
-
-    Args:
-        points: (n, 3) points (m).
-        count: Number of points to choose.
-        first: Index of the point with which the sampling begins.
-    """
+    """Return the indices of `count` of the points (n, 3), chosen by farthest point sampling from the first index on."""
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
         distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
@@ -132,54 +118,32 @@ def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper.
-
-    Args:
-        hands: (n, 7) poses of the hand link.
-    """
+    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper at hand poses (n, 7)."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
-    corners: Array = local @ rotations.transpose(0, 2, 1) + hands[:, None, :3]
-    return corners
+    return np.asarray(local @ rotations.transpose(0, 2, 1) + hands[:, None, :3])
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the flange behind the robot's hand and a body.
-
-    Args:
-        hands: (n, 7) poses of the hand link in the frame of the spheres.
-        spheres: Body to keep clear of.
-    """
+    """Return the clearances (n,) in m between the flange behind the hand, at poses (n, 7), and a body."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
-    clearances: Array = (_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1)
-    return clearances
+    return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the open gripper with its flange and a body.
-
-    Args:
-        hands: (n, 7) poses of the hand link in the frame of the spheres.
-        spheres: Body to keep clear of.
-    """
+    """Return the clearances (n,) in m between the open gripper with its flange and a body."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
-    clearances: Array = np.min(by_box, axis=0)
-    return clearances
+    return np.asarray(np.min(by_box, axis=0))
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return the clearances (n,) in m between a gripper that closes at each pose and a body.
+    """Return the clearances (n,) in m between a gripper that closes at hand poses (n, 7) and a body.
 
-    The volume between the open fingers counts as part of the gripper.
-
-    Args:
-        hands: (n, 7) poses of the hand link in the frame of the spheres.
-        spheres: Body to keep clear of, such as the hand of the person.
-        sweep: Length of the straight approach along the hand's z axis that is included (m).
-        flange: Whether the flange behind the hand is included.
+    The volume between the open fingers counts as part of the gripper, and so do the straight approach of length
+    `sweep` (m) along the hand's z axis and, if wanted, the flange behind the hand.
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
@@ -187,29 +151,17 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
     for box in _APPROACH_BOXES if flange else _APPROACH_BOXES[:1]:
         swept = _box_distances(local - GRIPPER_BOX_CENTERS[box] + back, GRIPPER_BOX_HALF_SIZES[box] + back)
         distances = np.minimum(distances, swept)
-    clearances: Array = (distances - spheres.radii).min(axis=1)
-    return clearances
+    return np.asarray((distances - spheres.radii).min(axis=1))
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
-    """Return the number (n,) of points between the finger pads of the open gripper at each pose.
-
-    Args:
-        hands: (n, 7) poses of the hand link.
-        points: (k, 3) points in the same frame (m).
-    """
+    """Return the number (n,) of points (k, 3) between the finger pads of the open gripper at hand poses (n, 7)."""
     local = _points_in_hands(hands, points)
-    counts: npt.NDArray[np.int_] = (np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1)
-    return counts
+    return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 
 
 def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
-    """Return the closest points between the open gripper and a body.
-
-    Args:
-        hand: (7,) world pose of the hand link.
-        spheres: Body in the world.
-    """
+    """Return the closest points between the open gripper, at a hand pose (7,), and a body in the world."""
     rotation = Rotation.from_quat(hand[3:]).as_matrix()
     local = (spheres.centers - hand[:3]) @ rotation
     offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
@@ -231,13 +183,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the arm, from elbow to wrist, and a body.
-
-    Args:
-        arm: Kinematics of the arm.
-        joints: (n, 7) configurations (rad).
-        spheres: Body in the world.
-    """
+    """Return the clearances (n,) in m between the arm, from elbow to wrist, at joints (n, 7) and a body."""
     starts, ends = _arm_segments(arm, joints)
     points = spheres.centers
     axes = ends - starts
@@ -247,31 +193,18 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
     share = np.clip(along / np.maximum(squared, _MIN_LENGTH), 0.0, 1.0)
     from_start = (starts**2).sum(axis=-1)[..., None] - 2.0 * (starts @ points.T) + (points.T**2).sum(axis=0)
     distances = np.sqrt(np.maximum(from_start - share * (2.0 * along - share * squared), 0.0))
-    clearances: Array = (distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2))
-    return clearances
+    return np.asarray((distances - spheres.radii - _RADII[:, None]).min(axis=(1, 2)))
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
-    """Return the world z (n,) in m of the lowest point of forearm and gripper.
-
-    Args:
-        arm: Kinematics of the arm.
-        joints: (n, 7) configurations (rad).
-    """
+    """Return the world z (n,) in m of the lowest point of forearm and gripper."""
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
-    heights: Array = np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1))
-    return heights
+    return np.asarray(np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1)))
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points between the arm from elbow to wrist and a body, and the link index.
-
-    Args:
-        arm: Kinematics of the arm.
-        joints: (7,) configuration (rad).
-        spheres: Body in the world.
-    """
+    """Return the closest points between the arm from elbow to wrist, at joints (7,), and a body, and the link index."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]
@@ -296,8 +229,7 @@ def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
 
 def _points_in_hands(hands: Array, points: Array) -> Array:
     """Return points (k, 3) in the frame of each hand (n, 7), shape (n, k, 3)."""
-    local: Array = (points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix()
-    return local
+    return np.asarray((points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix())
 
 
 def _box_distances(points: Array, half_size: Array) -> Array:
@@ -307,5 +239,4 @@ def _box_distances(points: Array, half_size: Array) -> Array:
     # One coordinate at a time and in place: NumPy reduces short axes slowly.
     inside = np.minimum(np.maximum(np.maximum(beyond[..., 0], beyond[..., 1]), beyond[..., 2]), 0.0)
     outside = np.maximum(beyond, 0.0, out=beyond)
-    distances: Array = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside
-    return distances
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", outside, outside)) + inside)

@@ -68,8 +68,7 @@ class SeparationConfig(CheckedConfig):
             is below the minimum (m/s).
         lookahead: Time for which clearances are predicted (s), because the clearance to a body that
             passes by quickly may shrink abruptly.
-        slack: Amount by which a predicted clearance may fall below the minimum before the robot
-            slows down (m).
+        slack: Amount by which a predicted clearance may fall below the minimum before the robot slows down (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -98,14 +97,8 @@ def enforce_separation(
 ) -> Array:
     """Return the joint velocities (7,) nearest to the wanted ones that keep clear of all bodies.
 
-    Args:
-        velocity: (7,) wanted joint velocities (rad/s).
-        arm: Kinematics of the arm.
-        joints: (7,) present configuration (rad).
-        bodies: Bodies to keep clear of, the most important last.
-        config: Clearances and time constants.
-        leaving: Whether the robot only has to avoid coming closer to a body whose clearance is
-            already too small, as when it withdraws from a person's hand.
+    The most important body is the last. If `leaving` is set, the robot only has to avoid coming closer to a body
+    whose clearance is already too small, as when it withdraws from a person's hand.
     """
     hand, dampers = arm.compute_hand_pose(joints), []
     for body in bodies:
@@ -134,16 +127,8 @@ def select_safe_velocity(
 ) -> Array:
     """Return the first of several joint velocities that keeps all clearances during the lookahead.
 
-    If no candidate does so, the one (7,) with the smallest violation is returned.
-
-    Args:
-        wanted: (n, 7) candidate joint velocities, the preferred one first (rad/s).
-        reached: (n, 7) joint velocities that the motors can reach for each candidate (rad/s).
-        arm: Kinematics of the arm.
-        joints: (7,) present configuration (rad).
-        bodies: Bodies to keep clear of.
-        table_height: Height of the table's surface (m).
-        config: Clearances and lookahead.
+    If no candidate does so, the one (7,) with the smallest violation is returned. The candidates `wanted` (n, 7) in
+    rad/s are ordered by preference; `reached` (n, 7) are the velocities that the motors can reach for each of them.
     """
     line = np.concatenate([joints[None], joints + config.lookahead * reached])
     hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height
@@ -180,14 +165,8 @@ class PathObstacles:
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
     """Return whether arm and open gripper keep clear of obstacles on a straight joint path.
 
-    If the start has less than the wanted clearance, a path counts as clear if no point of it has
-    less clearance than the start.
-
-    Args:
-        arm: Kinematics of the arm.
-        start: (7,) start of the path (rad).
-        goal: (7,) end of the path (rad).
-        obstacles: Obstacles to keep clear of.
+    If the start has less than the wanted clearance, a path counts as clear if no point of it has less clearance
+    than the start.
     """
     path = start + _SHARES[:, None] * (goal - start)
     return bool(_are_clear(arm, start, path[None], obstacles)[0])
@@ -202,20 +181,11 @@ def find_via_point(
     obstacles: PathObstacles,
     max_candidates: int,
 ) -> Array | None:
-    """Return the via point (7,) of the fastest clear path to a configuration, or None.
+    """Return the via point (7,) of the fastest clear path to a configuration, or None if no candidate has one.
 
-    The paths from start to via point and from there to the goal are straight in joint space. None
-    is returned if no candidate has two clear paths.
-
-    Args:
-        arm: Kinematics of the arm.
-        start: (7,) present configuration (rad).
-        goal: (7,) wanted configuration (rad).
-        known: (n, 7) candidate via points in addition to random ones around the middle of the path
-            (rad).
-        speeds: (7,) largest joint speeds (rad/s), from which the duration of a path is computed.
-        obstacles: Obstacles to keep clear of.
-        max_candidates: Maximum number of candidates that are checked, the fastest ones first.
+    The paths from start to via point and from there to the goal are straight in joint space. Candidates are the
+    `known` ones (n, 7) and random ones around the middle of the path; the `max_candidates` fastest are checked,
+    with joint speeds (7,) in rad/s.
     """
     candidates = np.clip(np.concatenate([known, 0.5 * (start + goal) + _OFFSETS]), *arm.limits)
     to_candidate = (np.abs(candidates - start) / speeds).max(axis=1)

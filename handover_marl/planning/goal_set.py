@@ -21,18 +21,12 @@ Limits = tuple[Array, Array]
 
 _N_FINGERS = 2
 _LAST_JOINT = 6
-#: Number of last goals that the original never checks for collisions; see
-#: `PlannerConfig.unchecked_last`.
+#: Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
 UNCHECKED = 5
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps that OMG uses; for some objects, grasps that slip are excluded.
-
-    Args:
-        object_name: Object class.
-        grasps: (n, 7) poses of the hand link in the object's frame.
-    """
+    """Return a mask (n,) of the grasps (n, 7) that OMG uses; for some objects, grasps that slip are excluded."""
     rule = _RULES.get(object_name)
     if rule is None:
         return np.ones(len(grasps), dtype=bool)
@@ -42,8 +36,7 @@ def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
 
 def _is_usable_on_scissors(positions: Array, tilts: Array) -> npt.NDArray[np.bool_]:
     x, y, z = np.abs(positions).T
-    kept: npt.NDArray[np.bool_] = (z > 0.09) & (y > 0.02) & (x < 0.05) & (tilts > 0.06)
-    return kept
+    return np.asarray((z > 0.09) & (y > 0.02) & (x < 0.05) & (tilts > 0.06))
 
 
 # Rules on positions (n, 3) in m and absolute middle Euler angles (n,) in rad, static xyz axes.
@@ -113,15 +106,10 @@ class GoalSetBuilder:
         self._config, self._hand, self._unchecked_last = config.goals, config.hand, config.unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
-        """Return the goals at which the gripper can grasp an object.
+        """Return the goals at which the gripper can grasp an object by grasps (n, 7) in the base frame.
 
-        Goals are ordered by decreasing clearance to the person's hand. Goals with too little
-        clearance are excluded if other goals exist.
-
-        Args:
-            grasps: (n, 7) poses of the hand link at the grasps, in the base frame.
-            objects: Objects in the base frame.
-            person: The person's hand, or None to ignore it.
+        Goals are ordered by decreasing clearance to the person's hand. Goals with too little clearance are
+        excluded if other goals exist.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))
@@ -140,8 +128,7 @@ class GoalSetBuilder:
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
         distances = person.compute_distances(points.reshape(3, -1).astype(np.float32))
         by_point = distances.reshape(points.shape[1], *tails.shape[:2])
-        clearances: Array = by_point.min(axis=(0, 2)).astype(np.float64)
-        return clearances
+        return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
         """Return the tails from all IK seeds to all grasps for which IK converges."""
@@ -192,8 +179,7 @@ class GoalSetBuilder:
         first = self._arm.compute_chain_frames(self._start[None]).rotations[-1][..., 0]
         cosine = (np.einsum("ij,ijn->n", first, rotations) - 1.0) / 2.0
         is_allowed = (cosine >= np.cos(config.max_rotation)) & (rotations[2, 0] >= config.min_hand_x_z)
-        by_goal: npt.NDArray[np.bool_] = is_allowed.reshape(len(shares), -1).all(axis=0)
-        return by_goal
+        return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
         """Return whether (g,) arm and hand, without fingers, are collision-free at standoffs."""
@@ -251,20 +237,11 @@ class GoalSelector:
         self._expert_weights = np.full(len(config.learning_rates), 1.0 / len(config.learning_rates))
 
     def select_first(self, trajectory: Array) -> int:
-        """Return the index of the goal that is cheapest to reach from a trajectory's first waypoint.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-        """
+        """Return the index of the goal that is cheapest to reach from the first waypoint of a trajectory (w, 7)."""
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the selection by the goals' present costs, and return the selected goal's index.
-
-        Args:
-            trajectory: (w, 7) present waypoints (rad).
-            round_number: Number of the round, counted from 1.
-        """
+        """Update the selection by the goals' present costs in a round, from 1, and return the selected goal's index."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(
@@ -284,19 +261,14 @@ class GoalSelector:
         obstacle_costs = self._cost.evaluate_lines(here, self._goals, count, tails)
         smoothness = self._config.smoothness_weight * ((self._goals - here) ** 2).sum(axis=1)
         costs = obstacle_costs + smoothness + self._goal_costs
-        scaled: Array = costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny)
-        return scaled
+        return np.asarray(costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny))
 
 
 def update_weights(weights: Array, losses: Array) -> Array:
     """Return weights (n,) after a step of mirror descent on the simplex with shifted entropy.
 
-    Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that
-    the new weights add up to one.
-
-    Args:
-        weights: (n,) present weights, which add up to one.
-        losses: (n,) loss of each weight, scaled by the learning rate.
+    Each weight w becomes max(0, (w + d) exp(l - loss) - d) with d = 1 / (4 n + 1), and l such that the new weights
+    add up to one. The losses (n,) are scaled by the learning rate.
     """
     shift = 1.0 / (4 * len(weights) + 1)
     scaled = (weights + shift) * np.exp(-losses)
@@ -305,5 +277,4 @@ def update_weights(weights: Array, losses: Array) -> Array:
     levels = (1.0 + shift * np.arange(1, len(weights) + 1)) / np.cumsum(descending)
     n_positive = int(np.flatnonzero(descending * levels > shift)[-1])
     moved = np.maximum(0.0, scaled * levels[n_positive] - shift)
-    distribution: Array = moved / moved.sum()
-    return distribution
+    return np.asarray(moved / moved.sum())

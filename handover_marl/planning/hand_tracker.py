@@ -19,8 +19,7 @@ _WRIST, _INDEX, _LITTLE = 0, 1, 7
 _FINGERS = ((1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12), (13, 14, 15))
 # Palm edges between neighbouring knuckles, and between the index finger's and the thumb's.
 _PALM_EDGES = ((1, 4), (4, 10), (10, 7), (1, 14))
-# Length of a fingertip with its pad relative to the bone before it (Buryanov and Kotiuk, 2010:
-# 0.7 to 0.9).
+# Length of a fingertip with its pad relative to the bone before it (Buryanov and Kotiuk, 2010: 0.7 to 0.9).
 _TIP_RATIO = 0.9
 _PALM_RADIUS, _THUMB_RADIUS, _FINGER_RADIUS = 0.013, 0.012, 0.0095  # m
 _SPHERES_PER_CAPSULE = 3
@@ -134,12 +133,8 @@ class HandTracker:
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the present world pose (7,) of a frame that is fixed to the person's hand.
 
-        The pose follows from the frame's pose at an earlier time and the hand's motion since then.
-
-        Args:
-            points: (k, 3) value of `reference_points` at the earlier time (m).
-            pose: (7,) world pose of the frame at the earlier time.
-            ahead: Additional time for which the hand's present velocity is extrapolated (s).
+        The pose follows from the frame's pose (7,) and `reference_points` (k, 3) at an earlier time, and the
+        hand's motion since then; its present velocity is extrapolated for the time `ahead` (s).
         """
         if points.shape != self.points.shape or not len(points):
             return pose

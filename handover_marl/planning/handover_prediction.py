@@ -25,17 +25,15 @@ class HandoverPosePredictorConfig(CheckedConfig):
         velocity_horizon * v
         + attraction * tanh(|v| / attraction_speed) * (mean_handover_position - p).
 
-    The second term moves the prediction of a moving object towards the mean handover position; it
-    is zero for an object at rest. An object that was lifted and then stays within a small region
-    counts as held still. Its velocity is extrapolated for a shorter time, without the second term.
-    The constants were fitted on recordings of s0 train.
+    The second term moves the prediction of a moving object towards the mean handover position; it is zero for an object
+    at rest. An object that was lifted and then stays within a small region counts as held still. Its velocity is
+    extrapolated for a shorter time, without the second term. The constants were fitted on recordings of s0 train.
 
     Attributes:
         velocity_horizon: Time for which the velocity is extrapolated (s).
         attraction: Predicted translation of a fast object towards `mean_handover_position`, as a
             share of its distance from there.
-        attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower
-            objects.
+        attraction_speed: Speed scale of the second term (m/s); the term is smaller for slower objects.
         mean_handover_position: Mean position of objects when they are held out, world frame (m).
         rotation_horizon: Time for which the angular velocity is extrapolated (s).
         smoothing_time: Time constant of the velocity filter (s).
@@ -84,12 +82,10 @@ class HandoverPosePredictor:
         config: Constants of the motion model.
 
     Attributes:
-        config: Constants of the motion model.
         velocity: (3,) filtered velocity of the object in the world (m/s).
         angular_velocity: (3,) filtered angular velocity of the object in the world (rad/s).
         latest_velocity: (3,) velocity between the last two updates, not filtered (m/s).
-        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered
-            (rad/s).
+        latest_angular_velocity: (3,) angular velocity between the last two updates, not filtered (rad/s).
         acceleration: (3,) rate of change of `latest_velocity` (m/s^2).
         rest_time: Time for which the object has been at rest (s).
         start: (3,) position of the object at the first update (m), None before that update.
@@ -166,12 +162,7 @@ class HandoverPosePredictor:
         return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s), (3,) each, of a point on the object.
-
-        Args:
-            point: (3,) point fixed to the object, in the world (m).
-            ahead: Length of the coming control period (s); velocities are predicted for its middle.
-        """
+        """Predict linear (m/s) and angular velocity (rad/s) of a point on the object in the middle of a period."""
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration
         angular = self.latest_angular_velocity
@@ -179,5 +170,4 @@ class HandoverPosePredictor:
 
     def _rotated(self, rotation: Array) -> Array:
         """Return the present orientation, quaternion xyzw, after a world rotation vector."""
-        rotated: Array = (Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat()
-        return rotated
+        return np.asarray((Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat())

@@ -56,14 +56,9 @@ class IkSolver(Protocol):
     def solve(
         self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
     ) -> Array | None:
-        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None.
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None without convergence.
 
-        None is returned if the search does not converge.
-
-        Args:
-            start: (9,) joints at which the search starts (rad, m); the fingers are ignored.
-            position: (3,) world position of the hand link (m).
-            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
+        It starts at joints (9,), whose fingers are ignored; without an orientation, xyzw, the rotation is free.
         """
         found: Array = self.solve_many(
             _as_row(start), _as_row(position), None if orientation is None else _as_row(orientation)
@@ -71,29 +66,14 @@ class IkSolver(Protocol):
         return None if np.isnan(found[0]) else found
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None.
-
-        Args:
-            starts: (n, 9) joints at which the searches start (rad, m); the fingers are ignored.
-            positions: (n, 3) world positions of the hand link (m).
-            orientations: World quaternions (n, 4) xyzw of the hand link; None leaves the rotations free.
-        """
+        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None."""
 
 
 class IkStepper(Protocol):
     """Interface of inverse kinematics solvers that make one query, which may not converge."""
 
     def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
-        """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
-
-        Args:
-            joints: (9,) joints at which the search starts (rad, m).
-            position: (3,) world position of the hand link (m).
-            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
-
-        Returns:
-            Seven arm joints (rad) and two finger positions without meaning.
-        """
+        """Return joints (9,) that bring the hand link to a world pose or closer to it; the fingers mean nothing."""
 
     def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
         """Transform a pose (7,) of the hand link from the world to the robot's base frame."""
@@ -104,10 +84,6 @@ class IkStepper(Protocol):
 
 def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
     """Create an inverse kinematics solver, PyBullet's where PyBullet is installed.
-
-    Args:
-        urdf: Model of the Panda.
-        config: Configuration with the world pose of the robot's base.
 
     Raises:
         SimulationError: The model cannot be read.
@@ -236,11 +212,6 @@ class PandaIkSolver(IkSolver):
         """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
 
         Seven arm joints (rad) are followed by two finger positions, which are zero.
-
-        Args:
-            joints: (9,) joints at which the search starts (rad, m).
-            position: (3,) world position of the hand link (m).
-            orientation: World quaternion xyzw of the hand link; None leaves the rotation free.
         """
         query = _as_row(joints), _as_row(position), None if orientation is None else _as_row(orientation)
         closest, _ = self._search(*query, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)

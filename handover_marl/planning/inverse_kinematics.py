@@ -24,26 +24,14 @@ def solve_ik(
     min_step: float = 0.0,
     max_step: float = np.inf,
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method.
+    """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method from seeds (n, 7).
 
-    Every iteration solves the linearized problem with the smallest joint motion and clamps the
-    result to the joint limits.
-
-    Args:
-        arm: Kinematics of the arm.
-        positions: (n, 3) wanted positions of the hand link's origin (m).
-        rotations: (n, 3, 3) wanted rotations of the hand link; None leaves the rotation free.
-        seeds: (n, 7) configuration at which each search starts (rad).
-        limits: Lower and upper joint limits, (7,) each (rad).
-        tolerance: Maximum error of each component of position (m) and rotation vector (rad), or
-            two values for the norms of position and rotation vector.
-        iterations: Maximum number of iterations.
-        damping: Damping of the steps (m^2); more takes shorter steps that stay nearer to the seed.
-        min_step: Joint change in one step below which a search ends without solution (rad).
-        max_step: Maximum joint change in one step (rad); longer steps are scaled down.
-
-    Returns:
-        Configurations (n, 7) in rad, and whether each one reaches its pose (n,).
+    Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
+    limits. Positions (n, 3) are in m; without rotations (n, 3, 3), any serves. The tolerance is the maximum error
+    of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
+    takes shorter steps that stay nearer to the seed. A search ends without solution where a step is below
+    `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and whether each
+    one reaches its pose (n,).
     """
     joints = np.clip(seeds, *limits)
     solved = np.zeros(len(joints), dtype=bool)
@@ -83,11 +71,7 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
     """Return the errors (6, n) of hand poses: translation (m), then rotation vector (rad).
 
-    Args:
-        origins: (3, n) present positions of the hand link (m).
-        hand_rotations: (3, 3, n) present rotations of the hand link.
-        positions: (3, n) wanted positions (m).
-        rotations: (n, 3, 3) wanted rotations.
+    Present positions (3, n) and rotations (3, 3, n) are those of `LinkFrames`; wanted rotations are (n, 3, 3).
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
@@ -109,5 +93,4 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
-    change: Array = (rows.transpose(0, 2, 1) @ weights)[..., 0]
-    return change
+    return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])

@@ -59,7 +59,6 @@ class Planner:
         DataFormatError: A mesh cannot be read.
 
     Attributes:
-        config: Configuration of the planner.
         arm: Kinematics of the arm in its base frame.
     """
 
@@ -85,13 +84,7 @@ class Planner:
         return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of several grasps; return None if no grasp can be reached.
-
-        Args:
-            grasps: (n, 7) poses of the hand link in the base frame.
-            objects: Objects to keep clear of, in the base frame.
-            hand: The person's hand in the base frame, or None to ignore it.
-        """
+        """Compute a trajectory to one of the grasps (n, 7) in the base frame; None if none can be reached."""
         config = self.config
         person = None if hand is None or config.hand is None else make_hand_obstacle(hand, config.hand)
         goals = self._builder.build(grasps, objects, person)
@@ -140,8 +133,7 @@ def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
 def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
     """Return the waypoints (w, d) on a cubic between two configurations (d,) at rest."""
     spline = CubicSpline([0.0, 1.0], np.stack([start, goal]), bc_type="clamped")
-    points: Array = spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1])
-    return points
+    return np.asarray(spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1]))
 
 
 class Chomp:
@@ -176,17 +168,10 @@ class Chomp:
 
     def compute_smoothness_gradient(self, trajectory: Array) -> Array:
         """Return the gradient (w, 7) of the smoothness cost of a trajectory (w, 7)."""
-        gradient: Array = self._metric @ trajectory + self._start_gradient[:, None] * self._start
-        return gradient
+        return np.asarray(self._metric @ trajectory + self._start_gradient[:, None] * self._start)
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after one gradient step that ends on a given approach path.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            tail: (t, 7) required last waypoints, from standoff to grasp (rad).
-            number: Number of the step in the optimization, counted from 1.
-        """
+        """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""
         smooth = self.compute_smoothness_gradient(trajectory)
         near = self._costs.obstacle_weight * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
@@ -202,12 +187,9 @@ class Chomp:
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
 
     def is_finished(self, trajectory: Array, goal: Array, collision_distance: float) -> bool:
-        """Return whether the optimization of a trajectory may end early.
+        """Return whether the optimization of a trajectory (w, 7) to a grasp (7,) may end early.
 
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            goal: (7,) configuration at the grasp (rad).
-            collision_distance: Distance below which a body point collides with an obstacle (m).
+        A body point nearer than `collision_distance` (m) to an obstacle collides.
         """
         config = self._config
         return (

@@ -13,8 +13,7 @@ class GoalConfig:
             start of the trajectory.
         limit_padding: Amount by which joint limits are narrowed on each side (rad).
         max_iterations: Maximum number of Newton steps of inverse kinematics.
-        tolerance: Maximum error of inverse kinematics in each component of position (m) and
-            rotation vector (rad).
+        tolerance: Maximum error of inverse kinematics in each component of position (m) and rotation vector (rad).
         standoff: Distance of the standoff pose from the grasp, back along the hand's z axis (m).
         n_tail: Number of poses on the approach (tail) from standoff to grasp, both included.
         max_tail_norm: Maximum norm of the joint differences on an approach (rad); on a longer one,
@@ -69,8 +68,7 @@ class CostConfig:
         obstacle_weight: Weight of the obstacle cost's gradient.
         smoothness_weight: Initial weight of the smoothness cost's gradient.
         smoothness_growth: Factor by which the smoothness weight grows in every optimization step.
-        max_gradient: Largest absolute value of an entry of the weighted obstacle gradient; larger
-            entries are clipped.
+        max_gradient: Largest absolute value of an entry of the weighted obstacle gradient; larger entries are clipped.
     """
 
     time_step: float = 0.1
@@ -86,8 +84,7 @@ class GoalSelectionConfig:
     """Configuration of online goal selection by mirror descent (Wang et al., 2020, III-C).
 
     Attributes:
-        n_rounds: Number of selection rounds for which the optimal fixed learning rate is
-            computed.
+        n_rounds: Number of selection rounds for which the optimal fixed learning rate is computed.
         learning_rates: Learning rates of the experts, as multiples of the optimal fixed rate.
         lookahead_rate: Number of waypoints by which the start of the evaluated straight path moves
             along the trajectory in each round.
@@ -115,10 +112,8 @@ class ChompConfig:
             that ends the optimization early.
         goal_tolerance: Maximum joint distance of the last waypoint from the goal in a trajectory
             that ends the optimization early (rad).
-        max_smoothness_cost: Maximum smoothness cost of a trajectory that ends the optimization
-            early.
-        max_limit_violation: Maximum joint limit violation of a trajectory that ends the
-            optimization early (rad).
+        max_smoothness_cost: Maximum smoothness cost of a trajectory that ends the optimization early.
+        max_limit_violation: Maximum joint limit violation of a trajectory that ends the optimization early (rad).
     """
 
     n_waypoints: int = 30
@@ -160,19 +155,16 @@ class PlannerConfig:
         costs: Configuration of the trajectory costs.
         selection: Configuration of goal selection.
         chomp: Configuration of the trajectory optimizer.
-        hand: Configuration of hand avoidance, or None to ignore the hand, as the authors' code
-            does.
+        hand: Configuration of hand avoidance, or None to ignore the hand, as the authors' code does.
         n_points_per_link: Number of collision points on each link of arm, hand and fingers.
         n_gripper_points: Number of points on the robot's hand and on each finger, from which
             clearances to the person's hand are computed.
-        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the
-            costs of the last rows of any batch to zero, which is meant for the approach at the end
-            of a trajectory. In a batch of goals these rows are the last five goals in the collision
-            filter, and in goal selection the waypoints of the last goal, which makes that goal look
-            cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the error
-            changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0)
-            and -4.9 of contact (-12.6 to +3.0), s1 test (180 scenes) by
-            +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
+        unchecked_last: Whether to reproduce an indexing error of the authors' code. It sets the costs of the last rows
+            of any batch to zero, which is meant for the approach at the end of a trajectory. In a batch of goals these
+            rows are the last five goals in the collision filter, and in goal selection the waypoints of the last goal,
+            which makes that goal look cheap. Measured on DexYCB (exact physics, replay giver, paired by scene), the
+            error changes s0 test (144 scenes) by +2.1 percentage points of success (95 %: -6.8 to +11.0) and -4.9 of
+            contact (-12.6 to +3.0), s1 test (180 scenes) by +8.9 (+0.9 to +16.7) and -10.6 (-17.9 to -3.0).
     """
 
     goals: GoalConfig = GoalConfig()

@@ -69,11 +69,7 @@ class Obstacle:
         return self.field.compute_distances(self._to_field_frame(points))
 
     def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return signed distances (n,) in m to the obstacle and their gradients (3, n).
-
-        Args:
-            points: (3, n) points in the robot's base frame (m); the gradients are in this frame too.
-        """
+        """Return signed distances (n,) in m and their gradients (3, n) at points (3, n) in the base frame."""
         distances, gradients = self.field.compute_distances_and_gradients(self._to_field_frame(points))
         return distances, self._rotation() @ gradients
 
@@ -88,14 +84,9 @@ class Obstacle:
 
 
 def compute_proximity_cost(distances: Floats, padding: float) -> Floats:
-    """Return the CHOMP cost of points at given signed distances from an obstacle.
+    """Return the CHOMP cost of points at signed distances from an obstacle (m).
 
-    The cost is 0 beyond `padding`, quadratic between `padding` and the surface, and linear inside
-    the obstacle.
-
-    Args:
-        distances: Signed distances (m), of any shape; the costs have the same shape.
-        padding: Distance from the surface up to which the obstacle has a cost (m).
+    The cost is 0 beyond `padding`, quadratic between `padding` and the surface, and linear inside the obstacle.
     """
     quadratic = (distances - padding) ** 2 / (2.0 * padding)
     outside = np.where(distances <= padding, quadratic, 0.0)
@@ -119,8 +110,7 @@ class ObstacleCost:
         arm: Kinematics of the arm.
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
-        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with
-            `in_tail` have a cost.
+        n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with `in_tail` have a cost.
         config: Time step, padding and weights of the costs.
     """
 
@@ -131,32 +121,22 @@ class ObstacleCost:
     config: CostConfig
 
     def evaluate_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
-        """Return the obstacle costs (g,) of straight joint paths from one start to several goals.
+        """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
-        The cost of a path is the sum of proximity cost times workspace speed over all body points.
-
-        Args:
-            start: (7,) start of all paths (rad).
-            goals: (g, 7) ends of the paths (rad).
-            count: Number of points between start and goal.
-            tails: (g, count) mask of the points at which objects have no cost.
+        The cost of a path is the sum of proximity cost times workspace speed over all body points at `count`
+        points between start and goal; at those in the mask `tails` (g, count) objects have no cost.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
         points = self._points(line.reshape(-1, 7)).reshape(3, -1, count + 1, len(goals))
         speed = np.linalg.norm(np.diff(points, axis=2), axis=0) / self.config.time_step
         costs = self._costs(points[:, :, 1:], tails.T)
-        total: Array = (costs * speed).sum(axis=(0, 1), dtype=np.float64)
-        return total
+        return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
     def count_collisions(self, trajectory: Array, distance: float) -> int:
-        """Return the number of pairs of robot point and obstacle closer than `distance`.
+        """Return the number of pairs of robot point and obstacle closer than `distance` (m).
 
         Pairs are counted at every waypoint; at the last `n_tail` ones, objects are left out.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            distance: Distance below which a pair is counted (m).
         """
         points = self._points(trajectory)
         pairs = 0
@@ -166,14 +146,9 @@ class ObstacleCost:
         return pairs
 
     def compute_gradient(self, trajectory: Array, start: Array, end: Array) -> Array:
-        """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7).
+        """Return the gradient (w, 7) of the obstacle cost of a trajectory (w, 7) between a start and an end (7,).
 
         At every waypoint each link contributes its point of largest cost.
-
-        Args:
-            trajectory: (w, 7) waypoints (rad).
-            start: (7,) configuration before the first waypoint (rad).
-            end: (7,) configuration after the last waypoint (rad).
         """
         frames = self.arm.compute_link_frames(np.concatenate([start[None], trajectory, end[None]]))
         n_points = len(self.body[0])
@@ -196,12 +171,10 @@ class ObstacleCost:
         squared = (velocity**2).sum(axis=0) + _EPSILON
 
         def project(vector: npt.NDArray[np.floating]) -> Array:
-            orthogonal: Array = vector - velocity * ((velocity * vector).sum(axis=0) / squared)
-            return orthogonal
+            return np.asarray(vector - velocity * ((velocity * vector).sum(axis=0) / squared))
 
         curvature = project(acceleration) / squared
-        force: Array = np.sqrt(squared) * (project(gradients) - costs * curvature)
-        return force
+        return np.asarray(np.sqrt(squared) * (project(gradients) - costs * curvature))
 
     def _joint_torques(self, frames: LinkFrames, points: Array, force: Array) -> Array:
         """Return the joint torques (w, 7) of forces at points on links, both (3, l, w)."""
@@ -210,8 +183,7 @@ class ObstacleCost:
         levers = points[None] - origins[:, :, None]
         torques = (axes[:, :, None] * np.cross(levers, force[None], axis=1)).sum(axis=1)
         is_moved = np.arange(joints)[:, None] <= np.arange(points.shape[1])
-        total: Array = (torques * is_moved[..., None]).sum(axis=1).T
-        return total
+        return np.asarray((torques * is_moved[..., None]).sum(axis=1).T)
 
     def _points(self, joints: Array) -> Floats:
         """Return the body points (3, p, n) at configurations (n, 7)."""

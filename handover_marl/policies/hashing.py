@@ -136,7 +136,8 @@ def _describe_definition(value: Any) -> str:
         return f"{value.__name__} {hash_package(value.__name__)}"
     modules = [base.__module__ for base in value.__mro__] if isinstance(value, type) else [str(value.__module__)]
     code = _describe_code(value.__code__) if isinstance(value, FunctionType) else ""
-    return f"{modules[0]}:{value.__qualname__} {sorted(set(map(hash_package, modules)))} {code}"
+    packages = sorted({module.partition(".")[0] for module in modules})
+    return f"{modules[0]}:{value.__qualname__} {list(map(hash_package, packages))} {code}"
 
 
 def _describe_code(code: CodeType) -> str:

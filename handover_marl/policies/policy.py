@@ -289,10 +289,10 @@ def check_policy_options(agent: str, policy_class: type, name: str, options: Ite
         OptionError: The constructor has no such parameter, or the library fills it in.
     """
     parameters = get_parameters(policy_class)
-    takes_all = any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in parameters.values())
-    valid = [key for key in parameters if key not in _RESERVED_PARAMETERS]
+    any_name = {key for key, parameter in parameters.items() if parameter.kind is parameter.VAR_KEYWORD}
+    valid = [key for key in parameters if key not in (*_RESERVED_PARAMETERS, *any_name)]
     for key in options:
-        if key in _RESERVED_PARAMETERS or not (takes_all or key in valid):
+        if key in _RESERVED_PARAMETERS or not (any_name or key in valid):
             known = f"valid options: {', '.join(valid)}" if valid else "it takes no options"
             raise OptionError(f"{agent} {name!r} has no option {key!r}; {known}")
 

@@ -213,8 +213,8 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
 
 def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
     """Add the latest observed points of the object and of the person's hand."""
-    hands = compute_robot_link_poses(log, [cloud.snapshot for cloud in log.clouds], (HAND_LINK,)) if log.clouds else []
-    steps = np.array([cloud.step for cloud in log.clouds])
+    snapshots, steps = [cloud.snapshot for cloud in log.clouds], np.array([cloud.step for cloud in log.clouds])
+    hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
     clouds = [
         _add_points(
             scene, f"/observed/{label.name.lower()}", _rgb_from_html(LABEL_COLORS[label]), 2 * _CLOUD_POINT_RADIUS
@@ -227,7 +227,7 @@ def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
         if latest >= 0:
             parts = log.clouds[latest].object_points, log.clouds[latest].hand_points
             for show_points, points in zip(clouds, parts, strict=True):
-                show_points(transform_points(hands[latest][0], points))
+                show_points(transform_points(hands[latest], points))
 
     return show
 

@@ -30,22 +30,19 @@ class GraspSelectorConfig(CheckedConfig):
         clearance_relaxation: Rate at which the minimum clearance decreases while no grasp satisfies
             that clearance (m/s).
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
-        unreachable_relaxation: Factor on `clearance_relaxation` while grasps exist that are out of
-            reach.
+        unreachable_relaxation: Factor on `clearance_relaxation` while grasps exist that are out of reach.
         offset_delay: Time without a good grasp after which offset grasps are added (s).
         poor_hold_cost: Hold cost above which a selected grasp does not count as good (s).
         offset_cost: Additional cost of an offset grasp, which is not validated (s).
         offset_candidate_factor: Factor on `max_candidates` once offset grasps are added.
         table_clearance: Minimum height of the gripper above the table (m).
-        arm_clearance: Minimum clearance of the arm's forearm and wrist to the person's hand and the
-            object (m).
+        arm_clearance: Minimum clearance of the arm's forearm and wrist to the person's hand and the object (m).
         path_clearance: Minimum clearance on the straight joint path to a standoff (m).
         blocked_path_cost: Cost of a path with a clearance below `path_clearance` (s).
         max_path_checks: Maximum number of paths that are checked in a decision.
         max_via_points: Maximum number of via points that are checked in a decision.
         desired_limit_margin: Desired distance to the joint limits (rad).
-        limit_margin_cost: Cost of a distance to the joint limits below `desired_limit_margin`
-            (s/rad).
+        limit_margin_cost: Cost of a distance to the joint limits below `desired_limit_margin` (s/rad).
         max_joint_change: Maximum joint change between standoff and grasp (rad).
         unstable_cost: Cost of a grasp that has failed its validation in simulation (s).
         partial_hold_cost: Cost of a grasp that holds the object from none of the offset poses in
@@ -57,8 +54,7 @@ class GraspSelectorConfig(CheckedConfig):
             of a finger pad (m).
         failed_cost: Cost of a grasp that has failed in this episode (s).
         switch_margin: Minimum cost difference for which the selected grasp is replaced (s).
-        near_switch_margin: Increase of `switch_margin` once the gripper is in front of the selected
-            grasp (s).
+        near_switch_margin: Increase of `switch_margin` once the gripper is in front of the selected grasp (s).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -107,14 +103,11 @@ class ApproachConfig(CheckedConfig):
     Axial distances are measured along the approach axis of the gripper, lateral ones across it.
 
     Attributes:
-        standoff: Distance of the standoff pose, at which the gripper waits for the object to rest,
-            from the grasp (m).
+        standoff: Distance of the standoff pose, at which the gripper waits for the object to rest, from the grasp (m).
         straight_margin: Axial distance beyond the standoff from which the gripper moves in a
             straight line relative to the object (m).
-        straight_lateral: Maximum lateral distance at which the gripper starts the straight line
-            (m).
-        straight_rotation: Maximum rotation error at which the gripper moves in the straight line
-            (rad).
+        straight_lateral: Maximum lateral distance at which the gripper starts the straight line (m).
+        straight_rotation: Maximum rotation error at which the gripper moves in the straight line (rad).
         commit_distance: Axial distance from which the selected grasp is kept (m).
         commit_lateral: Maximum lateral distance at which the selected grasp is kept (m).
         commit_rotation: Maximum rotation error at which the selected grasp is kept (rad).
@@ -127,20 +120,17 @@ class ApproachConfig(CheckedConfig):
         speed: Maximum speed along the approach axis (m/s).
         deceleration: Deceleration before the grasp (m/s^2).
         position_gain: Gain on the remaining joint error (1/s).
-        max_joint_speed: Maximum joint speed in addition to the speed that follows the object
-            (rad/s).
+        max_joint_speed: Maximum joint speed in addition to the speed that follows the object (rad/s).
         max_posture_change: Maximum joint change towards the selected configuration by which the
             seed of inverse kinematics is moved in a decision (rad).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
-        max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air
-            (m/s).
+        max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air (m/s).
         close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
             gripper if the object is held almost still in the air.
         axial_tolerance: Maximum axial distance at which the fingers close (m).
         held_still_tolerance_factor: Factor on `close_speed`, `axial_tolerance` and `lateral_tolerance`
             for an object that is held almost still in the air.
-        close_timeout: Maximum time from closing the fingers until the person releases the object
-            (s).
+        close_timeout: Maximum time from closing the fingers until the person releases the object (s).
         max_grip_closing_rate: Maximum decrease of the finger positions per second, as a share of these, of
             fingers that the object blocks (1/s).
         max_relative_speed: Maximum speed of a held object relative to the person's hand (m/s); the gripper follows
@@ -148,13 +138,11 @@ class ApproachConfig(CheckedConfig):
         catch_distance: Maximum distance from the grasp at which the fingers close around an object that the
             person has released already (m).
         close_period: Control period while the fingers close (s).
-        close_gain: Gain with which the gripper follows the person's hand while the fingers close
-            (1/s).
+        close_gain: Gain with which the gripper follows the person's hand while the fingers close (1/s).
         close_acceleration: Maximum joint acceleration while the fingers close (rad/s^2), high
             enough that the gripper stops before the fingers push the object.
         empty_finger_position: Finger position below which the fingers hold nothing (m).
-        empty_delay: Time after the start of closing from which `empty_finger_position` is checked
-            (s).
+        empty_delay: Time after the start of closing from which `empty_finger_position` is checked (s).
         backout_distance: Distance by which the gripper backs out after a missed grasp (m).
         backout_speed: Speed at which the gripper backs out (m/s).
         backout_timeout: Maximum time for which the gripper backs out (s).
@@ -218,18 +206,15 @@ class RetreatConfig(CheckedConfig):
         speed: Maximum speed of the gripper on the straight path (m/s).
         acceleration: Acceleration of the gripper on the straight path (m/s^2).
         backout_timeout: Maximum time on the straight path (s), which may not lead towards the goal.
-        rotation_gain: Gain with which rotations of the gripper are corrected on the straight path
-            (1/s).
+        rotation_gain: Gain with which rotations of the gripper are corrected on the straight path (1/s).
         rotation_weight: Weight of rotations relative to translations on the straight path (m/rad).
         goal_radius: Maximum distance of the hand's final position from the goal (m).
         desired_clearance: Desired clearance to the person's hand on the path to the goal (m).
         max_path_checks: Maximum number of final configurations whose paths are checked.
-        stall_timeout: Time without progress after which another final configuration is selected
-            (s).
+        stall_timeout: Time without progress after which another final configuration is selected (s).
         min_joint_difference: Minimum joint difference between a newly selected final configuration
             and all previous ones (rad).
-        progress_ratio: Ratio of the remaining joint distance to its last value below which the arm
-            makes progress.
+        progress_ratio: Ratio of the remaining joint distance to its last value below which the arm makes progress.
         joint_tolerance: Joint error below which the final configuration is reached (rad).
     """
 
@@ -266,8 +251,7 @@ class ReactiveConfig(CheckedConfig):
             counts as handed over, too (s).
         hand_distance: Maximum distance of the nearest keypoint of the person's hand from an object
             that was not lifted (m).
-        still_start: Time of the episode before which an object that was not lifted is not
-            approached (s).
+        still_start: Time of the episode before which an object that was not lifted is not approached (s).
         no_hand_start: Time of the episode from which an object without a hand is approached (s).
         limit_padding: Amount by which joint limits are narrowed on each side (rad).
         n_surface_spheres: Number of spheres that approximate an object.
@@ -324,11 +308,9 @@ class ReactiveConfig(CheckedConfig):
 
 
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
-    """Return a copy of a configuration for another trade-off of success rate and speed.
+    """Return a copy of a configuration, which is for a risk of 0.5, for another trade-off of success rate and speed.
 
-    Args:
-        config: Configuration for a risk of 0.5.
-        risk: Number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
+    The risk is a number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
 
     Raises:
         OptionError: `risk` is not a number from 0 to 1.

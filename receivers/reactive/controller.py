@@ -205,7 +205,6 @@ class ControllerReceiver(Receiver):
         OptionError: `wait` is out of range.
 
     Attributes:
-        config: Configuration of grasp selection and motion.
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
         selector: Grasp selector.
@@ -242,11 +241,7 @@ class ControllerReceiver(Receiver):
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and motor control, and create the controller of an episode.
-
-        Args:
-            scene: Estimate of the scene that the controller acts on.
-        """
+        """Reset selector and motor control, and create the controller of an episode that acts on an estimate."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

@@ -34,8 +34,7 @@ class GraspableObject:
 
     Attributes:
         grasps: Grasps that keep the flange behind the robot's hand clear of the object.
-        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger
-            pads (m).
+        pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger pads (m).
         surface: Few spheres that approximate the object's surface.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).
@@ -54,12 +53,7 @@ def load_graspable_object(
 ) -> GraspableObject:
     """Load the surface of an object class and its known grasps, of which there may be none; cached.
 
-    Args:
-        context: The robot, the objects and their grasps.
-        object_name: Object class.
-        config: Configuration of the surface and of the validation.
-        validated: Whether grasps are validated and improved in simulation, for minutes the first
-            time; otherwise the known grasps are used unchanged.
+    Grasps are validated and improved in simulation, for minutes the first time, or else used unchanged.
 
     Raises:
         SimulationError: A model cannot be loaded.
@@ -85,11 +79,6 @@ def load_graspable_object(
 def load_obstacle(context: PolicyContext, object_name: str, config: ReactiveConfig) -> Spheres:
     """Load few spheres at the surface of an object class, in its own frame; cached.
 
-    Args:
-        context: The robot and the objects.
-        object_name: Object class.
-        config: Configuration of the spheres.
-
     Raises:
         SimulationError: The model cannot be loaded.
     """
@@ -100,13 +89,7 @@ def load_obstacle(context: PolicyContext, object_name: str, config: ReactiveConf
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return offset copies of an object's grasps beside a person's hand, and their pad margins (n,).
-
-    Args:
-        graspable: Object with its grasps.
-        human_hand: The person's hand in the object's frame.
-        config: Offsets, clearances and smallest pad margin of the copies.
-    """
+    """Return offset copies of an object's grasps beside a person's hand in its frame, and their pad margins (n,)."""
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff, config.offsets)
     margins = compute_pad_margins(offset.poses, graspable.points)
     kept = margins > config.selection.min_offset_pad_margin
@@ -114,33 +97,19 @@ def find_offset_grasps(
 
 
 def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: int) -> Array:
-    """Return the vertices of a mesh and random points on its surface, from a fixed seed (m).
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex indices.
-        count: Number of random points.
-
-    Returns:
-        (v + count, 3) points.
-    """
+    """Return the vertices of a mesh and `count` random points on its surface, from a fixed seed (m)."""
     rng = np.random.default_rng(0)
     corners = vertices[faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     chosen = corners[rng.choice(len(faces), count, p=areas / areas.sum())]
-    points: Array = np.concatenate([vertices, np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)])
-    return points
+    return np.concatenate([vertices, np.einsum("nk,nkc->nc", rng.dirichlet(np.ones(3), count), chosen)])
 
 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
-    """Return the distances (n,) in m of grasp contacts from the tip and edges of the finger pads.
+    """Return the distances (n,) in m of the contacts of grasps (n, 7) from the tip and edges of the finger pads.
 
-    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the
-    edges count twice, since fingers are narrow.
-
-    Args:
-        poses: (n, 7) poses of the hand link, in the frame of the points.
-        points: (k, 3) points on the surface (m).
+    The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the edges count
+    twice, since fingers are narrow. The surface is given by points (k, 3).
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):
@@ -155,13 +124,7 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
 
 
 def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
-    """Return the costs (n,) in s of grasps, higher the less likely a grasp holds the object.
-
-    Args:
-        grasps: Grasps of an object with the outcome of their validation.
-        pad_margins: (n,) distances of the contacts from tip and edges of the pads (m).
-        config: Configuration of grasp selection, with the costs.
-    """
+    """Return the costs (n,) in s of grasps with pad margins (n,), higher the less likely they hold the object."""
     rates = grasps.success_rates
     costs: Array = config.unstable_cost * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
     costs += config.fingertip_cost * np.maximum(0.0, 1.0 - pad_margins / config.desired_pad_margin)

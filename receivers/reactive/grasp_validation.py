@@ -1,12 +1,11 @@
 """Validation of known grasps and their tilted copies in a simulation of the gripper alone.
 
-A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is
-moved along its approach axis towards the object, as far as the open gripper does not collide. The
-gripper closes there on an object that a person holds, and the person releases the object.
-Validation records of DexYCB's objects and of the library's objects ship with the library. Records of
-other objects are stored in the user's cache folder. A hash of the object's files, its known grasps,
-the robot's model and the physics engine (if it is not PyBullet) identifies a record.
-Poses are position (m) and quaternion xyzw.
+A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is moved along its
+approach axis towards the object, as far as the open gripper does not collide. The gripper closes there on an object
+that a person holds, and the person releases the object. Validation records of DexYCB's objects and of the library's
+objects ship with the library. Records of other objects are stored in the user's cache folder. A hash of the object's
+files, its known grasps, the robot's model and the physics engine (if it is not PyBullet) identifies a record. Poses are
+position (m) and quaternion xyzw.
 """
 
 import contextlib
@@ -49,16 +48,10 @@ _log = logging.getLogger(__name__)
 def validate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidatedGrasps:
-    """Return an object's known grasps and their tilted copies that hold it in simulation.
+    """Return an object's known grasps (n, 7) and their tilted copies that hold it in simulation.
 
-    Each grasp is moved along its approach axis towards the object as far as the open gripper does
-    not collide with it.
-
-    Args:
-        object_urdf: URDF model of the object.
-        panda_urdf: URDF model of the robot whose fingers are used.
-        known: (n, 7) poses of the hand link at the known grasps, in the object's frame.
-        config: Configuration of copies and validation.
+    Each grasp is moved along its approach axis towards the object as far as the open gripper does not collide with
+    it. The fingers are those of the robot in `panda_urdf`.
 
     Raises:
         SimulationError: A model cannot be loaded.

@@ -41,15 +41,13 @@ class GraspPreparationConfig(CheckedConfig):
             of a stable grasp is repeated (m).
         advances: Distances by which a grasp may be moved along its approach axis towards the object
             (m), the preferred one first.
-        min_advance_clearance: Further distance along the approach axis in which the open gripper
-            must not collide with the object (m). A grasp is advanced since an object that is held
-            by the fingertips slips away on release, before the fingers press as hard as in a
-            validation.
+        min_advance_clearance: Further distance along the approach axis in which the open gripper must not collide with
+            the object (m). A grasp is advanced since an object that is held by the fingertips slips away on release,
+            before the fingers press as hard as in a validation.
         held_time: Time for which the object is held in place while the fingers close (s).
         free_time: Time for which the object is then simulated without support (s).
         max_slip: Maximum slip of the object within `free_time` (m).
-        release_offsets: Offsets in the hand link's frame at which the simulated release is repeated
-            (m).
+        release_offsets: Offsets in the hand link's frame at which the simulated release is repeated (m).
         validation: Configuration of closing the gripper and shaking it.
     """
 
@@ -141,8 +139,7 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
     """Return the grasps that a validation record (n, 4) describes.
 
     Raises:
-        ValueError: The record belongs to other grasps than `known` (k, 7), or to another
-            configuration.
+        ValueError: The record belongs to other grasps than `known` (k, 7), or to another configuration.
     """
     n, copies = len(known), tilt_grasps(known, config)
     copy, stable, advance, kept = np.asarray(record, dtype=np.int64).reshape(-1, 4).T
@@ -160,18 +157,13 @@ def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPrep
 
 def advance_grasp(pose: Array, distance: float) -> Array:
     """Return a grasp pose (7,) moved along its own z axis by a distance (m)."""
-    moved: Array = compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0]))
-    return moved
+    return np.asarray(compose(pose, np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0])))
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
     """Return (m, 7) copies of grasps (n, 7), tilted about the line between the pads."""
-    pads = np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0])
-    copies = []
-    for tilt in config.tilts:
-        rotation = np.concatenate([np.zeros(3), Rotation.from_euler("y", tilt).as_quat()])
-        copies.append(compose(compose(compose(known, pads), rotation), invert_pose(pads)))
-    return np.concatenate(copies) if copies else np.zeros((0, 7))
+    offsets = (make_offset_pose(tilt, 0.0, 0.0, config.pad_distance) for tilt in config.tilts)
+    return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
 
 def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float) -> Array:
@@ -181,8 +173,7 @@ def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float) -
     """
     translations = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-    distances: Array = translations + 2.0 * rotation_weight * np.arccos(cosines)
-    return distances
+    return np.asarray(translations + 2.0 * rotation_weight * np.arccos(cosines))
 
 
 def perturb_grasps(
@@ -190,12 +181,8 @@ def perturb_grasps(
 ) -> ValidatedGrasps:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
-    Args:
-        grasps: Grasps in the object's frame.
-        points: (k, 3) points of the object's surface in its frame (m).
-        hand: The person's hand in the object's frame.
-        sweep: Length of the straight approach to a grasp (m).
-        offsets: Offsets of the copies, and required clearances.
+    All is in the object's frame: points (k, 3) of its surface, and the hand. `sweep` is the length of the straight
+    approach (m).
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -214,15 +201,7 @@ def perturb_grasps(
 
 
 def make_offset_pose(tilt: float, lateral: float, backward: float, pad_distance: float) -> Array:
-    """Return the pose (7,) of an offset grasp copy in the frame of the original grasp.
-
-    Args:
-        tilt: Rotation about the line between the pads (rad).
-        lateral: Translation across the line between the pads and the approach direction (m).
-        backward: Translation back along the approach direction (m).
-        pad_distance: Distance of the pads' middle from the hand's frame (m).
-    """
+    """Return the pose (7,) of a grasp copy, tilted about the line between the pads and moved."""
     middle = np.array([0.0, 0.0, pad_distance, 0.0, 0.0, 0.0, 1.0])
     moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])
-    offset: Array = compose(compose(middle, moved), invert_pose(middle))
-    return offset
+    return np.asarray(compose(compose(middle, moved), invert_pose(middle)))

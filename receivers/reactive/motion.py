@@ -39,11 +39,6 @@ class MotionController:
         arm: Kinematics of the arm.
         servo: Velocity control of the motors.
         scene: Estimate of the scene.
-
-    Attributes:
-        arm: Kinematics of the arm.
-        servo: Velocity control of the motors.
-        scene: Estimate of the scene.
     """
 
     def __init__(self, arm: ArmInWorld, servo: ArmServo, scene: SceneEstimate) -> None:
@@ -58,23 +53,15 @@ class MotionController:
         return self.move_open(self._separate(self._compute_home_velocity(), self._config.hand_clearance))
 
     def move_to(self, goal: Array, surface: Spheres) -> Action:
-        """Return the action towards arm joints (7,), clear of the person's hand and the object.
-
-        Args:
-            goal: (7,) wanted configuration (rad).
-            surface: The object's surface in its frame.
-        """
+        """Return the action towards arm joints (7,), clear of the person's hand and of the object's surface."""
         velocity = self.servo.limit_speed(self.servo.compute_goal_velocity(self.scene.arm_joints, goal))
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 
     def approach(self, velocity: Array) -> Action:
         """Return the action for the final approach with open fingers, clear of the person's hand.
 
-        The required clearances to the hand and to other objects are smaller than on the way to the
-        standoff, and none is required to the object.
-
-        Args:
-            velocity: (7,) wanted joint velocities (rad/s).
+        The required clearances to the hand and to other objects are smaller than on the way to the standoff,
+        and none is required to the object.
         """
         config = replace(
             self._config,
@@ -84,21 +71,12 @@ class MotionController:
         return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
 
     def carry(self, velocity: Array) -> Action:
-        """Return the action that carries the object away from the person with closed fingers.
-
-        Args:
-            velocity: (7,) wanted joint velocities (rad/s).
-        """
+        """Return the action that carries the object away from the person with closed fingers."""
         velocity = self.servo.limit_speed(velocity)
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def catch(self, velocity: Array, acceleration: float) -> Action:
-        """Return the action that follows a falling object with closing fingers, clear of the person's hand.
-
-        Args:
-            velocity: (7,) wanted joint velocities (rad/s).
-            acceleration: Maximum joint acceleration (rad/s^2).
-        """
+        """Return the action that follows a falling object with closing fingers, clear of the person's hand."""
         return self.move_closed(self._separate(velocity, self._config.grasp_hand_clearance), acceleration)
 
     def move_open(self, velocity: Array) -> Action:
@@ -106,11 +84,9 @@ class MotionController:
         return self._make_action(velocity, OPEN, None)
 
     def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:
-        """Return the action with joint velocities and closing fingers, ignoring obstacles.
+        """Return the action with joint velocities (7,) and closing fingers, ignoring obstacles.
 
-        Args:
-            velocity: (7,) joint velocities (rad/s).
-            acceleration: Maximum joint acceleration (rad/s^2) instead of the configured one.
+        The maximum joint acceleration (rad/s^2) replaces the configured one.
         """
         return self._make_action(velocity, CLOSED, acceleration)
 
@@ -197,11 +173,7 @@ class ApproachController:
         return float(np.linalg.norm(error[:3])) < self._config.catch_distance
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s), relative to the gripper for an object held in the air.
-
-        Args:
-            position: (3,) position of the gripper in the frame of the grasp (m).
-        """
+        """Return the object's speed (m/s), relative to the gripper, in the grasp's frame, if it is held in the air."""
         scene, before = self._scene, self._last_position
         since = scene.time - self._last_position_at
         self._last_position, self._last_position_at = position, scene.time

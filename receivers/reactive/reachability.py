@@ -57,19 +57,11 @@ class GraspReachability:
     def solve(
         self, grasps: Array, joints: Array, previous: Array | None, use_fallback: bool
     ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        """Solve inverse kinematics of standoffs and grasps from several seeds.
+        """Solve inverse kinematics of grasps (n, 7) of the hand link and their standoffs from several seeds.
 
-        For each grasp, the solution that the arm reaches soonest is returned.
-
-        Args:
-            grasps: (n, 7) world poses of the hand link.
-            joints: (7,) present configuration (rad).
-            previous: (7,) additional configuration at which searches start (rad), or None.
-            use_fallback: Whether searches also start at the fallback configurations.
-
-        Returns:
-            Configurations (n, 7) in rad at the standoffs and at the grasps, and whether they exist
-            (n,).
+        For each grasp, the solution that the arm at `joints` reaches soonest is returned: configurations (n, 7)
+        in rad at the standoffs and at the grasps, and whether they exist (n,). Searches also start at the
+        `previous` configuration, if any, and at the fallback ones, if wanted.
         """
         seeds = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS]) if use_fallback else IK_SEEDS
         if previous is not None:
@@ -85,36 +77,18 @@ class GraspReachability:
         return standoffs[best], goals[best], found[best]
 
     def compute_travel_times(self, standoffs: Array, joints: Array) -> Array:
-        """Return the travel times (n,) in s of the arm to standoff configurations.
-
-        Args:
-            standoffs: (n, 7) configurations at standoffs (rad).
-            joints: (7,) present configuration (rad).
-        """
-        times: Array = (np.abs(standoffs - joints) / self._speeds).max(axis=1)
-        return times
+        """Return the travel times (n,) in s of the arm from joints (7,) to standoff configurations (n, 7)."""
+        return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
 
     def compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
-        """Return the costs (n,) in s of grasps whose configurations are close to joint limits.
-
-        Args:
-            standoffs: (n, 7) configurations at the standoffs (rad).
-            goals: (n, 7) configurations at the grasps (rad).
-        """
+        """Return the costs (n,) in s of grasps whose configurations (n, 7) are close to joint limits."""
         low, high = self._arm.limits
         margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
         missing = np.maximum(0.0, self._config.desired_limit_margin - margins)
-        costs: Array = self._config.limit_margin_cost * missing
-        return costs
+        return np.asarray(self._config.limit_margin_cost * missing)
 
     def is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
-        """Return whether (n,) forearm and wrist of the arm keep clear of bodies and table.
-
-        Args:
-            goals: (n, 7) configurations at the grasps (rad).
-            bodies: Spheres that approximate the bodies, in the world.
-        """
+        """Return whether (n,) forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
         is_clear = compute_arm_clearances(self._arm, goals, bodies) > self._config.arm_clearance
         lowest = compute_lowest_heights(self._arm, goals)
-        both: npt.NDArray[np.bool_] = is_clear & (lowest > TABLE_HEIGHT + self._config.table_clearance)
-        return both
+        return np.asarray(is_clear & (lowest > TABLE_HEIGHT + self._config.table_clearance))

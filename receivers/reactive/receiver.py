@@ -15,11 +15,10 @@ from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 class ReactiveReceiver(ControllerReceiver):
     """Receiver that moves with the person, based on the true poses of object and hand.
 
-    While the person lifts the object, the gripper moves to a standoff in front of a grasp at the
-    predicted handover pose. It approaches the grasp in a straight line relative to the moving
-    object, closes the fingers, backs out and tries again if the fingers hold nothing, and carries
-    the object to the goal once the person has released it. Decisions depend on the motion of object
-    and hand, the selected grasp, and grasps that failed.
+    While the person lifts the object, the gripper moves to a standoff in front of a grasp at the predicted handover
+    pose. It approaches the grasp in a straight line relative to the moving object, closes the fingers, backs out and
+    tries again if the fingers hold nothing, and carries the object to the goal once the person has released it.
+    Decisions depend on the motion of object and hand, the selected grasp, and grasps that failed.
 
     Args:
         context: The robot, the objects and their grasps.
@@ -69,11 +68,7 @@ class ReactiveReceiver(ControllerReceiver):
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         scene.update(observation)
         if scene.object_name != self._object_name:

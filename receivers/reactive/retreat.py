@@ -73,13 +73,7 @@ class RetreatController:
         self._started_at: float | None = None
 
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
-        """Return the joint velocities (7,) in rad/s that continue the retreat.
-
-        Args:
-            time: Time since the start of the episode (s).
-            joints: (7,) present configuration (rad).
-            gripper_pose: (7,) present world pose of the hand link.
-        """
+        """Return the joint velocities (7,) in rad/s that continue the retreat from joints and a hand pose (7,)."""
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:
                 self._rejected.append(self._end)
@@ -96,8 +90,7 @@ class RetreatController:
         rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(gripper_pose[3:]).inv()).as_rotvec()
         linear, angular = self._speed * self._back, config.rotation_gain * rotation
         out = self._arm.compute_joint_velocity(joints, linear, angular, config.rotation_weight, period)
-        blended: Array = (1.0 - self._blend) * out + self._blend * to_end
-        return blended
+        return np.asarray((1.0 - self._blend) * out + self._blend * to_end)
 
     def _is_stalled(self, time: float, remaining: float) -> bool:
         if remaining < self._config.progress_ratio * self._remaining or remaining < self._config.joint_tolerance:

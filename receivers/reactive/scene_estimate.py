@@ -36,10 +36,7 @@ class SceneEstimate(ABC):
         gripper_pose: (7,) world pose of the robot's hand link.
         object_pose: (7,) world pose of the object that is handed over.
         motion: Motion of the object and its predicted handover pose.
-        person: Tracker of the person's hand.
-        obstacles: Spheres that approximate the other objects within reach, in the world, or None
-            without any.
-        config: Configuration of the receiver.
+        obstacles: Spheres that approximate the other objects within reach, in the world, or None without any.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
@@ -64,30 +61,20 @@ class SceneEstimate(ABC):
 
     @abstractmethod
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person has released the object.
+        """Return whether the person has released the object since the fingers began to close (s).
 
         The receiver calls this method once in every decision while the fingers close.
-
-        Args:
-            closing_since: Time at which the fingers began to close (s).
         """
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s), (3,) each, with which a point on the object is carried.
+        """Predict linear (m/s) and angular velocity (rad/s) with which a point (3,) on the object is carried.
 
-        Args:
-            point: (3,) point fixed to the object, in the world (m).
-            ahead: Length of the coming control period (s); velocities are predicted for its middle.
+        The velocities are those in the middle of the coming control period (s).
         """
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
-        """Return object and hand where the object is expected to be held out, and other objects, in the world.
-
-        Args:
-            handover_pose: (7,) world pose at which the object is expected to be held out.
-            surface: Spheres that approximate the object's surface, in the object's frame.
-        """
+        """Return object and hand where the object is held out, at a pose (7,), and other objects, in the world."""
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
         if human_hand is not None:
@@ -158,8 +145,7 @@ class PoseSceneEstimate(SceneEstimate):
     Args:
         arm: Kinematics of the arm.
         config: Configuration of the receiver.
-        load_obstacle: Function that returns spheres at the surface of an object class, in the
-            object's frame.
+        load_obstacle: Function that returns spheres at the surface of an object class, in the object's frame.
         object_names: Class name of each class number in observations.
 
     Attributes:

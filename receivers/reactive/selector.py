@@ -38,8 +38,7 @@ class GraspGoal:
         number: Index of the grasp among the candidates.
         standoff_joints: (7,) configuration of the arm at the standoff (rad).
         grasp_joints: (7,) configuration of the arm at the grasp (rad).
-        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or
-            None.
+        via_joints: (7,) via point around an obstacle on the straight joint path to the standoff (rad), or None.
     """
 
     number: int
@@ -61,8 +60,7 @@ class GraspSelector:
         surface: Spheres that approximate the object's surface, in the object's frame.
         chosen: Grasp that was selected last, or None.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
-        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of
-            the grasp.
+        failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
     """
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
@@ -89,13 +87,10 @@ class GraspSelector:
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidates; the costs must include the costs of grasps that have failed.
+        """Replace the candidates (n, 7) in the object's frame; the last selected grasp has a new index, if any.
 
-        Args:
-            poses: (n, 7) poses of the hand link in the object's frame.
-            costs: (n,) costs of the grasps (s), higher the less likely a grasp holds the object.
-            surface: Spheres that approximate the object's surface, in the object's frame.
-            chosen: Index of the grasp that was selected last, or None to forget it.
+        The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
+        that failed.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -111,10 +106,7 @@ class GraspSelector:
     def select(self, scene: SceneEstimate, is_near: bool = False) -> GraspGoal | None:
         """Return the grasp to approach: the previous one unless another is clearly cheaper.
 
-        Args:
-            scene: Estimate of the present scene.
-            is_near: Whether the gripper is in front of the previous grasp already; the cost of
-                another grasp must then be lower by a larger margin.
+        Near the previous grasp, the cost of another one must be lower by a larger margin.
         """
         self._add_offset_grasps(scene)
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
@@ -146,29 +138,16 @@ class GraspSelector:
         return self.chosen
 
     def compute_grasp_pose(self, goal: GraspGoal, object_pose: Array) -> Array:
-        """Return the world pose (7,) of the hand link at a grasp of an object.
-
-        Args:
-            goal: Grasp of the object.
-            object_pose: (7,) world pose of the object.
-        """
-        pose: Array = compose(object_pose, self.grasps[goal.number])
-        return pose
+        """Return the world pose (7,) of the hand link at a grasp of an object at a world pose (7,)."""
+        return np.asarray(compose(object_pose, self.grasps[goal.number]))
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
         return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,) in the frame of a grasp.
-
-        Args:
-            goal: Grasp of the object.
-            object_pose: (7,) world pose of the object.
-            gripper_pose: (7,) world pose of the hand link.
-        """
-        pose: Array = compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose)
-        return pose
+        """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
+        return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
         """Add candidates and their copies rotated by half a turn, with an additional cost (s)."""
@@ -231,8 +210,7 @@ class GraspSelector:
             return 0.0
         clearances = compute_grasp_clearances(world, near, self._receiver_config.approach.standoff)
         missing = np.maximum(0.0, self._config.desired_obstacle_clearance - clearances)
-        costs: Array = self._config.obstacle_cost * missing
-        return costs
+        return np.asarray(self._config.obstacle_cost * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
         """Return the cheapest grasps, the next ones while none is reachable, and the selected."""

@@ -18,8 +18,7 @@ class GraspTrackerConfig(CheckedConfig):
     """Configuration of the tracker that turns point clouds into grasp candidates.
 
     Attributes:
-        min_points: Minimum number of object points in a view; in views with fewer, the object
-            counts as not visible.
+        min_points: Minimum number of object points in a view; in views with fewer, the object counts as not visible.
         max_grasps: Maximum number of grasp candidates.
         min_quality: Minimum predicted quality of a grasp candidate, 0 to 1.
         cost_scale: Cost of a grasp whose predicted quality is 1/e (s).
@@ -31,25 +30,21 @@ class GraspTrackerConfig(CheckedConfig):
         n_finger_points: Number of object points that are checked for finger collisions.
         same_distance: Distance below which two grasps count as the same (m).
         rotation_weight: Weight of rotations in the distance of two grasps (m/rad).
-        unseen_cost: Increase of the selected grasp's cost in each view in which the grasp is not
-            predicted (s).
+        unseen_cost: Increase of the selected grasp's cost in each view in which the grasp is not predicted (s).
         failed_cost: Cost of a grasp that counts as the same as a failed one (s).
         far_gains: Filter gains while the object is far from the gripper.
         near_gains: Filter gains while the object is closer to the gripper than `near_distance`.
-        final_gains: Filter gains while the selected grasp is closer to the gripper than
-            `final_distance`.
+        final_gains: Filter gains while the selected grasp is closer to the gripper than `final_distance`.
         near_distance: Distance from the gripper below which the object hides the person's hand, so
             that no points are removed from the maps (m).
-        final_distance: Distance of the selected grasp from the hand link at which `final_gains`
-            apply (m).
+        final_distance: Distance of the selected grasp from the hand link at which `final_gains` apply (m).
         max_match_distance: Maximum distance of matched object points between two views (m).
         min_matched_share: Share of matched points below which registration has failed.
         keyframe_share: Share of matched points below which a new keyframe is taken.
         max_center_error: Largest distance between the tracked and the predicted center (m); with a
             larger distance, the tracked body counts as another body than the object.
         rest_speed: Speed below which the object is taken to be at rest (m/s).
-        velocity_decay: Share of its estimated velocity that the object loses in each view in which
-            it is not visible.
+        velocity_decay: Share of its estimated velocity that the object loses in each view in which it is not visible.
         lost_timeout: Time without a view of the object after which the tracker is reset (s).
         sphere_radius: Radius of the spheres that represent points of object and hand (m).
         voxel_size: Edge length of the voxels that keep one point each (m).
@@ -106,14 +101,11 @@ class VisionConfig(CheckedConfig):
         search_timeout: Time out of sight after which the object is searched for (s).
         hidden_timeout: Value of `search_timeout` for an object that was at rest when it was last
             visible, in scenes with other objects, around which the paths are longer (s).
-        finger_rest_distance: Finger motion between two decisions below which fingers are at rest
-            (m).
-        release_delay: Time for which the fingers rest before the person is assumed to have released
-            the object (s).
+        finger_rest_distance: Finger motion between two decisions below which fingers are at rest (m).
+        release_delay: Time for which the fingers rest before the person is assumed to have released the object (s).
         release_timeout: Time after the start of closing at which the person is assumed to have
             released the object, provided that the fingers are not fully closed (s).
-        obstacle_voxel_size: Edge length of the voxels that keep one point each of the other objects
-            (m).
+        obstacle_voxel_size: Edge length of the voxels that keep one point each of the other objects (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -131,10 +123,9 @@ class VisionConfig(CheckedConfig):
 def make_vision_reactive_config() -> ReactiveConfig:
     """Return the configuration of grasp selection and motion of the receiver `vision`.
 
-    The configuration differs from that of `reactive` for three reasons: camera images take longer
-    than poses, predicted grasp qualities include the clearance to the person's hand, and the
-    visible part of an object near the gripper does not determine its motion well enough to approach
-    a moving object.
+    The configuration differs from that of `reactive` for three reasons: camera images take longer than poses, predicted
+    grasp qualities include the clearance to the person's hand, and the visible part of an object near the gripper does
+    not determine its motion well enough to approach a moving object.
     """
     config = ReactiveConfig()
     return replace(

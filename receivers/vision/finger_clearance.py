@@ -47,15 +47,10 @@ class FingerGeometry(CheckedConfig):
 def shift_to_avoid_collisions(
     grasps: Array, points: Array, fingers: FingerGeometry = FingerGeometry()
 ) -> tuple[Array, Array]:
-    """Shift grasps sideways to minimize the depth of finger collisions, by as little as possible.
+    """Shift grasps (n, 7) sideways to minimize the depth of finger collisions, by as little as possible.
 
-    Args:
-        grasps: (n, 7) poses of the hand link.
-        points: (k, 3) points of the object, in the same frame (m).
-        fingers: Geometry of the fingers, with collision costs.
-
-    Returns:
-        Shifted grasps (n, 7), and the costs (n,) of shifts and remaining collisions (s).
+    Returns the shifted grasps, and the costs (n,) of shifts and remaining collisions (s) with points (k, 3) of the
+    object.
     """
     rotations = Rotation.from_quat(grasps[:, 3:]).as_matrix() if len(grasps) else np.zeros((0, 3, 3))
     local = np.einsum("nkj,nji->nki", points[None] - grasps[:, None, :3], rotations)

@@ -1,19 +1,19 @@
 """Grasp prediction from point clouds by a neural network, which needs PyTorch."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import CheckedConfig
 from handover_marl.geometry.panda import PAD_DISTANCE
 
 Array = npt.NDArray[np.float64]
+
+# Numbers of points of the object and of the hand in the input of the network, and of object points with a grasp.
+_N_OBJECT_POINTS, _N_HAND_POINTS, _N_GRASPS = 256, 64, 96
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,33 +36,11 @@ class GraspPrediction:
 GraspPredictor = Callable[[Array, Array, Array, np.random.Generator], GraspPrediction]
 
 
-@dataclass(frozen=True)
-class GraspPredictorConfig(CheckedConfig):
-    """Numbers of points in the input of the grasp network.
-
-    Attributes:
-        n_object_points: Number of points of the object.
-        n_hand_points: Number of points of the person's hand.
-        n_grasps: Number of object points at which a grasp is predicted.
-    """
-
-    default_limits: ClassVar[tuple[float, float]] = (1, math.inf)
-
-    n_object_points: int = 256
-    n_hand_points: int = 64
-    n_grasps: int = 96
-
-
-def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | None = None) -> tuple[GraspPredictor, str]:
-    """Load the grasp predictor in a weight file; return it with a short hash of its weights.
-
-    Args:
-        weights: Weight file of a `GraspNetwork`.
-        config: Numbers of points in the network's input.
+def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
+    """Load the grasp predictor in the weight file of a `GraspNetwork`; return it with a short hash of its weights.
 
     Raises:
-        DataNotFoundError: The file does not exist.
-        DataFormatError: The file is damaged or holds another network.
+        DataNotFoundError, DataFormatError: The file does not exist, is damaged or holds another network.
     """
     # Imported here since PyTorch is optional, and slow to import.
     import torch
@@ -71,10 +49,10 @@ def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | Non
     from handover_marl.learning.networks.weights import read_network_weights, single_threaded_inference
 
     trained, fingerprint = read_network_weights(weights, GraspNetwork)
-    network, counts = trained.eval(), config or GraspPredictorConfig()
+    network = trained.eval()
 
     def predict(object_points: Array, hand_points: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
-        inputs = (*_sample_points(object_points, hand_points, counts, rng), velocity.astype(np.float32))
+        inputs = (*_sample_points(object_points, hand_points, rng), velocity.astype(np.float32))
         with single_threaded_inference():
             output = network(PointCloudBatch(*(torch.from_numpy(value)[None] for value in inputs)))
         rotations = output.rotations[0].numpy().astype(np.float64)
@@ -89,12 +67,13 @@ def load_grasp_predictor(weights: str | Path, config: GraspPredictorConfig | Non
 
 
 def _sample_points(
-    object_points: Array, hand_points: Array, config: GraspPredictorConfig, rng: np.random.Generator
+    object_points: Array, hand_points: Array, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], npt.NDArray[np.int_]]:
     """Return object points, hand points, the mask of valid hand points, and grasp indices."""
-    n_object, n_hand = config.n_object_points, config.n_hand_points
-    objects = object_points[rng.choice(len(object_points), n_object, replace=len(object_points) < n_object)]
-    hands, count = np.zeros((n_hand, 3)), min(len(hand_points), n_hand)
+    objects = object_points[
+        rng.choice(len(object_points), _N_OBJECT_POINTS, replace=len(object_points) < _N_OBJECT_POINTS)
+    ]
+    hands, count = np.zeros((_N_HAND_POINTS, 3)), min(len(hand_points), _N_HAND_POINTS)
     hands[:count] = hand_points[rng.choice(len(hand_points), count, replace=False)]
-    centers = rng.permutation(n_object)[: config.n_grasps]
-    return objects.astype(np.float32), hands.astype(np.float32), np.arange(n_hand) < count, centers
+    centers = rng.permutation(_N_OBJECT_POINTS)[:_N_GRASPS]
+    return objects.astype(np.float32), hands.astype(np.float32), np.arange(_N_HAND_POINTS) < count, centers

@@ -11,8 +11,7 @@ from handover_marl.receivers.reactive.grasps import make_offset_pose
 from handover_marl.receivers.vision.config import GraspTrackerConfig
 from handover_marl.receivers.vision.finger_clearance import shift_to_avoid_collisions
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
-from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PositionFilter
-from handover_marl.receivers.vision.point_map import PointMap
+from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PointMap, PositionFilter
 
 Array = npt.NDArray[np.float64]
 
@@ -31,12 +30,10 @@ class GraspTracker:
             first is the selected one, if any.
         costs: (n,) costs of the candidates (s).
         surface: Spheres at the visible part of the object, relative to its center.
-        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is
-            visible.
+        human_hand: Spheres at the visible part of the person's hand in the world, or None if no part is visible.
         selected: (7,) grasp that is tracked, relative to the object's center, or None.
         use_all: Whether the candidates are all predicted grasps and tilted copies of them.
-        lost_timeout: Time without a view of the object after which the tracker is reset at the next
-            view (s).
+        lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
 
     def __init__(self, predict: GraspPredictor, config: GraspTrackerConfig, seed: int | None) -> None:
@@ -80,30 +77,18 @@ class GraspTracker:
         return self.position.velocity if is_moving else np.zeros(3)
 
     def compute_unseen_time(self, time: float) -> float:
-        """Return the time (s) since the last view of the object, infinite before the first view.
-
-        Args:
-            time: Present time since the start of the episode (s).
-        """
+        """Return the time (s) at a time (s) since the last view of the object, infinite before the first view."""
         return time - self._seen_at
 
     def add_failed(self, grasp: Array, until: float) -> None:
-        """Increase the cost of a failed grasp and of its copy rotated by half a turn.
-
-        Args:
-            grasp: (7,) pose of the hand link relative to the object's center.
-            until: Time of the episode until which the cost is increased (s).
-        """
+        """Increase the cost of a failed grasp (7,) relative to the center, and of its half turn, until a time (s)."""
         self._failed += [(grasp, until), (compose(grasp, np.array(HALF_TURN)), until)]
 
     def update(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
-        """Update object, hand and grasp candidates from a view of the wrist camera.
+        """Update object, hand and grasp candidates from a view of the wrist camera at a time (s).
 
-        Args:
-            time: Time since the start of the episode (s).
-            gripper_pose: (7,) world pose of the hand link.
-            object_points: (n, 3) points of the object in the hand link's frame (m).
-            hand_points: (m, 3) points of the person's hand in the hand link's frame (m).
+        Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
+        world pose (7,).
         """
         config = self._config
         if len(object_points) < config.min_points:
@@ -132,10 +117,7 @@ class GraspTracker:
     ) -> tuple[Array, Array]:
         """Return candidates (n, 7) relative to the center and their costs (n,) from a prediction.
 
-        Args:
-            prediction: Predicted grasps.
-            points: (k, 3) object points for finger collisions, in the hand link's frame (m).
-            gripper_pose: (7,) world pose of the hand link.
+        Points (k, 3) of the object, for finger collisions, are in the hand link's frame (m).
         """
         config, quality = self._config, prediction.quality
         order = np.argsort(-quality, kind="stable")
@@ -245,5 +227,4 @@ class GraspTracker:
         offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
         cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
         weight = 2.0 * self._config.rotation_weight
-        distances: Array = np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines)
-        return distances
+        return np.asarray(np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines))

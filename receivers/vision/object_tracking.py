@@ -11,6 +11,33 @@ from handover_marl.config import CheckedConfig
 
 Array = npt.NDArray[np.float64]
 
+
+class PointMap:
+    """Voxel map of points on the object, or on the hand that holds the object.
+
+    Args:
+        voxel_size: Edge length of the voxels, each of which keeps one point (m).
+        memory: Time after which points are removed (s).
+
+    Attributes:
+        points: (n, 3) points in the map, relative to the object's center (m).
+    """
+
+    def __init__(self, voxel_size: float, memory: float) -> None:
+        self._voxel_size, self._memory = voxel_size, memory
+        self.points = np.zeros((0, 3))
+        self._times = np.zeros(0)
+
+    def update(self, time: float, points: Array, forget: bool) -> None:
+        """Add points (k, 3) relative to the object's center (m), and remove old ones if wanted."""
+        if forget and len(points):
+            kept = self._times > time - self._memory
+            self.points, self._times = self.points[kept], self._times[kept]
+        merged = np.concatenate([points, self.points])
+        _, first = np.unique(np.floor(merged / self._voxel_size).astype(np.int64), axis=0, return_index=True)
+        self.points, self._times = merged[first], np.concatenate([np.full(len(points), time), self._times])[first]
+
+
 # Numbers of points that are matched and that a keyframe keeps, iterations of the registration,
 # share of the closest matches that are used, and number of matches below which it fails.
 _N_MATCHED, _N_KEPT, _N_ITERATIONS, _TRIM_RATIO, _MIN_MATCHES = 200, 500, 4, 0.8, 20
@@ -98,14 +125,10 @@ class Keyframe:
         self._normals: Array = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
     def register(self, points: Array, max_distance: float) -> tuple[Array, float]:
-        """Return the translation (3,) in m from the keyframe to points, and the share of matches.
+        """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of matches.
 
-        Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the
-        surface does not constrain, such as along a plane, are zero.
-
-        Args:
-            points: (k, 3) points relative to the predicted center of the object (m).
-            max_distance: Maximum distance of two matched points (m).
+        Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the surface does
+        not constrain, such as along a plane, are zero. Matches are at most `max_distance` apart (m).
         """
         translation, share = np.zeros(3), 0.0
         sampled = points[:: max(1, len(points) // _N_MATCHED)]

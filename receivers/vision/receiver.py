@@ -44,9 +44,6 @@ class VisionReceiver(ControllerReceiver):
         OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
         DataNotFoundError: The weight file does not exist.
         DataFormatError: The weight file cannot be read.
-
-    Attributes:
-        vision: Configuration of the perception.
     """
 
     name = "vision"
@@ -82,21 +79,13 @@ class VisionReceiver(ControllerReceiver):
         return self._weights_hash
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode.
-
-        Args:
-            seed: Seed of the points that are sampled for grasp prediction.
-        """
+        """Start an episode."""
         tracker = GraspTracker(self._predictor, self.vision.tracker, seed)
         self._scene = PointCloudSceneEstimate(self.arm, self.config, self.vision, tracker)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions.
-
-        Raises:
-            ResetNeededError: `reset` was not called.
-        """
+        """Return the next nine target joint positions."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         if controller.is_grasping:
             # The camera cannot see what is between the fingers, and the selection is final.

@@ -12,7 +12,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.config import VisionConfig
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
-from handover_marl.receivers.vision.point_map import PointMap
+from handover_marl.receivers.vision.object_tracking import PointMap
 
 Array = npt.NDArray[np.float64]
 
@@ -35,13 +35,7 @@ class PointCloudHandTracker(HandTracker):
         self._object_position = tracker.position.position
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
-        """Return the present world pose (7,) of a frame that moves with the person's hand.
-
-        Args:
-            points: (1, 3) or (0, 3) value of `reference_points` at the earlier time (m).
-            pose: (7,) world pose of the frame at the earlier time.
-            ahead: Additional time for which the present velocity is extrapolated (s).
-        """
+        """Return the present world pose (7,) of a frame that moves with the person's hand."""
         if not len(points) or self._object_position is None:
             return pose
         position = pose[:3] + self._object_position - points[0] + ahead * self.velocity
@@ -60,9 +54,6 @@ class PointCloudSceneEstimate(SceneEstimate):
         arm: Kinematics of the arm.
         config: Configuration of grasp selection and motion.
         vision: Configuration of the perception.
-        tracker: Tracker of object, hand and grasps.
-
-    Attributes:
         tracker: Tracker of object, hand and grasps.
     """
 
@@ -97,9 +88,6 @@ class PointCloudSceneEstimate(SceneEstimate):
         """Return whether the fingers show that the person has released the object.
 
         They must have been at rest for some time, or be kept open by the object for long.
-
-        Args:
-            closing_since: Time at which the fingers began to close (s).
         """
         if closing_since != self._closing_since:
             self._closing_since = self._moved_at = closing_since

@@ -10,7 +10,6 @@ import pytest
 from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.config import PandaConfig
 from handover_marl.datasets import open_dataset
-from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.simulation.bullet.bodies import PandaBody
@@ -42,23 +41,6 @@ def test_joints_are_those_of_the_plain_panda(client: BulletClient) -> None:
     assert list(camera) == list(plain), "moving joints keep their order"
 
 
-def test_only_the_camera_is_added(client: BulletClient) -> None:
-    bodies = [load_urdf(client, urdf, useFixedBase=True) for urdf in (PANDA_URDF, CAMERA_PANDA_URDF)]
-    masses, shapes = [], []
-    for body in bodies:
-        links = range(-1, client.getNumJoints(body))
-        names = ["base" if link < 0 else client.getJointInfo(body, link)[LINK].decode() for link in links]
-        masses.append({name: client.getDynamicsInfo(body, link)[0] for name, link in zip(names, links, strict=True)})
-        shapes.append(
-            {name: len(client.getCollisionShapeData(body, link)) for name, link in zip(names, links, strict=True)}
-        )
-    assert masses[1].pop(CAMERA_LINK) == pytest.approx(0.01)
-    assert shapes[1].pop(CAMERA_LINK) == 1, "it collides"
-    assert masses[0] == masses[1]
-    assert shapes[0] == shapes[1]
-    assert len(client.getVisualShapeData(bodies[1])) == len(client.getVisualShapeData(bodies[0])) + 1
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> None:
     low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
@@ -77,26 +59,6 @@ def test_camera_pose_equals_handoversims(client: BulletClient, seed: int) -> Non
     assert pose.dtype == np.float32
     np.testing.assert_allclose(pose[:3], camera[:3], atol=1e-6)
     assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_kinematic_tree_equals_bullets(client: BulletClient) -> None:
-    tree = read_tree(CAMERA_PANDA_URDF)
-    body = load_urdf(client, CAMERA_PANDA_URDF, useFixedBase=True)
-    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
-    names = [joint.link for joint in tree.joints]
-    assert names == [info[LINK].decode() for info in infos]
-    assert [joint.parent for joint in tree.joints] == [info[PARENT] for info in infos]
-    assert tree.joints[names.index(CAMERA_LINK)].parent == names.index(HAND_LINK)
-    moving = [link for link, info in enumerate(infos) if info[TYPE] != client.JOINT_FIXED]
-    assert tree.n_dof == len(moving) == 9
-    joints = np.random.default_rng(0).uniform(LOWER_LIMITS, UPPER_LIMITS, (3, 9))
-    for dof, poses in zip(joints, tree.compute_link_poses(joints, range(len(infos))), strict=True):
-        for link, position in zip(moving, dof.tolist(), strict=True):
-            client.resetJointState(body, link, position)
-        for link, pose in enumerate(poses):
-            state = client.getLinkState(body, link, computeForwardKinematics=1)
-            np.testing.assert_allclose(pose[:3], state[4], atol=1e-6, err_msg=names[link])
-            assert abs(pose[3:] @ np.array(state[5])) == pytest.approx(1.0, abs=1e-6), names[link]
 
 
 def test_datasets_have_both_robots() -> None:

@@ -1,4 +1,3 @@
-import contextlib
 import importlib
 import io
 import subprocess
@@ -13,7 +12,6 @@ from handover_marl.cli.options import parse_scenes
 from handover_marl.cli.streams import prepare_streams, print_result
 from handover_marl.errors import OptionError
 from handover_marl.evaluation import episode_runner
-from handover_marl.evaluation.reports.report_files import evaluate
 from handover_marl.execution.options import is_installed
 from handover_marl.policies.registry import import_reference
 
@@ -77,28 +75,6 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setattr(episode_runner, "run_episode", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command resumes" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("output", "reason"), [("/dev/full", "No space left on device"), (None, "standard output is closed")]
-)
-def test_output_that_cannot_be_written(
-    output: str | None,
-    reason: str,
-    fake_data: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    command = ["benchmark", "--split", "val", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
-    command += ["--workers", "1", "--no-progress"]
-    with contextlib.ExitStack() as stack:
-        monkeypatch.setattr(sys, "stdout", None if output is None else stack.enter_context(Path(output).open("w")))
-        assert main([*command, "--data-dir", str(fake_data), "--out", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == (
-        f"handover-marl: cannot print the result ({reason}); files in --out are complete\n"
-    )
-    assert evaluate(tmp_path).episodes[0].scene_id == 9
 
 
 def test_characters_that_the_terminal_lacks_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,7 @@
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS, list_split_scenes
+from handover_marl.datasets.splits import SPLIT_SIZES, SPLITS, list_split_scenes
 from handover_marl.errors import UnknownNameError
-
-NAMES = st.sampled_from([(setup, split) for setup in SETUPS for split in SPLITS])
 
 
 def no_side(scene_id: int) -> str:
@@ -28,18 +24,6 @@ def test_s2_depends_on_the_side_of_the_last_trial_only() -> None:
     scenes = list_split_scenes("s2", "test", side)
     assert all(scene % 5 == 4 for scene in asked)
     assert len(scenes) == 8 * 18 * 3
-
-
-@given(st.sampled_from(SETUPS), st.integers(0, 2**32))
-def test_splits_are_disjoint_ascending_and_without_skipped_objects(setup: str, bits: int) -> None:
-    def side(scene_id: int) -> str:
-        return "left" if (bits >> (scene_id // 5 % 32)) & 1 else "right"
-
-    splits = [list_split_scenes(setup, split, side) for split in SPLITS]
-    together = [scene for scenes in splits for scene in scenes]
-    assert len(set(together)) == len(together)
-    assert all(list(scenes) == sorted(scenes) for scenes in splits)
-    assert not any(scene // 5 % 20 in (0, 15) for scene in together)
 
 
 def test_known_scenes_of_splits() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import SceneError, UnknownNameError
+from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.comparison import Agreement, compare_physics
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results.episode_result import EpisodeResult
@@ -60,18 +60,6 @@ def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert {path.name for path in (out / "fast").glob("*.npz")} == {path.name for path in (out / "exact").glob("*.npz")}
 
 
-def test_scenes_of_other_splits_are_refused(fake_data: Path) -> None:
-    with pytest.raises(SceneError, match="105"):
-        compare_physics(scenes=[105], data_dir=fake_data)
-
-
 def test_any_physics_but_exact_can_be_compared(fake_data: Path) -> None:
     with pytest.raises(UnknownNameError, match="valid: fast, mujoco"):
         compare_physics(scenes=[9], data_dir=fake_data, against="exact")
-
-
-def test_tables_name_the_other_physics() -> None:
-    text = str(Agreement(report("exact", [(SUCCESS, 4000)]), report("mujoco", [(DROP, 4100)])))
-    assert "Exact and mujoco physics agree on the outcome of 0 of 1 scenes" in text
-    assert "mujoco: drop" in text
-    assert "fast" not in text

@@ -86,14 +86,6 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
         handover_marl.compare(one, tmp_path / "five")
 
 
-@pytest.mark.parametrize(("first", "second"), [("", "data"), ("data", ""), ("", "")])
-def test_unknown_data_can_be_compared(first: str, second: str, tmp_path: Path) -> None:
-    """Results without a fingerprint of their data, such as those of HandoverSim, can be compared with any others."""
-    one = folder(tmp_path / "one", "mine", {0: 1}, fingerprint=first)
-    two = folder(tmp_path / "two", "mine", {0: 1}, fingerprint=second)
-    assert len(handover_marl.compare(one, two).pairs) == 1
-
-
 def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 2, 1: 6, 2: 1, 3: 1})
     two = folder(tmp_path / "two", "theirs", {0: 1, 1: 4, 2: 8, 3: 1})

@@ -7,7 +7,6 @@ from PIL import Image
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.benchmark import Evaluation
 from handover_marl.evaluation.crossplay import format_pair_folder
@@ -53,29 +52,6 @@ def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
     (tmp_path / "replay-random").write_text("")
     with pytest.raises(ResultsError, match=r"cannot use .*replay-random as result folder"):
         handover_marl.crossplay(["replay"], ["hold", "random"], dataset="synthetic", out=tmp_path)
-
-
-@pytest.mark.slow
-def test_receivers_are_compared_scene_by_scene(fake_data: Path) -> None:
-    played = handover_marl.crossplay(
-        ["replay"],
-        ["hold", "yang2021"],
-        scenes=[9, 14],
-        data_dir=fake_data,
-        physics="fast",
-        workers=1,
-        progress=False,
-    )
-    episodes = [played.reports["replay", name].episodes for name in ("yang2021", "hold")]
-    for flag in (EpisodeStatus.SUCCESS, EpisodeStatus.TIMEOUT):
-        mean, low, high = played.compute_gain(("replay", "yang2021"), ("replay", "hold"), flag)
-        first, second = ([bool(episode.status & flag) for episode in part] for part in episodes)
-        assert mean == pytest.approx((sum(first) - sum(second)) / 2)
-        assert low <= mean <= high
-    text = str(played)
-    assert "success gain, points" in text
-    rows = [[cell.strip() for cell in line.split("|")] for line in text.splitlines()]
-    assert any(row[1:4] == ["yang2021", "hold", "replay"] for row in rows)
 
 
 @pytest.mark.parametrize("letter", ["x", "é"])

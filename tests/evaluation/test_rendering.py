@@ -1,5 +1,4 @@
 import importlib.util
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import HandoverError, OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation import rendering as scene_rendering
 from handover_marl.evaluation.rendering import render_scene
-from handover_marl.receivers.hold import HoldReceiver
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.visualization import video as video_module
 
@@ -131,19 +129,6 @@ def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("side", "size"), [("--width", "0"), ("--height", "8193")])
-@pytest.mark.parametrize("plan", [[], ["--plan"]])
-def test_impossible_sizes(
-    tmp_path: Path, side: str, size: str, plan: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["render", "--scene", "209", "--dataset", "synthetic", "--out", str(tmp_path / "x.png"), *plan]
-    assert main([*command, side, size]) == 2
-    error = capsys.readouterr().err
-    assert f"{side[2:]} of CameraConfig must be" in error
-    assert f"got {size}" in error
-    assert not list(tmp_path.iterdir())
-
-
 def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("it is noticed too late")
@@ -170,25 +155,6 @@ def test_invalid_output_paths_are_reported_before_rendering(
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.png"]
 
 
-def test_any_giver(tmp_path: Path) -> None:
-    options: dict[str, Any] = {"key_frames": 4}
-    shown = {
-        giver: pictures(draw(tmp_path / f"{giver}.png", giver=giver, **options))
-        for giver in ("replay", "cooperative", "hesitant")
-    }
-    plain = pictures(draw(tmp_path / "plain.png", **options))
-    np.testing.assert_array_equal(plain, shown["replay"])
-    for other in ("cooperative", "hesitant"):
-        np.testing.assert_array_equal(shown[other][0], plain[0])
-        assert any(
-            (first != second).any(axis=2).mean() > 0.001 for first, second in zip(shown[other], plain, strict=True)
-        )
-    with pytest.raises(UnknownNameError, match="giver 'nobody'"):
-        draw(tmp_path / "x.png", giver="nobody")
-    with pytest.raises(OptionError, match="giver"):
-        draw(tmp_path / "x.png", giver=HoldReceiver)
-
-
 def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
@@ -210,31 +176,6 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert "do not apply to --plan" in capsys.readouterr().err
     assert main([*command, "--vertical-fov", "180"]) == 2
     assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
-
-
-def test_captions_are_in_the_corner(tmp_path: Path) -> None:
-    options: dict[str, Any] = {"key_frames": 2, "physics": "fast", "camera": replace(CAMERA, width=320, height=240)}
-    with Image.open(draw(tmp_path / "with.png", **options)) as first:
-        captioned = np.asarray(first)
-    with Image.open(draw(tmp_path / "without.png", **options, caption=False)) as second:
-        plain = np.asarray(second)
-    rows, columns = np.nonzero((captioned != plain).any(axis=2))
-    assert len(rows) > 100
-    assert rows.min() > 210
-    assert columns[columns < 320].max() < 100
-    with pytest.raises(OptionError, match="caption must be"):
-        draw(tmp_path / "x.png", caption="no")
-
-
-@pytest.mark.parametrize("height", [48, 480, 1080])
-def test_captions_fit_into_images_of_any_size(height: int) -> None:
-    blank = np.full((height, 4 * height // 3, 3), 100, dtype=np.uint8)
-    shown = video_module.draw_caption(blank, "12.34 s, contact+drop")
-    rows, columns = np.nonzero((shown != blank).any(axis=2))
-    assert (blank == 100).all()
-    assert 8 <= np.ptp(rows) + 1 <= max(20, height // 8)
-    assert rows.min() > 0.5 * height
-    assert columns.max() < blank.shape[1]
 
 
 class AtStep:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.errors import DataFormatError, PolicyError, WorkerError
-from handover_marl.geometry.ycb import SCENE_CLASSES
+from handover_marl.errors import PolicyError
 from tests.evaluation import quick
 from tests.evaluation.quick import QuickReceiver
 
@@ -52,41 +51,6 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     first, second = (scene["action"][::100] for scene in alone.values())
     assert len(np.unique(first, axis=0)) == len(first) == quick.HORIZON // 100
     assert not (first == second).any()
-    run(fake_data, 1, out=tmp_path / "other", **drawing, seed=1)
-    run(fake_data, 1, out=tmp_path / "still", **{**drawing, "giver": "replay"})
-    for scene, expected in alone.items():
-        other = files(tmp_path / "other")[scene]["action"]
-        common = min(len(other), len(expected["action"]))
-        assert not (other[:common] == expected["action"][:common]).any()
-        paths = [files(tmp_path / name)[scene]["fluency_giver_path"] for name in ("one", "other", "still")]
-        assert len(set(map(float, paths))) == 3
-
-
-def test_import_path_of_workers(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "numpy.py").write_text("raise SystemExit('not the real one')")
-    monkeypatch.chdir(tmp_path)
-    assert run(fake_data, 2) == run(fake_data, 1)
-
-
-@pytest.mark.filterwarnings("ignore:a worker process died")
-def test_scene_that_kills_every_worker(fake_data: Path, tmp_path: Path) -> None:
-    class KillsInScene14(QuickReceiver):
-        def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-            if observation["object_classes"][0] == SCENE_CLASSES[14 // 5] and not (tmp_path / "mended").exists():
-                os.kill(os.getpid(), signal.SIGKILL)
-            return super().act(observation)
-
-    with pytest.raises(WorkerError, match="died twice while simulating scene 14"):
-        run(fake_data, 2, out=tmp_path / "out", receiver=KillsInScene14)
-    (tmp_path / "mended").touch()
-    assert len(run(fake_data, 1, out=tmp_path / "out", receiver=KillsInScene14)) == 2
-
-
-def test_errors_of_workers_are_raised_here(own_data: Path) -> None:
-    path = own_data / "dex-ycb-cache" / "pose_014.npz"
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(DataFormatError, match="pose_014"):
-        run(own_data, 2)
 
 
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
 from handover_marl.evaluation.results.metadata import read_result_metadata
 from handover_marl.receivers import Receiver
-from handover_marl.testing import check_receiver
 from tests.evaluation.quick import SHORT
 
 OPTIONS: dict[str, Any] = {
@@ -105,15 +104,6 @@ def test_results_store_robot_observation_mode_and_wait(tmp_path: Path) -> None:
             handover_marl.evaluate_pair(**run, **other)
 
 
-def test_results_without_camera_have_state_mode(tmp_path: Path) -> None:
-    run = {"receiver": "hold", "scenes": SCENES[:1], "workers": 1, "out": tmp_path, **OPTIONS}
-    handover_marl.evaluate_pair(**run)
-    settings = read_result_metadata(tmp_path)
-    assert (settings.robot, settings.wait_s, settings.obs_mode, settings.camera) == ("panda", "", "state", "")
-    # Camera options make no difference to a receiver without camera observations.
-    handover_marl.evaluate_pair(**run, camera_model="pinhole")
-
-
 class Lost(Seeing):
     obs_mode = "sonar"
 
@@ -129,7 +119,3 @@ def test_impossible_options_are_reported_before_the_start(monkeypatch: pytest.Mo
     )
     with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
         handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, **OPTIONS)
-
-
-def test_camera_receivers_conform() -> None:
-    check_receiver(Seeing, scenes=(9,), steps=700)

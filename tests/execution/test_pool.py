@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +12,7 @@ from typing import Any
 import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
-from handover_marl.execution.options import PoolConfig, open_missing_descriptors
+from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress, open_pool, share_pool
 
 
@@ -48,40 +46,6 @@ def test_worker_processes_run_local_functions() -> None:
     processes = {process for _, (process, _) in found}
     assert 1 <= len(processes) <= 2
     assert os.getpid() not in processes
-
-
-_WITHOUT_A_STREAM = """
-import os, sys
-from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import open_pool
-from contextlib import nullcontext
-os.close(int(sys.argv[1]))
-found = open_pool(PoolConfig(2)).map_unordered(lambda: nullcontext(abs), [-1, -2, -3])
-assert sorted(result for _, result in found) == [1, 2, 3]
-"""
-
-
-@pytest.mark.parametrize("descriptor", [0, 2])
-def test_workers_run_without_a_standard_stream(descriptor: int) -> None:
-    subprocess.run([sys.executable, "-c", _WITHOUT_A_STREAM, str(descriptor)], check=True)
-
-
-def test_missing_descriptors_are_the_null_device() -> None:
-    open_descriptors = set(Path("/proc/self/fd").iterdir())
-    saved = os.dup(0)
-    try:
-        os.close(0)
-        open_missing_descriptors()
-        assert os.path.samestat(os.fstat(0), Path(os.devnull).stat())
-        assert os.get_inheritable(0)
-    finally:
-        os.dup2(saved, 0)
-        os.close(saved)
-    assert set(Path("/proc/self/fd").iterdir()) == open_descriptors
-
-
-def test_results_come_with_their_tasks() -> None:
-    assert run(str.upper, ["a", "b", "c"]) == {"a": "A", "b": "B", "c": "C"}
 
 
 def raise_error(kind: type[Exception]) -> Callable[[int], None]:
@@ -199,10 +163,3 @@ def test_shared_pool_continues_after_a_crash(tmp_path: Path) -> None:
         for _ in range(2):
             found = open_workers().map_unordered(lambda: nullcontext(work), [0, 1, 2])
             assert sorted(result for _, result in found) == [0, 1, 2]
-
-
-def test_shared_pool_is_opened_on_demand() -> None:
-    with share_pool(PoolConfig(backend="slurm")) as open_workers, pytest.raises(UnknownNameError, match="slurm"):
-        open_workers()
-    with share_pool(PoolConfig(backend="slurm")):
-        pass

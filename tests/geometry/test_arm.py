@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.arm import ArmKinematics, transform_body_points
+from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.planning.inverse_kinematics import compute_pose_error, solve_ik
 from tests.planning.robots import ARM, LIMITS, TREE, random_joints
@@ -41,16 +41,6 @@ def test_jacobian_is_the_derivative(seed: int) -> None:
         np.testing.assert_allclose(jacobian[:, joint], way / small, atol=1e-4)
 
 
-def test_body_points_move_with_their_links() -> None:
-    frames = ARM.compute_link_frames(random_joints(0, 4))
-    corners = [np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])] * 10
-    points = transform_body_points(frames, corners)
-    assert points.shape == (3, 20, 4)
-    np.testing.assert_allclose(points[:, 0::2].transpose(1, 0, 2), frames.origins, atol=1e-12)
-    ahead = frames.origins + 0.1 * frames.rotations[:, :, 0]
-    np.testing.assert_allclose(points[:, 1::2].transpose(1, 0, 2), ahead, atol=1e-12)
-
-
 @given(seeds)
 def test_inverse_kinematics_comes_back(seed: int) -> None:
     joints = random_joints(seed, 8)
@@ -75,14 +65,3 @@ def test_other_robots_are_refused(fake_data: Path) -> None:
     hand = next((fake_data / "assets").glob("*_right/mano.urdf"))
     with pytest.raises(SimulationError, match="panda_hand"):
         ArmKinematics(read_tree(hand))
-
-
-@given(seeds)
-def test_hand_jacobians_are_those_of_the_chain(seed: int) -> None:
-    torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    joints = random_joints(seed, 5)
-    chain = ARM.compute_chain_frames(joints)
-    expected = ARM.compute_jacobian(chain).transpose(2, 0, 1), chain.rotations[-1].transpose(2, 0, 1)
-    for found in (ARM.compute_hand_jacobians(joints), ARM.compute_hand_jacobians(torch.as_tensor(joints))):
-        for one, other in zip(found, expected, strict=True):
-            np.testing.assert_allclose(one, other, atol=1e-12)

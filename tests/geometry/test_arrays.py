@@ -94,17 +94,3 @@ def test_namespaces_follow_the_arguments() -> None:
     _, first, second = as_arrays(tensor, [1.0, 2.0, 3.0])
     assert is_tensor(first)
     assert second.tolist() == [1.0, 2.0, 3.0]
-
-
-def test_factories_make_equal_arrays() -> None:
-    for make in (
-        lambda one: one.zeros((2, 3), "bool"),
-        lambda one: one.full(3, np.nan),
-        lambda one: one.arange(4),
-        lambda one: one.asarray([1, 2], "float32"),
-        lambda one: one.asarray(np.ones(2, dtype=np.float32)),
-    ):
-        array, tensor = make(NUMPY_ARRAYS), make(make_tensor_factory("cpu"))
-        assert is_tensor(tensor)
-        assert to_numpy(tensor).dtype == array.dtype
-        np.testing.assert_array_equal(to_numpy(tensor), array)

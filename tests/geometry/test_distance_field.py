@@ -1,7 +1,6 @@
 """Tests of signed distance fields and their cache."""
 
 import logging
-import multiprocessing
 import shutil
 from pathlib import Path
 
@@ -115,40 +114,6 @@ def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.Lo
         np.testing.assert_array_equal(again.values, first.values)
         assert kept.read_bytes() == whole
         caplog.clear()
-
-
-def test_only_the_matching_cache_file_is_read(cache: Path) -> None:
-    urdf = find_object_urdf("040_large_marker")
-    first = load_object_sdf(urdf, MARGIN)
-    (kept,) = cache.iterdir()
-    np.savez_compressed(kept, values=first.values + 1.0, lower=first.lower, cell=first.cell)
-    field_module._load_object_sdf.cache_clear()
-    np.testing.assert_array_equal(load_object_sdf(urdf, MARGIN).values, first.values + 1.0)
-    assert load_object_sdf(urdf, MARGIN / 2).values.shape < first.values.shape
-    assert len(list(cache.iterdir())) == 2
-
-
-def test_another_mesh_gives_another_field(cache: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "own" / "040_large_marker"
-    shutil.copytree(find_object_urdf("040_large_marker").parent, folder)
-    load_object_sdf(folder / "model_normalized.urdf", MARGIN)
-    mesh = folder / "model_normalized_convex.obj"
-    mesh.write_text(mesh.read_text().replace("v 0.0", "v 0.1", 1))
-    field_module._load_object_sdf.cache_clear()
-    load_object_sdf(folder / "model_normalized.urdf", MARGIN)
-    assert len(list(cache.iterdir())) == 2
-
-
-def test_processes_share_the_folder(cache: Path) -> None:
-    urdf = find_object_urdf("040_large_marker")
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
-        sums = pool.starmap(_sum, [(urdf, MARGIN)] * 4)
-    assert len(set(sums)) == 1
-    assert [path.suffix for path in cache.iterdir()] == [".npz"]
-
-
-def _sum(urdf: Path, margin: float) -> float:
-    return float(load_object_sdf(urdf, margin).values.sum())
 
 
 def test_fields_are_computed_without_a_cache_folder(

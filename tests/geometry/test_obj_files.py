@@ -83,15 +83,6 @@ def test_every_form_of_the_format(options: dict[str, Any], n_bodies: int, tmp_pa
     np.testing.assert_allclose(mesh.center_mass, expected.center_mass, atol=1e-5)
 
 
-def test_polygons(tmp_path: Path) -> None:
-    corners = "".join(f"v {np.cos(turn)} {np.sin(turn)} {z}\n" for z in (0, 1) for turn in np.arange(5) * 0.4 * np.pi)
-    sides = "".join(f"f {a} {a % 5 + 1} {a % 5 + 6} {a + 5}\n" for a in range(1, 6))
-    found = read_obj(write(tmp_path, f"{corners}f 5 4 3 2 1\nf 6 7 8 9 10\n{sides}"))
-    assert len(found.faces) == 16
-    volume = trimesh.Trimesh(found.vertices, found.faces, process=False).volume
-    assert volume == pytest.approx(2.5 * np.sin(0.4 * np.pi))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.poses import (
     compose,
-    compute_cross_products,
     compute_rotation_angle,
     inverse_transform_points,
     invert_pose,
@@ -69,21 +68,3 @@ def test_rotation_angle(vector: np.ndarray, angle: float) -> None:
     turned = base * Rotation.from_rotvec([0.0, angle, 0.0])
     assert abs(compute_rotation_angle(base.as_quat(), turned.as_quat()) - angle) < 1e-6
     assert abs(compute_rotation_angle(base.as_quat(), -turned.as_quat()) - angle) < 1e-6
-
-
-def test_broadcasting_and_dtype() -> None:
-    poses = np.tile(np.array([0, 0, 0, 0, 0, 0, 1], dtype=np.float32), (5, 1))
-    assert compose(poses[0], poses).shape == (5, 7)
-    mixed = compose(poses[0], np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]))
-    assert mixed.dtype == np.float64
-    np.testing.assert_array_equal(mixed[:3], [1.0, 2.0, 3.0])
-
-
-@given(
-    arrays(np.float64, (4, 3), elements=st.floats(-1e3, 1e3)),
-    arrays(np.float32, (3,), elements=st.floats(-9, 9, width=32)),
-)
-def test_cross_products_equal_numpy(first: np.ndarray, second: np.ndarray) -> None:
-    for left, right in ((first, second), (second, second[::-1]), (first[0], first)):
-        found = compute_cross_products(left, right)
-        np.testing.assert_array_equal(found, np.cross(left, right), strict=True)

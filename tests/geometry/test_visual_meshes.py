@@ -119,18 +119,6 @@ def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
     assert volume(mesh) == pytest.approx(2.5, rel=1e-6)
 
 
-def test_invisible_links_have_no_mesh(tmp_path: Path) -> None:
-    collision = f"<collision><geometry>{box()}</geometry></collision>"
-    urdf = write(tmp_path, collision, visual(box()), "", visual(box(2.0)) + collision)
-    meshes = read(urdf)
-    assert [mesh.link for mesh in meshes] == [0, 2]
-    # Vertices are in the frames of their links.
-    for mesh, half in zip(meshes, (0.5, 1.0), strict=True):
-        assert np.abs(mesh.vertices[:, 0]).max() == half
-    assert [mesh.link for mesh in read(urdf, "l1")] == [2]
-    assert not read(write(tmp_path, collision))
-
-
 @settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_shapes_are_where_their_origin_puts_them(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
@@ -149,26 +137,6 @@ def test_shapes_are_where_their_origin_puts_them(tmp_path_factory: pytest.TempPa
     np.testing.assert_allclose(mesh.vertices, expected, atol=1e-6)
     assert mesh.faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
     assert volume(mesh) == pytest.approx(scale.prod() / 6.0, rel=1e-4)
-
-
-def test_spheres_and_boxes_have_their_size(tmp_path: Path) -> None:
-    (ball,) = read(write(tmp_path, visual('<sphere radius="0.2"/>')))
-    np.testing.assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.2, rtol=1e-6)
-    assert volume(ball) == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.03)
-    (brick,) = read(write(tmp_path, visual(box(0.2, 0.4, 0.6))))
-    np.testing.assert_allclose(np.ptp(brick.vertices, axis=0), [0.2, 0.4, 0.6], rtol=1e-6)
-
-
-def test_last_definition_of_a_material_counts(tmp_path: Path) -> None:
-    """Colours of materials are those that Bullet reads: by name, from anywhere in the model."""
-    red, blue = (f'<material name="m"><color rgba="{color} 1"/></material>' for color in ("1 0 0", "0 0 1"))
-    shapes = [visual(box()).replace("</visual>", f"{material}</visual>") for material in ('<material name="m"/>', red)]
-    urdf = write(tmp_path, "".join(shapes) + visual(box()))
-    urdf.write_text(urdf.read_text().replace('<robot name="r">', f'<robot name="r">{blue}'))
-    np.testing.assert_array_equal(read_colors(urdf), np.repeat([[255, 0, 0]] * 2 + [[255] * 3], 12, axis=0))
-    client = connect()
-    shown = [shape[7] for shape in client.getVisualShapeData(load_urdf(client, urdf))]
-    assert shown == [(1.0, 0.0, 0.0, 1.0)] * 2 + [(1.0, 1.0, 1.0, 1.0)]
 
 
 def test_damaged_textures_are_reported(tmp_path: Path) -> None:
@@ -193,15 +161,6 @@ def test_missing_meshes_are_reported(tmp_path: Path) -> None:
         read(tmp_path / source.name / "model_normalized.urdf")
 
 
-@pytest.mark.parametrize("name", ["mesh.obj", "mesh.stl", "mesh.dae"])
-@pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 60, b"<COLLADA/>"])
-def test_broken_meshes_are_reported(tmp_path: Path, name: str, content: bytes) -> None:
-    (tmp_path / name).write_bytes(content)
-    urdf = write(tmp_path, visual(box()), visual(f'<mesh filename="{name}"/>'))
-    with pytest.raises(DataFormatError, match=name.replace(".", r"\.")):
-        read(urdf)
-
-
 @pytest.mark.parametrize(
     "shape",
     ["", '<cylinder radius="1" length="1"/>', "<mesh/>", "<box/>", "<sphere/>"],
@@ -209,30 +168,3 @@ def test_broken_meshes_are_reported(tmp_path: Path, name: str, content: bytes) -
 def test_unreadable_shapes_are_reported(tmp_path: Path, shape: str) -> None:
     with pytest.raises(SimulationError, match=r"model\.urdf: cannot read a visual shape of link 'l1'"):
         read(write(tmp_path, visual(box()), visual(shape)))
-
-
-@pytest.mark.parametrize(
-    "shape", ['<box size="1 1"/>', '<box size="1 one 1"/>', '<box size=""/>', '<sphere radius=""/>']
-)
-def test_incomplete_sizes_are_reported(tmp_path: Path, shape: str) -> None:
-    with pytest.raises((SimulationError, DataFormatError), match=r"model\.urdf"):
-        read(write(tmp_path, visual(shape)))
-
-
-@pytest.mark.parametrize(
-    "shapes",
-    [
-        visual('<mesh filename="mesh.obj" scale="1 1"/>'),
-        visual('<mesh filename="mesh.obj" scale="1 1 1 1"/>'),
-        visual('<mesh filename="mesh.obj" scale="nan 1 1"/>'),
-        visual(box(), "0 0"),
-        visual(box(), "nan 0 0"),
-        visual(box(), color="red"),
-        visual(box(), color="1"),
-        visual(box()).replace("</visual>", '<material name="m"><color/></material></visual>'),
-    ],
-)
-def test_faults_that_bullet_ignores_are_reported(tmp_path: Path, shapes: str) -> None:
-    (tmp_path / "mesh.obj").write_text(TETRAHEDRON)
-    with pytest.raises((SimulationError, DataFormatError), match=r"model\.urdf"):
-        read(write(tmp_path, shapes))

@@ -36,7 +36,7 @@ CASES = [
 
 def rename(scene: Scene, scene_id: int) -> Scene:
     """Return a copy of the scene with another number, name and subject."""
-    return replace(scene, info=replace(scene.info, scene_id=scene_id, name=f"x/{scene_id}", subject="x"))
+    return replace(scene, info=replace(scene.info, scene_id=scene_id, name=f"x/{scene_id}"))
 
 
 def start(episode: Episode, scene: Scene, receiver: Policy, end: int) -> None:

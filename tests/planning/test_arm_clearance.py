@@ -54,18 +54,3 @@ def test_closest_point_matches_the_clearance(seed: int) -> None:
             spheres.radii[closest.sphere], abs=1e-9
         )
         assert link in {capsule[0] for capsule in ARM_CAPSULES}
-
-
-@given(st.integers(0, 10_000))
-def test_link_frames(seed: int) -> None:
-    joints = random_joints(seed, 2)
-    origins, rotations = IN_WORLD.compute_link_frames(joints)
-    np.testing.assert_allclose(
-        origins[:, 6] + 0.107 * rotations[:, 6, :, 2], IN_WORLD.compute_hand_poses(joints)[:, :3], atol=1e-6
-    )
-    np.testing.assert_allclose(
-        rotations @ rotations.swapaxes(-1, -2), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
-    )
-    # Offset of the elbow in the frame of the upper arm, from the Panda's data sheet.
-    elbow = np.einsum("nij,ni->nj", rotations[:, 2], origins[:, 3] - origins[:, 2])
-    np.testing.assert_allclose(elbow, [[0.0825, 0.0, 0.0]] * 2, atol=1e-9)

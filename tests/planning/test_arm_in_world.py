@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -33,29 +32,6 @@ def test_hand_pose_equals_the_simulation(arm: ArmInWorld) -> None:
     hand = arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(np.float64))
     np.testing.assert_allclose(hand[:3], observation["gripper_pose"][:3], atol=1e-5)
     assert abs(hand[3:] @ observation["gripper_pose"][3:]) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_jacobian_equals_finite_differences(arm: ArmInWorld) -> None:
-    jacobian, step = arm.compute_jacobian(JOINTS), 1e-6
-    before = arm.compute_hand_pose(JOINTS)
-    for joint in range(7):
-        after = arm.compute_hand_pose(JOINTS + step * np.eye(7)[joint])
-        rotation = (Rotation.from_quat(after[3:]) * Rotation.from_quat(before[3:]).inv()).as_rotvec()
-        np.testing.assert_allclose(jacobian[:3, joint], (after[:3] - before[:3]) / step, atol=1e-5)
-        np.testing.assert_allclose(jacobian[3:, joint], rotation / step, atol=1e-5)
-
-
-def test_inverse_kinematics_inverts_forward_kinematics(arm: ArmInWorld) -> None:
-    targets = JOINTS + np.array([[0.0] * 7, [0.3, 0.1, 0.0, 0.2, 0.0, -0.2, 0.4]])
-    found, reached = arm.solve(arm.compute_hand_poses(targets), np.tile(JOINTS, (2, 1)), 20, 1e-6)
-    assert reached.all()
-    np.testing.assert_allclose(arm.compute_hand_poses(found)[:, :3], arm.compute_hand_poses(targets)[:, :3], atol=1e-5)
-
-
-def test_link_frames_start_at_the_base(arm: ArmInWorld) -> None:
-    origins, rotations = (found[0] for found in arm.compute_link_frames(JOINTS[None]))
-    np.testing.assert_allclose(origins[0], [0.61, -0.5, 0.875 + 0.333], atol=1e-6)
-    np.testing.assert_allclose(origins[-1] + 0.107 * rotations[-1, :, 2], arm.compute_hand_pose(JOINTS)[:3], atol=1e-6)
 
 
 def test_velocity_moves_the_hand_as_wanted(arm: ArmInWorld) -> None:

@@ -16,7 +16,6 @@ from handover_marl.planning.clearance import (
     find_closest_points,
     sample_surface_spheres,
 )
-from handover_marl.planning.hand_tracker import Capsules, sample_capsule_spheres
 
 HERE = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
@@ -55,17 +54,6 @@ def test_grasp_clearance(position: tuple[float, ...], sweep: float, clearance: f
     assert found == pytest.approx(clearance, abs=2e-3)
 
 
-@given(positions, positions, rotations)
-def test_clearance_is_invariant_to_the_frame(
-    position: np.ndarray, translation: np.ndarray, rotation: np.ndarray
-) -> None:
-    moved = pose(translation, rotation)
-    at_home = compute_grasp_clearances(HERE, sphere(position))[0]
-    assert compute_grasp_clearances(moved[None], sphere(transform_points(moved, position)))[0] == pytest.approx(
-        at_home, abs=1e-9
-    )
-
-
 @given(positions, rotations)
 def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.ndarray) -> None:
     hand = pose(np.array([0.3, -0.1, 0.2]), rotation)
@@ -83,14 +71,6 @@ def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.n
     assert np.linalg.norm(closest.normal) == pytest.approx(1.0)
 
 
-def test_index_of_the_closest_sphere() -> None:
-    spheres = Spheres(np.array([[0.0, 0.0, 0.4], [0.0, 0.2, 0.02], [0.0, 0.0, 0.3]]), np.array([0.01, 0.01, 0.01]))
-    closest = find_closest_points(HERE[0], spheres)
-    assert closest.sphere == 1
-    assert closest.distance == pytest.approx(0.086)
-    np.testing.assert_allclose(closest.normal, [0.0, -1.0, 0.0])
-
-
 def test_gripper_corners() -> None:
     lower, upper = (
         (GRIPPER_BOX_CENTERS - GRIPPER_BOX_HALF_SIZES).min(axis=0),
@@ -101,17 +81,6 @@ def test_gripper_corners() -> None:
     np.testing.assert_allclose(found[0].min(axis=0), lower)
     np.testing.assert_allclose(found[0].max(axis=0), upper)
     np.testing.assert_allclose(found[1], found[0] + [1.0, 0.0, 0.0])
-
-
-def test_capsule_spheres_cover_the_axis() -> None:
-    capsules = Capsules(np.zeros((2, 3)), np.array([[0.0, 0.0, 0.2], [0.2, 0.0, 0.0]]), np.array([0.01, 0.02]))
-    spheres = sample_capsule_spheres(capsules, 3)
-    assert sorted(map(tuple, spheres.centers[spheres.radii == 0.02])) == [
-        (0.0, 0.0, 0.0),
-        (0.1, 0.0, 0.0),
-        (0.2, 0.0, 0.0),
-    ]
-    assert len(spheres.centers) == 6
 
 
 def test_surface_spheres_cover_the_surface() -> None:

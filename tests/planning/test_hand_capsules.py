@@ -57,8 +57,3 @@ def test_capsules_fill_the_simulated_hand(scene_id: int) -> None:
     assert len(tips) == 5
     for index in tips:
         assert capsules.compute_distances(transform_points(poses[index], vertices[index])).max() < 0.0
-
-
-def test_absent_hand_has_no_capsules() -> None:
-    observation = observe_resting_hand(5) | {"hand_present": np.zeros(1, dtype=np.float32)}
-    assert hand_capsules_from_observation(observation) is None

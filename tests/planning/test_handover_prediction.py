@@ -21,13 +21,6 @@ def track_steady_motion(speed: float, seconds: float = 1.0, angular_velocity: fl
     return predictor
 
 
-def test_object_at_rest_stays() -> None:
-    predictor = track_steady_motion(0.0)
-    np.testing.assert_allclose(predictor.predict_handover_pose(), pose(np.array([0.5, 0.0, 1.0])), atol=1e-12)
-    assert predictor.rest_time == pytest.approx(1.0)
-    assert predictor.lift_distance == 0.0
-
-
 def test_velocity_of_a_steady_motion() -> None:
     predictor = track_steady_motion(0.2, angular_velocity=0.5)
     np.testing.assert_allclose(predictor.velocity, [0.0, 0.2, 0.0], atol=1e-6)
@@ -50,13 +43,6 @@ def test_moving_object_is_extrapolated_and_attracted(speed: float) -> None:
         + pulled * (np.array(config.mean_handover_position) - here)
     )
     np.testing.assert_allclose(predictor.predict_handover_pose()[:3], wanted, atol=1e-6)
-
-
-def test_second_update_at_the_same_time_changes_nothing() -> None:
-    predictor = track_steady_motion(0.2)
-    before = predictor.velocity.copy()
-    predictor.update(1.0, pose(np.array([0.5, 0.2, 1.0])))
-    np.testing.assert_array_equal(predictor.velocity, before)
 
 
 def track_swaying_motion(times: np.ndarray, size: float) -> HandoverPosePredictor:
@@ -84,13 +70,6 @@ def test_lifted_object_is_not_held_still_at_once(seconds: float) -> None:
     """An object does not count as held still until 0.9 s after its lift began, nor if it was not lifted."""
     assert not track_swaying_motion(np.arange(0.0, seconds, STEP), 0.03).is_held_still
     assert not track_steady_motion(0.0, 2.0).is_held_still
-
-
-def test_twist_of_a_rotating_object() -> None:
-    predictor = track_steady_motion(0.2, angular_velocity=0.5)
-    linear, angular = predictor.predict_point_twist(np.array([0.6, 0.2, 1.0]), STEP)
-    np.testing.assert_allclose(angular, [0.0, 0.0, 0.5], atol=1e-6)
-    np.testing.assert_allclose(linear, [0.0, 0.2 + 0.5 * 0.1, 0.0], atol=1e-6)
 
 
 def test_twist_extrapolates_acceleration() -> None:

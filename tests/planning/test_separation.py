@@ -1,7 +1,5 @@
 """Tests of speed and separation monitoring, which limits joint velocities near moving bodies and the table."""
 
-from dataclasses import replace
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,7 +8,6 @@ from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import (
     Spheres,
-    compute_lowest_heights,
     find_closest_arm_points,
     find_closest_points,
 )
@@ -56,26 +53,6 @@ def test_clearance_decreases_slowly(velocity: np.ndarray, clearance: float) -> N
     )
 
 
-def test_slow_velocity_is_unchanged() -> None:
-    velocity = np.array([0.1, 0.1, 0.1, 0.0, 0.1, 0.0, 0.1])
-    np.testing.assert_array_equal(
-        enforce_separation(velocity, IN_WORLD, START, [make_body(0.3, 0.03)], CONFIG), velocity
-    )
-
-
-def test_velocity_of_the_body_counts() -> None:
-    still, coming = make_body(0.05, 0.03), make_body(0.05, 0.03, -0.4)
-    rest = np.zeros(7)
-    np.testing.assert_array_equal(enforce_separation(rest, IN_WORLD, START, [still], CONFIG), rest)
-    assert approach_speed(enforce_separation(rest, IN_WORLD, START, [coming], CONFIG), coming) < -0.1
-
-
-def test_leaving_only_requires_not_coming_closer() -> None:
-    narrow, rest = make_body(0.01, 0.03), np.zeros(7)
-    assert approach_speed(enforce_separation(rest, IN_WORLD, START, [narrow], CONFIG), narrow) < -0.05
-    np.testing.assert_array_equal(enforce_separation(rest, IN_WORLD, START, [narrow], CONFIG, leaving=True), rest)
-
-
 def test_forearm_keeps_clear() -> None:
     origins, rotations = IN_WORLD.compute_link_frames(START[None])
     cover = origins[0, 4] + rotations[0, 4] @ np.array([0.0, 0.16, -0.05])
@@ -115,12 +92,3 @@ def test_first_safe_velocity_is_selected() -> None:
     # The reached velocity counts: without braking, no candidate is better than the first.
     np.testing.assert_array_equal(chosen(np.repeat(wanted[:1], 4, axis=0)), wanted[0])
     np.testing.assert_array_equal(chosen(wanted[[0, 0, 0, 3]]), wanted[3])
-
-
-def test_table_clearance() -> None:
-    joints, down = np.array([0.0, 0.3, 0.0, -2.0, 0.0, 2.2, 0.785]), np.eye(7)[1]
-    height = float(compute_lowest_heights(IN_WORLD, joints[None])[0])
-    wanted = np.array([1.0, 0.1, 0.0])[:, None] * down
-    for table_height, expected in ((height - 0.2, 0), (height - CONFIG.table_clearance, 2)):
-        found = select_safe_velocity(wanted, wanted, IN_WORLD, joints, [], table_height, replace(CONFIG, slack=1e-4))
-        np.testing.assert_array_equal(found, wanted[expected])

@@ -1,9 +1,6 @@
 """Tests of the inverse kinematics solver that the policies of a thread share."""
 
-import os
-import shutil
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +16,6 @@ from handover_marl.simulation.bullet.kinematics import BulletIKSolver
 
 URDF = SyntheticDataset().panda_urdf
 PANDA = PandaConfig()
-MOVED = replace(PANDA, base_position=tuple(np.add(PANDA.base_position, (0.1, 0.0, 0.0)).tolist()))
 
 
 def draw_queries(seed: int, count: int = 12) -> list[tuple[Any, ...]]:
@@ -48,19 +44,6 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[PandaConfig]:
     return configs
 
 
-def test_solutions_are_those_of_a_solver_of_its_own(made: list[PandaConfig]) -> None:
-    first, second, moved = (make_ik_solver(URDF, config) for config in (PANDA, PANDA, MOVED))
-    assert made == [PANDA, MOVED]
-    solved = 0
-    for number, query in enumerate(draw_queries(0)):
-        for config, solver in ((PANDA, (first, second)[number % 2]), (MOVED, moved)):
-            found, expected = solver.solve(*query), BulletIKSolver(URDF, config).solve(*query)
-            np.testing.assert_array_equal(found, expected)
-            solved += expected is not None
-    assert 4 < solved < 24
-    assert made == [PANDA, MOVED]
-
-
 def test_threads_do_not_share_a_solver(made: list[PandaConfig]) -> None:
     solver, queries = make_ik_solver(URDF, PANDA), draw_queries(1, 6)
     expected = [solver.solve(*query) for query in queries]
@@ -73,23 +56,6 @@ def test_threads_do_not_share_a_solver(made: list[PandaConfig]) -> None:
             for one, other in zip(found, expected, strict=True):
                 np.testing.assert_array_equal(one, other)
     assert 2 <= len(made) <= 4
-
-
-def test_few_robots_are_kept(made: list[PandaConfig]) -> None:
-    configs = [replace(PANDA, base_position=(0.1 * number, 0.0, 0.0)) for number in range(6)]
-    for config in (*configs, configs[-1], configs[0]):
-        make_ik_solver(URDF, config)
-    assert made == [*configs, configs[0]]
-    assert len(ik_solvers._thread_solvers.solvers) == 4
-
-
-def test_a_changed_model_is_loaded_again(made: list[PandaConfig], tmp_path: Path) -> None:
-    folder = shutil.copytree(URDF.parent, tmp_path / "panda")
-    urdf = folder / URDF.name
-    for time in (1_000_000_000, 1_000_000_000, 2_000_000_000):
-        os.utime(urdf, ns=(time, time))
-        make_ik_solver(urdf, PANDA)
-    assert made == [PANDA, PANDA]
 
 
 @pytest.mark.parametrize("solver_class", [PandaIkSolver, BulletIKSolver])

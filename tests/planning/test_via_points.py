@@ -3,7 +3,7 @@
 import numpy as np
 
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_lowest_heights
+from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from tests.planning.robots import ARM, LIMITS
 
@@ -35,19 +35,6 @@ def test_obstacle_blocks_the_path() -> None:
     assert is_clear(LEFT, LEFT + 0.2 * (RIGHT - LEFT), blocking_sphere())
 
 
-def test_table_blocks_the_path() -> None:
-    down = START.copy()
-    down[1] += 0.9
-    height = float(compute_lowest_heights(ARM_, down[None])[0])
-    assert height < float(compute_lowest_heights(ARM_, START[None])[0]) - 0.1
-    assert is_clear(START, down, FAR, height - 0.02)
-    assert not is_clear(START, down, FAR, height + 0.02)
-
-
-def test_leaving_a_collision_is_clear() -> None:
-    assert is_clear(START, RIGHT, blocking_sphere())
-
-
 def test_via_point_avoids_the_obstacle() -> None:
     found = find_via_point(ARM_, LEFT, RIGHT, NO_CANDIDATES, SPEEDS, obstacles(blocking_sphere()), 24)
     assert found is not None
@@ -55,15 +42,3 @@ def test_via_point_avoids_the_obstacle() -> None:
     assert is_clear(found, RIGHT, blocking_sphere())
     low, high = ARM_.limits
     assert ((found >= low) & (found <= high)).all()
-
-
-def test_fastest_candidate_is_selected() -> None:
-    """The known candidate on the path is selected, because it is faster than any random one."""
-    via_point = find_via_point(ARM_, LEFT, RIGHT, START[None], SPEEDS, obstacles(FAR), 24)
-    np.testing.assert_array_equal(via_point, START)
-
-
-def test_colliding_goal_has_no_via_point() -> None:
-    """No via point is found if the goal collides, because no path to it is clear."""
-    blocked = Spheres(ARM_.compute_hand_pose(RIGHT)[None, :3], np.array([0.05]))
-    assert find_via_point(ARM_, LEFT, RIGHT, START[None], SPEEDS, obstacles(blocked), 24) is None

@@ -14,7 +14,7 @@ from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers import yang2021_controller
+from handover_marl.receivers import yang2021
 from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 
 DATA = SyntheticDataset()
@@ -67,7 +67,7 @@ def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_
 
     Rows start and restart at different times, so that they are in different phases at the same time.
     """
-    monkeypatch.setattr(yang2021_controller, "make_ik_solver", make_solver)
+    monkeypatch.setattr(yang2021, "make_ik_solver", make_solver)
     rollouts = record_rollouts(limit)
     assert all(len(decisions) <= limit for decisions in rollouts)
     assert any(not action[7:].any() for decisions in rollouts for *_, action in decisions), "fingers have closed"

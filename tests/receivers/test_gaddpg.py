@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -14,7 +13,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, PolicyError, ResetNeededError
-from handover_marl.geometry.poses import compose, invert_pose, transform_points
+from handover_marl.geometry.poses import compose
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
@@ -26,7 +25,6 @@ Array = npt.NDArray[np.float64]
 DATA = SyntheticDataset(robot="panda_camera")
 CONTEXT = make_policy_context(DATA)
 START = np.array(CONTEXT.panda.start_joints)
-BASE = np.array([*CONTEXT.panda.base_position, *CONTEXT.panda.base_orientation])
 STEP = np.array([0.01, -0.02, 0.03, 0.1, -0.2, 0.15])
 FAR = np.tile(np.float32([0.1, 0.0, 0.4]), (200, 1))
 CAGED = np.tile(np.float32([0.0, 0.0, 0.085]), (200, 1))
@@ -104,23 +102,6 @@ def compute_hand_pose(joints: npt.NDArray[np.floating]) -> Array:
     return pose
 
 
-def test_observation_mode(receiver: GaddpgReceiver) -> None:
-    assert receiver.obs_mode == "full_pointcloud"
-
-
-def test_waits_at_the_start_configuration(gripper: npt.NDArray[np.float32], network: ConstantNetwork) -> None:
-    receiver = GaddpgReceiver(CONTEXT, network=network)
-    receiver.reset()
-    assert receiver.wait == 3.0
-    np.testing.assert_array_equal(receiver.act(make_observation(0, gripper)), np.float32(START))
-    assert receiver.hold_time == 3.0
-    receiver.act(make_observation(2999, gripper))
-    assert receiver.hold_time == 0.001
-    assert network.calls == []
-    receiver.act(make_observation(3000, gripper))
-    assert len(network.calls) == 1
-
-
 def test_decision_is_commanded_for_150_ms(
     receiver: GaddpgReceiver, network: ConstantNetwork, gripper: npt.NDArray[np.float32]
 ) -> None:
@@ -132,74 +113,6 @@ def test_decision_is_commanded_for_150_ms(
     assert receiver.hold_time == 0.001
     assert (receiver.act(make_observation(150, other)) != first).any()
     assert [remaining for _, remaining in network.calls] == [20, 19]
-
-
-def test_step_is_in_the_hand_frame(
-    receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32], network: ConstantNetwork
-) -> None:
-    network.output = 0.1 * STEP
-    action = receiver.act(make_observation(0, gripper))
-    turned = Rotation.from_euler("xyz", network.output[3:]).as_quat()
-    goal = compose(gripper.astype(np.float64), np.array([*network.output[:3], *turned]))
-    found = compute_hand_pose(action)
-    # A single query ends near a close target.
-    assert np.linalg.norm(found[:3] - goal[:3]) < 0.2 * np.linalg.norm(network.output[:3])
-    assert (Rotation.from_quat(found[3:]).inv() * Rotation.from_quat(goal[3:])).magnitude() < 0.005
-    assert action[7:].tolist() == np.float32([0.04, 0.04]).tolist()
-
-
-def record_queries(receiver: GaddpgReceiver) -> list[tuple[Array, Array, Array | None]]:
-    """Return a list that records joints, position and orientation of each IK query from now on."""
-    calls: list[tuple[Array, Array, Array | None]] = []
-    solver = receiver._ik_stepper
-    assert solver is not None
-    solve = solver.solve_step
-
-    def recorded(joints: Array, position: Array, orientation: Array | None = None) -> Array:
-        calls.append((np.array(joints), np.array(position), orientation))
-        return solve(joints, position, orientation)
-
-    solver.solve_step = recorded  # type: ignore[assignment,method-assign]
-    return calls
-
-
-def test_euler_angles_are_about_static_axes(
-    receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32], network: ConstantNetwork
-) -> None:
-    network.output = np.array([0.01, 0.02, -0.03, 0.4, 0.5, -0.45])
-    calls = record_queries(receiver)
-    receiver.act(make_observation(0, gripper))
-    ((_, position, orientation),) = calls
-    turned = Rotation.from_quat(gripper[3:]) * Rotation.from_euler("xyz", network.output[3:])
-    assert (turned.inv() * Rotation.from_quat(orientation)).magnitude() < 1e-6
-    np.testing.assert_allclose(position, transform_points(gripper.astype(np.float64), network.output[:3]), atol=1e-6)
-
-
-def test_single_query_from_the_exact_joints(
-    receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32], network: ConstantNetwork
-) -> None:
-    network.output = np.array([0.0, 0.0, 0.6, 0.0, 0.0, 0.0])
-    calls, joints = record_queries(receiver), START + 1e-9
-    action = receiver.act(make_observation(0, gripper, joints=joints))
-    assert len(calls) == 1
-    np.testing.assert_array_equal(calls[0][0], joints)
-    # Distant targets are not reached.
-    goal = transform_points(gripper.astype(np.float64), network.output[:3])
-    assert np.linalg.norm(compute_hand_pose(action)[:3] - goal) > 0.05
-
-
-def test_network_input(receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32], network: ConstantNetwork) -> None:
-    points = np.random.default_rng(0).uniform(0.1, 0.2, (3000, 3)).astype(np.float32)
-    receiver.act(make_observation(0, gripper, points))
-    inside = network.calls[0][0][:3, 6:]
-    assert len(np.unique(inside[0])) > 1000
-    distances = np.abs(inside.T[:, None] - points[None, :, :]).max(axis=2).min(axis=1)
-    assert distances.max() < 1e-6
-    # Without a new view, the last cloud is transformed to the present hand frame.
-    moved_hand = compose(gripper.astype(np.float64), np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])).astype(np.float32)
-    receiver.act(make_observation(150, moved_hand, points[:0]))
-    moved = network.calls[1][0][:3, 6:]
-    np.testing.assert_allclose(moved.mean(axis=1), inside.mean(axis=1) - [0.1, 0.0, 0.0], atol=5e-3)
 
 
 def test_no_decision_before_the_first_view(
@@ -229,12 +142,6 @@ def test_closes_after_twenty_decisions(
     times = sorted({150 * number for number in range(30)} | {150 * number + 149 for number in range(30)})
     assert find_closing_time(receiver, times, gripper) == 3000
     assert [remaining for _, remaining in network.calls] == list(range(20, 0, -1))
-
-
-def test_max_steps(network: ConstantNetwork, gripper: npt.NDArray[np.float32]) -> None:
-    receiver = GaddpgReceiver(CONTEXT, network=network, wait=0.0, max_steps=3)
-    receiver.reset()
-    assert find_closing_time(receiver, list(range(0, 2000, 1)), gripper) == 450
 
 
 def test_closes_on_a_caged_object(
@@ -289,21 +196,6 @@ def test_retreat_is_straight_and_may_overshoot(receiver: GaddpgReceiver, gripper
     assert 0.03 * count > length
 
 
-def test_retreat_waypoints_are_float32(receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32]) -> None:
-    calls = record_queries(receiver)
-    run_retreat(receiver, gripper)
-    path = [question for question in calls if question[2] is None]
-    assert len(path) > 10
-    position = gripper[:3].copy()
-    step = np.array(CONTEXT.protocol.goal_center) - position
-    step *= 0.03 / np.linalg.norm(step)
-    for joints, point, _ in path:
-        np.testing.assert_array_equal(joints, START)
-        assert point.dtype == np.float32
-        position = (position + step).astype(np.float32)
-        np.testing.assert_allclose(point, position, atol=1e-7)
-
-
 def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> None:
     commands, calls = [], []
     for period in (None, 1, 10):
@@ -331,30 +223,6 @@ def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> 
     np.testing.assert_array_equal(commands[1], commands[0])
     np.testing.assert_array_equal(commands[2], commands[0])
     assert calls[0] == 1 + 2 * 4
-
-
-def test_late_call_checks_the_end_first(
-    receiver: GaddpgReceiver, network: ConstantNetwork, gripper: npt.NDArray[np.float32]
-) -> None:
-    receiver.act(make_observation(0, gripper, CAGED))
-    assert receiver.act(make_observation(160, gripper, CAGED))[7] == 0.0
-    assert receiver.hold_time == pytest.approx(0.49)
-    assert len(network.calls) == 1
-
-
-def test_reset_forgets_the_episode(
-    receiver: GaddpgReceiver, network: ConstantNetwork, gripper: npt.NDArray[np.float32]
-) -> None:
-    episodes = []
-    for _ in range(2):
-        network.calls.clear()
-        actions = [receiver.act(make_observation(time, gripper, CAGED)) for time in (0, 149, 150, 650, 800)]
-        episodes.append((actions, list(network.calls)))
-        receiver.reset(seed=len(episodes))
-    (actions, calls), (again, asked_again) = episodes
-    np.testing.assert_array_equal(actions, again)
-    assert len(calls) == len(asked_again) == 1
-    np.testing.assert_array_equal(calls[0][0], asked_again[0][0])
 
 
 def test_shipped_weights_describe_their_training() -> None:
@@ -404,11 +272,3 @@ def test_invalid_network_output(
 
 def test_satisfies_the_receiver_checks() -> None:
     check_receiver((GaddpgReceiver, {"network": scaled_step, "wait": 0.2}), DATA, scenes=(9,), steps=600)
-
-
-def test_base_frame(receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32]) -> None:
-    expected = compose(invert_pose(BASE), gripper.astype(np.float64))
-    matrix = receiver._base_from_hand(make_observation(0, gripper))
-    np.testing.assert_allclose(matrix[:3, 3], expected[:3], atol=1e-6)
-    np.testing.assert_allclose(matrix[:3, :3], Rotation.from_quat(expected[3:]).as_matrix(), atol=1e-6)
-    np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-12)

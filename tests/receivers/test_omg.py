@@ -5,11 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
-from handover_marl import parallel_env, receivers
+from handover_marl import receivers
 from handover_marl.datasets import Dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
@@ -18,11 +15,9 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.evaluation.benchmark import benchmark
 from handover_marl.evaluation.rendering import render_plan
-from handover_marl.geometry.link_trajectory import compute_link_trajectory
-from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import transform_points
 from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.omg import OmgReceiver, round_poses
+from handover_marl.receivers.omg import OmgReceiver
 from tests.receivers.quick import observe_handover
 
 SCENE = 5
@@ -70,33 +65,6 @@ def test_timing_of_commands(handover_observation: Observation) -> None:
     assert last[7:].tolist() == [0.0, 0.0]
 
 
-def test_plan_ends_at_the_selected_goal(handover_observation: Observation) -> None:
-    receiver = make_omg()
-    receiver.act(observe_at(handover_observation, 3000))
-    plan = receiver.plan
-    assert plan is not None
-    assert plan.trajectory.shape == (30, 7)
-    np.testing.assert_allclose(plan.trajectory[-5:], plan.goals.tails[plan.chosen], atol=0.02)
-    steps = np.abs(np.diff(plan.trajectory, axis=0, prepend=plan.start[None]))
-    assert steps.max() < 0.5
-
-
-def test_planned_goal_is_the_path_of_the_hand(handover_observation: Observation) -> None:
-    receiver = make_omg()
-    assert receiver.planned_goal is None
-    receiver.act(observe_at(handover_observation, 3000))
-    plan, goal_poses = receiver.plan, receiver.planned_goal
-    assert plan is not None
-    assert goal_poses is not None
-    joints = np.concatenate([plan.trajectory, np.full((30, 2), 0.04)], axis=1)
-    frames = compute_link_trajectory(DATA.load_scene(SCENE).assets.panda, joints, receiver.world_from_base)
-    np.testing.assert_allclose(goal_poses[:, :3], frames.get_positions(HAND_LINK), atol=1e-6)
-    ahead = transform_points(goal_poses[-1], np.array([0.0, 0.0, 0.1]))
-    assert np.linalg.norm(ahead - handover_observation["object_poses"][0, :3]) < 0.15
-    receiver.act(observe_at(handover_observation, 7400))
-    assert receiver.planned_goal is None
-
-
 def test_retreat_is_straight(handover_observation: Observation) -> None:
     receiver = make_omg()
     receiver.act(observe_at(handover_observation, 3000))
@@ -115,21 +83,6 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     count = int(np.ceil(length / 0.03))
     np.testing.assert_allclose(along[:count], length * np.arange(1, count + 1) / count, atol=2e-3)
     np.testing.assert_allclose(points[count:], np.tile(goal, (40 - count, 1)), atol=2e-3)
-
-
-def test_plans_are_deterministic(handover_observation: Observation) -> None:
-    receiver, again = make_omg(), make_omg()
-    first, second = (
-        receiver.act(observe_at(handover_observation, 3000)),
-        again.act(observe_at(handover_observation, 3000)),
-    )
-    np.testing.assert_array_equal(first, second)
-    assert receiver.plan is not None
-    assert again.plan is not None
-    np.testing.assert_array_equal(receiver.plan.trajectory, again.plan.trajectory)
-    receiver.reset()
-    receiver.act(observe_at(handover_observation, 3000))
-    np.testing.assert_array_equal(receiver.plan.trajectory, again.plan.trajectory)
 
 
 def test_commands_do_not_depend_on_the_call_period() -> None:
@@ -182,17 +135,6 @@ def test_results_do_not_depend_on_workers() -> None:
     assert [(e.status, e.steps) for e in one.episodes] == [(e.status, e.steps) for e in two.episodes]
 
 
-def test_parallel_environment() -> None:
-    env = parallel_env(setup="s0", split="train", dataset="synthetic", physics="fast", control_period=0.01)
-    observations, _ = env.reset(seed=0, options={"scene_id": SCENE})
-    receiver = make_omg()
-    while env.agents and observations["receiver"]["time"][0] < 3.5:
-        action = receiver.act(observations["receiver"])
-        observations, *_ = env.step({"receiver": action, "giver": np.zeros(8, dtype=np.float32)})
-    assert receiver.plan is not None
-    env.close()
-
-
 def test_unreachable_object_is_logged(handover_observation: Observation, caplog: pytest.LogCaptureFixture) -> None:
     far = handover_observation["object_poses"].copy()
     far[0, :3] += [0.0, 3.0, 0.0]
@@ -237,18 +179,3 @@ def test_picture_of_a_plan(tmp_path: Path) -> None:
         render_plan(SCENE, tmp_path / "plan.gif")
     with pytest.raises(OptionError, match="motion planner"):
         render_plan(SCENE, tmp_path / "plan.png", receiver="hold", dataset="synthetic")
-
-
-@given(st.integers(0, 10_000))
-def test_rounded_poses_ignore_the_last_bits(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    poses = np.concatenate([rng.normal(size=(3, 3)), Rotation.random(3, rng).as_quat()], axis=1)
-    rounded = round_poses(poses)
-    np.testing.assert_allclose(rounded[:, :3], poses[:, :3], atol=1e-5)
-    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", rounded[:, 3:], poses[:, 3:])), 1.0, atol=1e-8)
-    # In the middle of a rounding interval, so that the last bit makes no difference.
-    middle = 1e-5 * np.round(poses / 1e-5)
-    np.testing.assert_array_equal(round_poses(middle + 1e-9), round_poses(middle))
-    np.testing.assert_array_equal(
-        round_poses(np.concatenate([middle[:, :3], -middle[:, 3:]], axis=1)), round_poses(middle)
-    )

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
+from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
 
 Array = npt.NDArray[np.float64]
 
@@ -40,33 +40,6 @@ def test_thinning(count: int, remaining: int, kept: int) -> None:
     assert len(set(chosen)) == kept
 
 
-def test_each_cloud_replaces_the_last() -> None:
-    memory = PointCloudMemory()
-    memory.update(cloud(300), pose())
-    memory.update(cloud(50, seed=1), pose())
-    assert memory.cloud.shape == (3, 50)
-    before = memory.cloud.copy()
-    memory.update(cloud(0), pose((0.0, 0.0, 0.0)))
-    np.testing.assert_array_equal(memory.cloud, before)
-
-
-def test_empty_view_draws_no_random_numbers() -> None:
-    memory, other = PointCloudMemory(), PointCloudMemory()
-    memory.update(cloud(0), pose())
-    for one in (memory, other):
-        one.update(cloud(2000), pose())
-    np.testing.assert_array_equal(memory.cloud, other.cloud)
-
-
-def test_precision_of_points() -> None:
-    memory = PointCloudMemory()
-    for count, rounded in ((2, True), (3, False), (4, True)):
-        memory.update(cloud(count), pose())
-        assert memory.cloud.dtype == np.float64
-        assert (memory.cloud == memory.cloud.astype(np.float32)).all() == rounded
-        assert memory.cloud.shape == (3, count)
-
-
 @pytest.mark.parametrize(
     ("moved", "remaining", "after"),
     [(0.0999, 10, 10), (0.1001, 10, 15), (0.1001, 17, 20), (0.1001, 20, 20), (0.1001, 0, 5)],
@@ -79,12 +52,6 @@ def test_motion_grants_more_decisions(moved: float, remaining: int, after: int) 
     assert memory.remaining == after
     memory.update(cloud(200), pose((0.4, 0.1 + moved, 0.5)))
     assert memory.remaining == after, "relative to the last view"
-
-
-def test_first_view_grants_no_decisions() -> None:
-    memory = PointCloudMemory()
-    memory.update(cloud(200), pose((5.0, 5.0, 5.0)))
-    assert memory.remaining == 20
 
 
 def test_network_input() -> None:
@@ -106,42 +73,6 @@ def test_network_input() -> None:
     assert (points[:3, 6:] != points[:3, 6:].astype(np.float32)).any()
 
 
-def test_few_points_are_repeated() -> None:
-    memory = PointCloudMemory()
-    memory.update(cloud(300), np.eye(4))
-    points = memory.make_network_input(np.eye(4))[:3, 6:]
-    rng = make_generator()
-    order = rng.choice(300, 300, replace=False)
-    repeats = rng.choice(300, 724)
-    np.testing.assert_array_equal(points, cloud(300).T[:, order][:, [*range(300), *repeats]])
-
-
-def caged_cloud(inside: int, outside: int) -> npt.NDArray[np.float32]:
-    points = np.tile(np.float32([0.0, 0.0, 0.2]), (inside + outside, 1))
-    points[:inside] = [0.0, 0.0, 0.085]
-    return points
-
-
-@pytest.mark.parametrize(("inside", "is_caged"), [(50, False), (51, True)])
-def test_number_of_caged_points(inside: int, is_caged: bool) -> None:
-    memory = PointCloudMemory()
-    memory.update(caged_cloud(inside, 1024 - inside), np.eye(4))
-    assert memory.is_object_caged(np.eye(4)) == is_caged
-
-
-def test_repetitions_count_as_points() -> None:
-    memory = PointCloudMemory()
-    memory.update(caged_cloud(10, 90), np.eye(4))
-    rng = make_generator()
-    order = rng.choice(100, 100, replace=False)
-    expected = int((np.concatenate([order, order[rng.choice(100, 924)]]) < 10).sum())
-    assert expected > 50
-    assert memory.is_object_caged(np.eye(4))
-    strict = PointCloudMemory(PointCloudMemoryConfig(cage_points=expected))
-    strict.update(caged_cloud(10, 90), np.eye(4))
-    assert not strict.is_object_caged(np.eye(4))
-
-
 @pytest.mark.parametrize(
     ("corner", "axis", "sign"),
     [(0.02, 0, 1), (-0.02, 0, -1), (0.05, 1, 1), (-0.05, 1, -1), (0.11, 2, 1), (0.06, 2, -1)],
@@ -153,34 +84,3 @@ def test_cage_is_an_open_box(corner: float, axis: int, sign: int) -> None:
         memory = PointCloudMemory()
         memory.update(points, np.eye(4))
         assert memory.is_object_caged(np.eye(4)) == is_caged
-
-
-def test_cage_moves_with_the_hand() -> None:
-    memory = PointCloudMemory()
-    memory.update(caged_cloud(1024, 0), np.eye(4))
-    assert memory.is_object_caged(np.eye(4))
-    assert not memory.is_object_caged(pose((0.0, 0.0, 0.1), 0.0))
-    assert not PointCloudMemory().is_object_caged(np.eye(4))
-
-
-def test_cage_check_draws_random_numbers() -> None:
-    checked, other = PointCloudMemory(), PointCloudMemory()
-    for memory in (checked, other):
-        memory.update(cloud(300), np.eye(4))
-    checked.is_object_caged(np.eye(4))
-    assert (checked.make_network_input(np.eye(4)) != other.make_network_input(np.eye(4))).any()
-
-
-def test_reset_restores_the_generator() -> None:
-    memory = PointCloudMemory()
-    memory.update(cloud(2000), pose())
-    first = memory.make_network_input(pose())
-    memory.remaining = 3
-    memory.reset()
-    assert memory.remaining == 20
-    assert memory.cloud.shape == (3, 0)
-    np.random.seed(5)  # noqa: NPY002
-    before = np.random.get_state()[1].copy()  # type: ignore[index,union-attr]  # noqa: NPY002
-    memory.update(cloud(2000), pose())
-    np.testing.assert_array_equal(memory.make_network_input(pose()), first)
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # type: ignore[index]  # noqa: NPY002

@@ -11,8 +11,6 @@ from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.policies import registry
 from handover_marl.receivers import WAITING_JOINTS, Receiver
-from handover_marl.receivers.yang2021 import Yang2021Receiver
-from handover_marl.receivers.yang2021_controller import YangConfig
 from tests.fake_layout import FakeScene, write_scene
 
 
@@ -62,12 +60,6 @@ def play(
     return episode, actions, policy
 
 
-def test_hold_stays_at_the_start(fake_data: Path) -> None:
-    episode, actions, policy = play(OfficialDataset(fake_data), "hold", 1000)
-    assert all(np.array_equal(action, np.float32(policy.context.panda.start_joints)) for action in actions)
-    assert np.abs(episode.observe()["robot_joint_position"] - actions[0]).max() < 0.02
-
-
 def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
     episode, actions, policy = play(OfficialDataset(fake_data), "yang2021", 3001)
     np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
@@ -91,12 +83,6 @@ def test_yang_holds_still_without_grasps(own_data: Path) -> None:
     assert np.abs(actions[-1][:7] - seen[:7]).max() < 0.01
 
 
-def test_yang_repeats_itself(fake_data: Path) -> None:
-    first = play(OfficialDataset(fake_data), "yang2021", 4000)[1]
-    second = play(OfficialDataset(fake_data), "yang2021", 4000)[1]
-    np.testing.assert_array_equal(first, second)
-
-
 def test_yang_needs_a_reset(fake_data: Path) -> None:
     policy = receivers.make("yang2021", OfficialDataset(fake_data))
     episode = Episode("exact")
@@ -104,12 +90,6 @@ def test_yang_needs_a_reset(fake_data: Path) -> None:
     observation = {**episode.observe(), "time": np.array([3.0], dtype=np.float32)}
     with pytest.raises(ResetNeededError, match="yang2021"):
         policy.act(observation)
-
-
-def test_settings_of_yang2021() -> None:
-    receiver = receivers.make("yang2021:wait=1,step_length=0.02,max_candidates=5", SyntheticDataset())
-    assert isinstance(receiver, Yang2021Receiver)
-    assert receiver.config == YangConfig(wait=1.0, step_length=0.02, max_candidates=5)
 
 
 @pytest.mark.parametrize(

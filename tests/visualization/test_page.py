@@ -3,7 +3,6 @@ from jinja2 import UndefinedError
 
 from handover_marl.evaluation.reports.tables import ReportTable
 from handover_marl.visualization.web_page import render_page
-from tests.visualization.outside import dangling, outside
 
 COMPARISON = {
     "version": "1",
@@ -24,21 +23,3 @@ def test_values_are_escaped() -> None:
 def test_nothing_may_be_left_out() -> None:
     with pytest.raises(UndefinedError):
         render_page("comparison.html", title="some", **COMPARISON)
-
-
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ('<img src="https://example.org/x.png">', ["https://example.org/x.png"]),
-        ('<script src="//example.org/x.js"></script>', ["//example.org/x.js"]),
-        ("<style>@import 'http://example.org/a.css'; p { background: url(/b.png) }</style>", None),
-        ('<iframe srcdoc="&lt;link href=&quot;http://example.org&quot;&gt;"></iframe>', ["http://example.org"]),
-        ('<a href="#here">a</a> <a href="episodes/009.html">b</a> <link href="data:,">', []),
-    ],
-)
-def test_outside_references_are_found(text: str, found: list[str] | None) -> None:
-    assert outside(text) == (["http://example.org/a.css", "/b.png"] if found is None else found)
-
-
-def test_dangling_links_are_found() -> None:
-    assert dangling('<a href="#here">a</a> <a href="#there">b</a> <p id="here">') == ["#there"]

@@ -114,25 +114,6 @@ def test_frames_and_link_poses(fake_data: Path) -> None:
     assert fingers[0].is_present[5]
 
 
-class Ends(EpisodeCallback):
-    def on_end(self, episode: Episode) -> None:
-        self.end = episode.status, episode.steps, episode.world.read_joint_snapshot()
-
-
-def test_recording_does_not_change_the_episode(fake_data: Path) -> None:
-    data = open_dataset("dexycb", fake_data)
-    ends = []
-    for watched in (False, True):
-        episode, robot, end = Episode("fast", SHORT), make("random", data), Ends()
-        episode.reset(data.load_scene(9))
-        run_episode(episode, robot, seed=3, callbacks=[ReplayRecorder(robot), end] if watched else [end])
-        ends.append(end.end)
-        episode.close()
-    assert ends[0][:2] == ends[1][:2]
-    for one, other in zip(ends[0][2], ends[1][2], strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def test_clouds_and_plans_are_recorded(log: EpisodeLog) -> None:
     assert [cloud.step for cloud in log.clouds] == [0, 1000]
     np.testing.assert_array_equal(log.frames[3].planned_path, Meaning.meant)
@@ -154,23 +135,6 @@ def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: st
         assert part.faces.max() < len(part.vertices)
         for end in (np.min, np.max):
             np.testing.assert_allclose(end(part.vertices, axis=0), end(large[link].vertices, axis=0), atol=0.004)
-
-
-def test_robot_has_its_visual_meshes(log: EpisodeLog) -> None:
-    """The links of the robot are shown with their visual meshes, simplified to at most 3000 faces each."""
-    from handover_marl.geometry.kinematic_tree import read_tree
-
-    urdf = log.scene.assets.panda
-    visual = {part.link: len(part.faces) for part in read_visual_meshes(urdf, read_tree(urdf))}
-    shown = {
-        link.mesh.link: len(link.mesh.faces)
-        for link in compute_link_trajectories(log)
-        if link.label is SegmentationLabel.ROBOT
-    }
-    assert shown.keys() == visual.keys()
-    assert max(visual.values()) > 3000
-    for link, count in shown.items():
-        assert 0.9 * min(visual[link], 3000) <= count <= 3000
 
 
 def read_recording(page: str) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Tests of pictures of the wrist camera's view."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,6 @@ from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.evaluation.rendering import render_scene
 from handover_marl.visualization.wrist_view import draw_wrist_view
 
 CAMERA = CameraConfig(width=320, height=240)
@@ -57,15 +54,3 @@ def test_render_command_wrist_view(tmp_path: Path, capsys: pytest.CaptureFixture
     assert str(out) in capsys.readouterr().out
     with Image.open(out) as image:
         assert image.size == (2 * 160, 120 + 160 // 3 - 1)
-
-
-def test_views_that_cannot_be_rendered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UnknownNameError, match="unknown view 'inside'; valid: outside, wrist"):
-        render_scene(209, tmp_path / "a.png", dataset="synthetic", view="inside")
-    real = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else real(name, *rest)
-    )
-    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[vision\]'"):
-        render_scene(209, tmp_path / "a.png", dataset="synthetic", view="wrist", physics="fast")
-    assert not (tmp_path / "a.png").exists()

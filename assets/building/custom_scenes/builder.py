@@ -18,6 +18,8 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
     MotionTable,
+    check_hand,
+    check_objects,
     make_trajectory,
     read_motion_table,
 )
@@ -34,7 +36,6 @@ from handover_marl.datasets.custom.dataset import (
     CustomDataset,
     get_motion_path,
 )
-from handover_marl.datasets.custom.ranges import check_hand, check_objects
 from handover_marl.datasets.custom.scene_file import (
     SCENE_FILE,
     CustomObject,
@@ -66,9 +67,6 @@ class CustomSceneFolder:
     Args:
         folder: The folder.
         name: Name of the data set in results; default: the name of the folder.
-
-    Attributes:
-        folder: The folder.
 
     Raises:
         OptionError: `folder` is not a path, or the folder has another name.
@@ -212,7 +210,7 @@ class CustomSceneFolder:
         self._check_bodies(table, others, hand)
         urdfs = [self._find_urdf(item) for item in names]
         bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
-        _check_ranges(check_objects, make_trajectory(table, others, None, None).object_dof, bodies)
+        check_objects(make_trajectory(table, others, None, None).object_dof, bodies)
         side_name: Side = "left" if side == "left" else "right"
         model, fingers = None, None
         if hand is not None and table.wrist is not None:
@@ -223,7 +221,7 @@ class CustomSceneFolder:
         trajectory = make_trajectory(table, others, model, fingers)
         if trajectory.hand_span[0] >= 0:
             frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)
-            _check_ranges(check_hand, trajectory.hand_dof[frames], trajectory.object_dof[frames])
+            check_hand(trajectory.hand_dof[frames], trajectory.object_dof[frames])
         with self._prepare(MOTION_FOLDER) as scratch, self._change() as content:
             number = len(content.scenes)
             name = f"{person}/{_check('recording', check_file_name, recording or f'{number:06d}')}"
@@ -319,13 +317,6 @@ class CustomSceneFolder:
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with exclusive_lock(self.folder):
             yield self.content
-
-
-def _check_ranges(check: Callable[..., None], *values: object) -> None:
-    try:
-        check(*values)
-    except ValueError as error:
-        raise DataFormatError(str(error)) from None
 
 
 def _check(argument: str, check: Callable[[object], str], value: object) -> str:

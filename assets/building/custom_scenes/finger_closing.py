@@ -60,17 +60,9 @@ class HandGrasp:
 
 
 def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> tuple[MotionTable, Array]:
-    """Make finger joint angles of a hand that is open at first and closed when the object is picked up.
+    """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
 
-    Args:
-        table: Recorded poses with a wrist.
-        solid: Object.
-        hand: Number of the shipped hand.
-        side: Hand of the giver.
-
-    Returns:
-        The recording, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object; and
-        finger joint angles (n, 45) in the rows with the wrist (rad).
+    Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
 
     Raises:
         DataFormatError: The wrist is not beside the object when it is picked up, or inside of it.
@@ -92,20 +84,11 @@ def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> t
 
 
 def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
-    """Return the open hand and the hand closed on the object at a pose of the wrist.
+    """Return the open hand and the hand closed on the object at a pose (7,) of the wrist in the object's frame.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
-    when they close. If there is no such posture, the wrist is moved by as little as needed.
-
-    Args:
-        solid: Object.
-        object_from_wrist: (7,) pose of the wrist in the object's frame.
-        hand: Number of the shipped hand.
-        side: Hand of the giver.
-        place: Place in the recording, for errors.
-
-    Raises:
-        DataFormatError: The wrist is not beside the object, or inside of it.
+    when they close. If there is no such posture, the wrist is moved by as little as needed. `place` is the place in
+    the recording, for the `DataFormatError` if the wrist is not beside the object.
     """
     position, rotation = object_from_wrist[:3], Rotation.from_quat(object_from_wrist[3:]).as_matrix()
     is_left = side == "left"

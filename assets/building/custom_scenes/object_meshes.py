@@ -9,10 +9,16 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.building.object_files import PALETTE, write_convex_parts, write_palette, write_visual
-from handover_marl.assets.object_models import COLLISION_NAME, FRICTION, URDF_NAME, VISUAL_NAME, format_object_urdf
-from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
-from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
+from handover_marl.assets.building.object_files import write_convex_parts, write_visual
+from handover_marl.assets.object_models import (
+    COLLISION_NAME,
+    FRICTION,
+    PALETTE,
+    URDF_NAME,
+    VISUAL_NAME,
+    copy_palette,
+    format_object_urdf,
+)
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
@@ -24,8 +30,10 @@ Array = npt.NDArray[np.float64]
 
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-#: Smallest and largest extent of an object (m).
-MIN_EXTENT, MAX_EXTENT = EXTENT
+#: Smallest and largest extent of an object, and distance of its centre from the origin of its frame (m).
+MIN_EXTENT, MAX_EXTENT, MAX_OFFSET = 0.005, 0.7, 0.7
+#: Smallest and largest mass (kg).
+MASS: Final = (1e-3, 20.0)
 _MAX_BYTES = 1_000_000_000
 _MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
 
@@ -67,7 +75,7 @@ class MeshConfig:
             "scale": (1e-6, 1e6),
             "mass": MASS,
             "density": (1.0, 30_000.0),
-            "friction": FRICTION_RANGE,
+            "friction": (0.0, 10.0),
             "concavity": (0.01, 1.0),
             "max_faces": (100, 1_000_000),
         }
@@ -96,11 +104,7 @@ class ObjectMesh:
 
 
 def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig) -> ObjectMesh:
-    """Read a mesh, repair it, and divide it into convex parts.
-
-    Args:
-        source: Mesh file of any format that trimesh reads, or a mesh.
-        config: Units, mass and limits.
+    """Read a mesh, from a file of any format that trimesh reads, repair it, and divide it into convex parts.
 
     Raises:
         DataFormatError: The mesh has no solid body, or not the size of an object.
@@ -128,7 +132,7 @@ def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
     write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
     write_convex_parts(folder / COLLISION_NAME, list(item.parts))
-    write_palette(folder)
+    copy_palette(folder)
     (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
 
 

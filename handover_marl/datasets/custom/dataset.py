@@ -39,12 +39,7 @@ _MAX_BYTES = 500_000_000
 
 
 def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes in a folder.
-
-    Args:
-        argument: Text after "own:": the folder, or the name of the data set if `data_dir` is given.
-        data_dir: The folder, or None.
-        robot: Variant of the Panda.
+    """Open the custom scenes in the folder `data_dir`, where `argument` is their name, or in the folder `argument`.
 
     Raises:
         OptionError: The data set in the folder has another name than `argument`.
@@ -78,7 +73,6 @@ class CustomDataset(Dataset):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        folder: The folder.
         content: Content of `scenes.json`.
 
     Raises:
@@ -133,23 +127,11 @@ class CustomDataset(Dataset):
     def load_info(self, scene_id: int) -> SceneInfo:
         """Return the description of a scene; raises `SceneError`."""
         scene = self._get_scene(scene_id)
-        return SceneInfo(
-            scene_id=scene_id,
-            name=scene.name,
-            subject=scene.subject,
-            side=scene.side,
-            object_ids=tuple(self._numbers[name] for name in scene.objects),
-            object_names=scene.objects,
-        )
+        ids = tuple(self._numbers[name] for name in scene.objects)
+        return SceneInfo(scene_id, scene.name, scene.side, ids, scene.objects)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: A file is missing.
-            DataFormatError: A file is damaged.
-        """
+        """Load a scene with its motion in the world frame."""
         info = self.load_info(scene_id)
         has_hand = self._get_scene(scene_id).hand is not None
         path = get_motion_path(self.folder, scene_id)
@@ -157,22 +139,13 @@ class CustomDataset(Dataset):
         return self.make_scene(info, self._find_scene_assets(scene_id), object_dof, hand_dof, span)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of an object class's URDF.
-
-        Raises:
-            DataNotFoundError: The file is missing.
-        """
+        """Return the path of an object class's URDF."""
         if object_name in CLASS_NAMES.values():
             return find_ycb_urdf(object_name)
         return _require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME)
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none.
-
-        Raises:
-            DataNotFoundError: The grasp file is missing.
-            DataFormatError: The grasp file is damaged.
-        """
+        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none."""
         if object_name in CLASS_NAMES.values():
             return load_object_grasps(object_name)
         return self._read_grasps(object_name)
@@ -195,10 +168,6 @@ class CustomDataset(Dataset):
         for urdf in (assets.table, assets.hand, *assets.objects):
             digest.update(self._hash_model(urdf))
         return digest.hexdigest()[:16]
-
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty text: all models are the user's or the library's."""
-        return ""
 
     def _get_scene(self, scene_id: int) -> CustomScene:
         self.check_scene_id(scene_id)

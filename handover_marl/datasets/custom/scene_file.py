@@ -136,11 +136,7 @@ class SceneFile:
 
 
 def check_class_name(name: object) -> str:
-    """Check the name of a custom object class and return it.
-
-    Raises:
-        ValueError: The name is the name of a YCB class, or has characters other than letters, digits and "_.-".
-    """
+    """Return the name of a custom object class, or raise `ValueError` if it is not possible."""
     text = check_file_name(name)
     if text in CLASS_NAMES.values():
         raise ValueError(f"must not be the name of a YCB class, got {text!r}; choose another one")
@@ -148,22 +144,14 @@ def check_class_name(name: object) -> str:
 
 
 def check_file_name(name: object) -> str:
-    """Check that a name can be part of a file name, and return it.
-
-    Raises:
-        ValueError: The name is not 1 to 64 letters, digits and "_.-", the first a letter or digit.
-    """
+    """Return a name that can be part of a file name, or raise `ValueError` if it cannot."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}")
     return name
 
 
 def check_setup_name(name: object) -> str:
-    """Check the name of a setup of custom scenes and return it.
-
-    Raises:
-        ValueError: The name is reserved, or not as `check_file_name` demands.
-    """
+    """Return the name of a setup of custom scenes, or raise `ValueError` if it is not possible."""
     if name in (*SETUPS, ALL_SCENES):
         raise ValueError(f"must not be {', '.join(SETUPS)} or {ALL_SCENES}, got {name!r}; choose another one")
     return check_file_name(name)

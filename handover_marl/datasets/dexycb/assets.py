@@ -1,5 +1,6 @@
 """Writers of HandoverSim's folder `assets/`: hands from MANO, objects' URDFs and the table."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -7,16 +8,48 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.object_models import find_bullet_data
-from handover_marl.datasets.dexycb.mano import N_JOINTS, ManoModel
-from handover_marl.datasets.dexycb.urdf import build_hand_urdf, build_object_urdf
+from handover_marl.datasets.dexycb.mano import N_JOINTS, PARENTS, ManoModel
 from handover_marl.datasets.official_files import is_stand_in_file
-from handover_marl.errors import DataFormatError, ResultsError, check_name
+from handover_marl.errors import DataFormatError, ResultsError
 from handover_marl.execution.files import create_exclusively, has_content, remove_stale_temporaries, write_atomically
 from handover_marl.geometry.model_files.obj_files import format_obj
-from handover_marl.geometry.ycb import CLASS_NAMES, SUBJECTS
+from handover_marl.geometry.model_files.urdf import render_urdf
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
+
+_PALM_MASS, _FINGER_MASS = 0.2, 0.02  # kg
+_MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
+
+
+def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
+    """Return the text of a `mano.urdf`, 53 links, 16 with meshes, for MANO's joints (16, 3) of a hand at rest (m)."""
+    positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, len(joints)))]
+    return render_urdf(
+        __package__,
+        "hand.urdf",
+        positions=[format_numbers(*position) for position in positions],
+        parents=PARENTS,
+        palm_mass=format_numbers(_PALM_MASS),
+        finger_mass=format_numbers(_FINGER_MASS),
+        limits=[(format_numbers(-angle), format_numbers(angle)) for angle in _MAX_ANGLES],
+    )
+
+
+def build_object_urdf() -> str:
+    """Return the text of `model_normalized.urdf`, which is the same for all YCB classes."""
+    return render_urdf(__package__, "object.urdf")
+
+
+def format_numbers(*numbers: float) -> str:
+    """Return numbers as the text of a URDF attribute.
+
+    They are written as integers if all of them are integers, otherwise with 64 decimals each.
+    """
+    pattern = "%.0f" if all(float(number).is_integer() for number in numbers) else "%.64f"
+    return " ".join(pattern % float(number) for number in numbers)
+
 
 # Smallest skinning weight of the vertices of a link. The collision meshes at the roots of the
 # middle, little and ring finger are smaller, so that neighbouring fingers do not touch.
@@ -38,12 +71,7 @@ _COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
 
 
 def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
-    """Write files that do not exist yet; existing files must have the same content.
-
-    Args:
-        folder: Target folder; created if it is missing.
-        files: Content by path relative to the folder.
-        replace_stand_ins: Whether to replace existing stand-in files.
+    """Write files, given by relative path, that do not exist yet; existing ones must have the same content.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -67,15 +95,7 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
 
 
 def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[str, bytes]:
-    """Build the contents of the 33 files (URDF and meshes) of a subject's hand model.
-
-    Args:
-        model: MANO's model of one side.
-        betas: (10,) shape parameters of the subject.
-
-    Returns:
-        Contents by relative path: `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`.
-    """
+    """Build the 33 files of a hand of shape (10,): `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`."""
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
     files = {"mano.urdf": build_hand_urdf(joints).encode()}
@@ -88,20 +108,13 @@ def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[s
 
 
 def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
-    """Write the files of a hand model to the folder `<subject>_<side>/` and return its path.
+    """Write the files of a subject's hand to the folder `<subject>_<side>/` in `assets/` and return its path.
 
-    Args:
-        assets: Folder `assets/` of the data folder.
-        subject: Name of the subject, e.g. "20200709-subject-01".
-        model: MANO's model of one side.
-        betas: (10,) shape parameters; HandoverSim uses the parameters of the subject's first scene for
-            both sides.
+    HandoverSim uses the shape parameters (10,) of the subject's first scene for both sides.
 
     Raises:
-        UnknownNameError: The subject is not in DexYCB.
         ResultsError: A file exists with other content, or cannot be written.
     """
-    check_name("subject", subject, SUBJECTS)
     folder = assets / f"{subject}_{model.side}"
     write_missing_files(folder, build_hand_files(model, betas))
     return folder
@@ -117,9 +130,6 @@ def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight
 
 def write_object_assets(assets: Path) -> None:
     """Write `<class>/model_normalized.urdf` of the 21 YCB classes.
-
-    Args:
-        assets: Folder `assets/` of the data folder.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -158,18 +168,12 @@ def find_table_folder() -> Path:
 def write_table_assets(assets: Path) -> None:
     """Write the folder `table/` with HandoverSim's URDF and copies of PyBullet's mesh and texture.
 
-    Args:
-        assets: Folder `assets/` of the data folder.
-
     Raises:
         OptionError: PyBullet is not installed.
         DataFormatError: PyBullet's table cannot be read, or is not the one that HandoverSim uses.
         ResultsError: A file exists with other content, or cannot be written.
     """
     source = find_table_folder()
-    try:
-        original = (source / "table.urdf").read_bytes().decode()
-        copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataFormatError(f"{source}: cannot read PyBullet's table ({error}); install PyBullet again") from error
+    original = (source / "table.urdf").read_bytes().decode()
+    copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
     write_missing_files(assets / "table", {"table.urdf": build_table_urdf(original).encode(), **copies})

@@ -1,8 +1,7 @@
 """Import of raw DexYCB, MANO and HandoverSim's third-party archive into a data folder."""
 
-import operator
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +13,13 @@ from handover_marl.datasets.dexycb.assets import (
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import SIDES, ManoModel
-from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
+from handover_marl.datasets.dexycb.raw_files import find_sequences
 from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scenes, read_mano_models
 from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
 from handover_marl.datasets.scene_files import CACHE_FOLDER
-from handover_marl.datasets.splits import N_SCENES
-from handover_marl.errors import DataNotFoundError, ResultsError, SceneError
+from handover_marl.datasets.splits import N_SCENES, choose_scenes
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import remove_stale_temporaries
 from handover_marl.execution.options import check_path, resolve_worker_count
 
@@ -101,7 +100,7 @@ def import_dexycb(
         DataNotFoundError: A folder or one of MANO's files is missing.
         UnsafeFileError: One of MANO's files may run code, or the archive has unsafe paths.
         DataFormatError: One of MANO's files or the archive is damaged.
-        SceneError: A scene number does not exist.
+        SceneError: A scene number does not exist, or there is none.
         OptionError: `workers` is less than one, a folder is not a path, or PyBullet, which has the table, is
             not installed.
         ResultsError: The data folder cannot be written, or has models made from other data.
@@ -113,12 +112,9 @@ def import_dexycb(
     layout = find_sequences(raw)
     folder = _find_mano_folder(check_path("mano", mano))
     models = read_mano_models(folder)
-    chosen = _select_sequences(layout.sequences, scenes)
+    wanted = choose_scenes(tuple(range(N_SCENES)), scenes, "DexYCB")
+    chosen = [sequence for sequence in layout.sequences if sequence.scene_id in wanted]
     assets = target / "assets"
-    try:
-        assets.is_dir()
-    except OSError as error:
-        raise ResultsError(f"cannot write {target} ({error.strerror or error}); choose another folder") from error
     notes = [] if archive is None else install_third_party(archive, assets)
     betas, faults = find_first_betas(layout.sequences), list[str]()
     hands = _write_models(betas, models, assets)
@@ -150,30 +146,12 @@ def import_dexycb(
 
 def _find_mano_folder(mano: Path) -> Path:
     for folder in (mano, mano / "models"):
-        try:
-            if (folder / "MANO_RIGHT.pkl").is_file():
-                return folder
-        except OSError as error:
-            raise DataNotFoundError(
-                f"{mano} cannot be read ({error.strerror or error}); check name and rights"
-            ) from error
+        if (folder / "MANO_RIGHT.pkl").is_file():
+            return folder
     raise DataNotFoundError(
         f"{mano} holds no MANO_RIGHT.pkl, nor does its models/. Register at MANO's site, download mano_v1_2.zip and "
         "give the folder that it was expanded into."
     )
-
-
-def _select_sequences(sequences: Sequence[SequenceFolder], scenes: Iterable[int] | None) -> list[SequenceFolder]:
-    if scenes is None:
-        return list(sequences)
-    try:
-        wanted = {operator.index(scene) for scene in scenes}
-    except TypeError as error:
-        raise SceneError(f"scenes must be scene numbers such as [209, 214], got {scenes!r}") from error
-    foreign = sorted(wanted - set(range(N_SCENES)))
-    if foreign:
-        raise SceneError(f"scene {foreign[0]} does not exist; scenes are numbered 0 to {N_SCENES - 1}")
-    return [sequence for sequence in sequences if sequence.scene_id in wanted]
 
 
 def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:

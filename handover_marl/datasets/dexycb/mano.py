@@ -69,44 +69,26 @@ class ManoModel:
     hands_mean: Array
 
     def shape_vertices(self, betas: Sequence[float] | Array) -> Array:
-        """Return the vertices (778, 3) (m) of a subject's hand at rest.
-
-        Args:
-            betas: (10,) shape parameters of the subject.
-        """
+        """Return the vertices (778, 3) in m of a hand at rest with shape parameters (10,)."""
         displacements = self.shapedirs[:, :, 0] * betas[0]
         for number in range(1, N_BETAS):
             displacements += self.shapedirs[:, :, number] * betas[number]
-        vertices: Array = self.v_template + displacements
-        return vertices
+        return np.asarray(self.v_template + displacements)
 
     def regress_joints(self, vertices: Array) -> Array:
-        """Return the joints (16, 3) (m) of a hand at rest.
-
-        Args:
-            vertices: (778, 3) vertices (m) as returned by `shape_vertices`.
-        """
+        """Return the joints (16, 3) in m of a hand at rest with vertices (778, 3) from `shape_vertices`."""
         joints = np.zeros((N_JOINTS, 3))
         for weights, vertex in zip(self.j_regressor.T, vertices, strict=True):
             joints += weights[:, None] * vertex
         return joints
 
     def locate_wrist(self, betas: Sequence[float] | Array) -> Array:
-        """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation.
-
-        Args:
-            betas: (10,) shape parameters of the subject.
-        """
-        root: Array = self.regress_joints(self.shape_vertices(betas))[0]
-        return root
+        """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation."""
+        return np.asarray(self.regress_joints(self.shape_vertices(betas))[0])
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read a model file of MANO.
-
-    Args:
-        path: `MANO_RIGHT.pkl` or `MANO_LEFT.pkl` of mano_v1_2.zip.
-        side: "right" or "left"; the file does not hold its side.
+    """Read MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, which does not hold its side.
 
     Raises:
         UnknownNameError: `side` is neither "right" nor "left".

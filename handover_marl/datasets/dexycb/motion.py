@@ -22,15 +22,9 @@ from handover_marl.datasets.dexycb.rotations import (
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
-    """Compute the motion of an object that is present in every frame.
+    """Return the motion (T, 6) float32 of an object in the tag's frame at 1 kHz: position (m), unwrapped XYZ angles.
 
-    Args:
-        poses: (F, 7) float32 keyframes in the world frame: quaternion xyzw, position (m).
-        tag: Transform from the world frame to the AprilTag's frame.
-
-    Returns:
-        (T, 6) float32 position (m) and unwrapped intrinsic XYZ Euler angles (rad) in the tag's
-        frame at 1 kHz.
+    The keyframes (F, 7) float32 are in the world frame: quaternion xyzw, position (m).
     """
     span = KeyframeSpan(0, len(poses) - 1)
     quaternions = tag.transform_rotations(Rotation.from_quat(poses[:, :4]))
@@ -40,20 +34,12 @@ def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
 
 
 def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wrist: Float64, base: Float64) -> Float32:
-    """Compute the joint trajectory of the articulated hand from MANO keyframes.
+    """Compute the joint trajectory (T, 51) float32 of the articulated hand in the tag's frame at 1 kHz.
 
-    Args:
-        poses: (F, 51) float32 keyframes in the world frame: rotation vector (rad), 45 coefficients
-            of the finger pose, translation (m). Rows without a hand are zero; they only occur before
-            the first and after the last row with a hand.
-        tag: Transform from the world frame to the AprilTag's frame.
-        model: MANO's model of the hand's side.
-        wrist: (3,) root joint at rest (m), for the hand's shape in this recording.
-        base: (3,) root joint at rest (m), for the hand's shape in the articulated body.
-
-    Returns:
-        (T, 51) float32 base position (m), unwrapped base angles and finger angles (rad, intrinsic
-        XYZ) in the tag's frame at 1 kHz; zero in frames without a hand.
+    It is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
+    keyframes (F, 51) float32 are in the world frame: rotation vector (rad), 45 coefficients of the finger pose,
+    translation (m); rows without a hand, at both ends only, are zero. `wrist` and `base` are the root joint (3,) at
+    rest (m) for the hand's shape in this recording, and in the articulated body.
     """
     span = find_hand_span(poses)
     keyframes = poses[span.first : span.last + 1]
@@ -77,13 +63,9 @@ def find_hand_span(poses: Float32) -> KeyframeSpan:
 
 
 def compute_finger_poses(model: ManoModel, coefficients: Float32) -> Float32:
-    """Return the finger rotation vectors (n, 45) in rad for coefficients of principal components.
+    """Return the finger rotation vectors (n, 45) in rad for coefficients (n, 45) of principal components.
 
     The sums are float32, from left to right.
-
-    Args:
-        model: MANO's model of the hand's side.
-        coefficients: (n, 45) coefficients of the model's principal components.
     """
     components, mean = model.hands_components.astype(np.float32), model.hands_mean.astype(np.float32)
     total = np.zeros_like(coefficients)

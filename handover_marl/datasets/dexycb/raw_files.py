@@ -19,8 +19,7 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
-from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64, can_original_resample
-from handover_marl.datasets.official_files import is_folder
+from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
 from handover_marl.datasets.scene_files import check_scene_meta
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
@@ -84,7 +83,7 @@ def find_sequences(raw: Path) -> RawLayout:
     Raises:
         DataNotFoundError: The folder is missing, or holds no calibration.
     """
-    if not is_folder(raw / "calibration"):
+    if not (raw / "calibration").is_dir():
         raise DataNotFoundError(
             f"{raw} is no raw DexYCB folder: it holds no calibration/. Give the folder that DexYCB's archives, also "
             "calibration.tar.gz, were expanded into."
@@ -92,7 +91,7 @@ def find_sequences(raw: Path) -> RawLayout:
     sequences, missing = [], []
     for number, subject in enumerate(SUBJECTS):
         folder, known = raw / subject, read_sequence_names()[subject]
-        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if is_folder(folder) else []
+        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
         names = found if len(found) == SEQUENCES_PER_SUBJECT and not {*found} & {*known} else known
         sequences += [
             SequenceFolder(SEQUENCES_PER_SUBJECT * number + rank, f"{subject}/{name}", folder / name)
@@ -135,8 +134,7 @@ class RawSequence:
         meta: Content of meta.yml.
         world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
         betas: MANO's ten shape parameters of the hand.
-        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of
-            `meta.ycb_ids`.
+        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `meta.ycb_ids`.
         hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
             (m); zero in frames without a hand.
     """
@@ -153,7 +151,7 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
 
     Raises:
         DataNotFoundError: A file is missing.
-        DataFormatError: A file is damaged, or has a motion that HandoverSim cannot resample.
+        DataFormatError: A file is damaged, or has hardly any frames with a hand.
     """
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
@@ -169,15 +167,10 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
 
 
 def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of a hand.
-
-    Args:
-        calibration: DexYCB's folder `calibration/`.
-        mano: Name of the shape calibration, e.g. "20200709_140042_subject-01_right".
+    """Read MANO's ten shape parameters of a hand by the name of its calibration.
 
     Raises:
-        DataNotFoundError: The calibration file is missing.
-        DataFormatError: The calibration file has no ten numbers.
+        DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
     """
     path = calibration / f"mano_{mano}" / "mano.yml"
     return tuple(_check_numbers(path, _get(path, _read_mapping(path), "betas"), N_BETAS).tolist())
@@ -242,11 +235,8 @@ def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
         raise _damaged_file_error(path, f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
     if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
         raise _damaged_file_error(path, "a pose is not finite")
-    if not can_original_resample(n) or np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
-        raise DataFormatError(
-            f"{path}: {n} frames, or few with a hand, for which HandoverSim's conversion fails; DexYCB's recordings "
-            "have 66 to 76"
-        )
+    if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+        raise _damaged_file_error(path, f"{n} frames, of which few have a hand")
     return objects, hand[:, 0]
 
 

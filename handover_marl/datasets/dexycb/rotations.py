@@ -1,10 +1,9 @@
 """Rotations, frames and resampling with the rounding of HandoverSim's conversion of DexYCB.
 
-The float32 result of a matrix product depends on whether the processor fuses multiplication and
-addition, and on the kernel of the library. HandoverSim's files were made with fused sums in one
-place and plain sums in another, so both are written out here. Some results also depend on versions
-of SciPy; the formulas of the version that made the official files are written out too.
-Quaternions are xyzw; Euler angles are intrinsic XYZ, R = Rx(x) Ry(y) Rz(z), in rad.
+The float32 result of a matrix product depends on whether the processor fuses multiplication and addition, and on the
+kernel of the library. HandoverSim's files were made with fused sums in one place and plain sums in another, so both are
+written out here. Some results also depend on versions of SciPy; the formulas of the version that made the official
+files are written out too. Quaternions are xyzw; Euler angles are intrinsic XYZ, R = Rx(x) Ry(y) Rz(z), in rad.
 """
 
 import math
@@ -32,16 +31,11 @@ _MIN_COSINE = 4.0 * sys.float_info.epsilon
 
 
 def fused_multiply_add(a: Float32, b: Float32, c: Float32) -> Float32:
-    """Return `a * b + c` with a single rounding, as the machine instruction does.
+    """Return `a * b + c` of float32 with a single rounding, as the machine instruction does.
 
-    The product of two float32 is exact in float64. Rounding the float64 sum to float32 would be
-    wrong if the sum had been rounded to a value half-way between two float32. Therefore an inexact
-    sum is rounded to odd: its last bit is set, which keeps it off the half-way points.
-
-    Args:
-        a: First factor, of any shape.
-        b: Second factor, broadcast against `a`.
-        c: Summand, broadcast against `a * b`.
+    The product of two float32 is exact in float64. Rounding the float64 sum to float32 would be wrong if the sum
+    had been rounded to a value half-way between two float32. Therefore an inexact sum is rounded to odd: its last
+    bit is set, which keeps it off the half-way points.
     """
     product = a.astype(np.float64) * b.astype(np.float64)
     addend = c.astype(np.float64)
@@ -105,9 +99,8 @@ def matrices_from_rotation_vectors(vectors: Float32) -> Float64:
 def scipy_euler_from_rotations(rotations: Rotation) -> Float64:
     """Return Euler angles (n, 3) as SciPy computed them up to version 1.10.
 
-    x and z are in [-pi, pi], y in [-pi/2, pi/2]. At y = +-pi/2, which may be exceeded by 5e-8, z is
-    zero. Later versions choose other signs where x or z is +-pi, which would shift a whole column
-    of unwrapped angles by 2 pi.
+    x and z are in [-pi, pi], y in [-pi/2, pi/2]. At y = +-pi/2, which may be exceeded by 5e-8, z is zero. Later
+    versions choose other signs where x or z is +-pi, which would shift a whole column of unwrapped angles by 2 pi.
     """
     m = rotations.as_matrix() + 0.0  # atan2 distinguishes -0.0 from 0.0
     tilt = _map_libm(math.acos, np.clip(m[:, 0, 2], -1.0, 1.0))  # y = pi / 2 - tilt
@@ -177,8 +170,7 @@ class TagFrame:
     def transform_rotations(self, rotations: Rotation) -> Float32:
         """Return rotations in the tag's frame as float32 quaternions (n, 4).
 
-        As in HandoverSim, matrices are rounded to float32 before and after the product and not
-        made orthogonal again.
+        As in HandoverSim, matrices are rounded to float32 before and after the product and not made orthogonal again.
         """
         matrices = rotate_fused(self.rotation, rotations.as_matrix().astype(np.float32))
         return quaternions_from_matrices(matrices).astype(np.float32)
@@ -194,16 +186,6 @@ def quaternions_from_matrices(matrices: npt.ArrayLike) -> Float64:
     x, y, z, w = (q[..., i] for i in range(4))
     norm = np.sqrt(((x * x + y * y) + z * z) + w * w)
     return np.asarray(q / norm[..., None])
-
-
-def can_original_resample(n_keyframes: int) -> bool:
-    """Return whether HandoverSim can resample a recording of `n_keyframes` keyframes.
-
-    Its times are `arange(0, n * 0.04, 0.04)`. For n = 7, 14, 28, 56, 57, 111 to 115, ... rounding
-    adds one time too many and the conversion fails. DexYCB's recordings have 66 to 76 keyframes.
-    """
-    n_times = math.ceil(n_keyframes * _KEYFRAME_PERIOD_S / _KEYFRAME_PERIOD_S)
-    return n_keyframes >= MIN_KEYFRAMES and n_times == n_keyframes
 
 
 def count_frames(n_keyframes: int) -> int:
@@ -239,11 +221,7 @@ class KeyframeSpan:
         return np.stack(axes, axis=1).astype(np.float32)
 
     def interpolate_rotations(self, keyframes: Float32) -> Rotation:
-        """Return rotations at 1 kHz by slerp between keyframes, rounded to float32 quaternions.
-
-        Args:
-            keyframes: (n_keyframes, 4) quaternions of any length but zero.
-        """
+        """Return float32 quaternions at 1 kHz by slerp between keyframes (n_keyframes, 4) of any length but zero."""
         rotations = Slerp(self._key_times(), Rotation.from_quat(keyframes))(self._times())
         return Rotation.from_quat(rotations.as_quat().astype(np.float32))
 

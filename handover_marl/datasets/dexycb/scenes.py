@@ -30,12 +30,9 @@ BetasBySubject = Mapping[tuple[str, str], tuple[float, ...]]
 def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str], tuple[float, ...]]:
     """Return MANO's shape parameters by subject and side, from the first readable recording of each.
 
-    HandoverSim places the root joint of a subject's hand model by the parameters of the first
-    recording. In DexYCB the parameters of all recordings of a subject are equal, so unreadable
-    recordings are skipped. Of a subject, the side of the first readable recording is first.
-
-    Args:
-        sequences: Recordings in the order of their scene numbers.
+    HandoverSim places the root joint of a subject's hand model by the parameters of the first recording. In DexYCB
+    the parameters of all recordings of a subject are equal, so unreadable recordings are skipped. Of a subject, the
+    side of the first readable recording is first.
     """
     first: dict[tuple[str, str], tuple[float, ...]] = {}
     for sequence in sequences:
@@ -64,18 +61,7 @@ def read_mano_models(folder: Path) -> dict[str, ManoModel]:
 def import_scenes(
     sequences: Sequence[SequenceFolder], mano: Path, betas: BetasBySubject, out: Path, workers: int, progress: bool
 ) -> Generator[tuple[SequenceFolder, str], None, None]:
-    """Import recordings in worker processes.
-
-    Args:
-        sequences: Recordings to import.
-        mano: Folder of MANO's model files.
-        betas: Shape parameters as returned by `find_first_betas`.
-        out: Data folder.
-        workers: Number of worker processes.
-        progress: Whether to show a progress bar on stderr.
-
-    Yields:
-        Every recording as it is finished, with an error message or "".
+    """Import recordings in worker processes; yield each as it is finished, with an error message or "".
 
     Raises:
         ResultsError: The data folder cannot be written.
@@ -102,18 +88,10 @@ def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: P
 def import_scene(
     sequence: SequenceFolder, models: Mapping[str, ManoModel], first_betas: BetasBySubject, out: Path
 ) -> None:
-    """Import one recording: write the two files of its scene.
-
-    Args:
-        sequence: Recording.
-        models: MANO's models by side.
-        first_betas: Shape parameters as returned by `find_first_betas`.
-        out: Data folder; the files go to its `dex-ycb-cache/`.
+    """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
 
     Raises:
-        DataNotFoundError: A file of the recording is missing.
-        DataFormatError: A file of the recording is damaged, or a file of the scene exists with
-            other content.
+        DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or one of the scene differs.
         ResultsError: A file cannot be written.
     """
     scene = convert_sequence(sequence, read_sequence(sequence), models, first_betas)
@@ -147,14 +125,7 @@ class CachedScene:
 def convert_sequence(
     sequence: SequenceFolder, raw: RawSequence, models: Mapping[str, ManoModel], first_betas: BetasBySubject
 ) -> CachedScene:
-    """Convert a recording to a scene.
-
-    Args:
-        sequence: Folder of the recording.
-        raw: Recording as returned by `read_sequence`.
-        models: MANO's models by side.
-        first_betas: Shape parameters as returned by `find_first_betas`.
-    """
+    """Convert a recording to a scene, with the shape parameters of `find_first_betas`."""
     meta, model, tag = raw.meta, models[raw.meta.side], TagFrame.from_extrinsics(raw.world_from_tag)
     base = model.locate_wrist(first_betas.get((sequence.subject, meta.side), raw.betas))
     objects = [compute_object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
@@ -175,10 +146,6 @@ def convert_sequence(
 
 def write_scene(scene: CachedScene, cache: Path) -> None:
     """Write the files meta_NNN.json and pose_NNN.npz of a scene; existing files must be equal.
-
-    Args:
-        scene: Content of the files.
-        cache: Existing folder `dex-ycb-cache/`.
 
     Raises:
         DataFormatError: A file exists with other content.

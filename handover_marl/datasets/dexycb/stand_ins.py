@@ -26,35 +26,29 @@ from handover_marl.datasets.official_files import (
     classify_file_origin,
     read_third_party_checksums,
 )
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.errors import DataFormatError
 from handover_marl.execution.archives import find_plain_files, open_folder
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.reading import read_plain_file
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts as join_convex_parts
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 #: File name of HandoverSim's archive of third-party files.
 ARCHIVE_NAME: Final = "assets-3rd-party-20220511.tar.gz"
 
-_MAX_MODEL_BYTES = 100_000_000  # DexYCB's models have a few million
 _VISUAL_FILES = ("textured_simple.obj", "textured_simple.obj.mtl", "texture_map.png")
 _COLLISION_FILE = "model_normalized_convex.obj"
 _PANDA_MESH_FOLDER = "stand_in"
 
 
 def install_third_party(source: Path, assets: Path) -> list[str]:
-    """Install third-party files; an archive is unpacked and checked before a file is written.
+    """Install third-party files from HandoverSim's archive, or the folder that it was unpacked into.
 
-    Args:
-        source: HandoverSim's archive, or the folder that it was unpacked into. The files may be at
-            any depth, but in one tree.
-        assets: Folder `assets/` of the data folder.
-
-    Returns:
-        Warnings about files whose content has another checksum than the official one.
+    The files may be at any depth, but in one tree; an archive is unpacked and checked before a file is written.
+    Returns warnings about files whose content has another checksum than the official one.
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
@@ -66,11 +60,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
     with open_folder(source) as folder:
         targets = _match_paths(source, [path.relative_to(folder) for path in find_plain_files(folder)])
         for path, target in targets.items():
-            try:
-                content = (folder / path).read_bytes()
-            except OSError as error:
-                message = f"cannot read {path} in {source} ({error.strerror or error}); check its permissions"
-                raise DataNotFoundError(message) from error
+            content = (folder / path).read_bytes()
             write_missing_files(assets, {target: content}, replace_stand_ins=True)
             is_known = classify_file_origin(target, content) is FileOrigin.ORIGINAL
             if read_third_party_checksums()[target] and not is_known:
@@ -107,24 +97,15 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for missing third-party files if DexYCB's object models exist.
-
-    Args:
-        models: DexYCB's folder of object models.
-        assets: Folder `assets/` of the data folder.
-        workers: Number of worker processes.
-        progress: Whether to show a progress bar on stderr.
-
-    Returns:
-        Error messages on stand-ins that could not be made.
+    """Write stand-ins for missing third-party files if DexYCB's folder of object models exists; return faults.
 
     Raises:
         ResultsError: A file cannot be written.
     """
     if not models.is_dir():
         return []
-    faults = _copy_models(models, assets)
-    faults += _write_convex_parts(assets, workers, progress)
+    _copy_models(models, assets)
+    faults = _write_convex_parts(assets, workers, progress)
     _write_grasps(assets)
     _write_panda(assets)
     return faults
@@ -158,21 +139,14 @@ def _write_object_convex_parts(assets: Path, name: str) -> str:
     return ""
 
 
-def _copy_models(models: Path, assets: Path) -> list[str]:
-    """Copy the missing visual meshes and textures from DexYCB's models; return error messages."""
-    faults = []
+def _copy_models(models: Path, assets: Path) -> None:
+    """Copy the missing visual meshes and textures from DexYCB's models."""
     for name in CLASS_NAMES.values():
         for file in _VISUAL_FILES:
             source = models / name / file
             if not source.exists() or (assets / name / file).exists():
                 continue
-            try:
-                content = read_plain_file(source, _MAX_MODEL_BYTES)
-            except (OSError, ValueError) as error:
-                faults.append(f"{source} cannot be read ({error}); copy it again")
-                continue
-            write_missing_files(assets, {f"{name}/{file}": content})
-    return faults
+            write_missing_files(assets, {f"{name}/{file}": source.read_bytes()})
 
 
 def format_convex_parts(model: Path) -> str:
@@ -185,11 +159,8 @@ def format_convex_parts(model: Path) -> str:
     parts = decompose_convex(mesh.vertices, mesh.faces)
     if not parts:
         raise DataFormatError(f"{model}: CoACD finds no body in it; copy DexYCB's models again")
-    texts, first = [f"# {STAND_IN}: convex parts by CoACD\n"], 1
-    for number, corners in enumerate(parts):
-        texts.append(f"o convex_{number}\n{format_obj(corners, compute_convex_hull(corners)[1], first)}")
-        first += len(corners)
-    return "".join(texts)
+    hulls = ((corners, compute_convex_hull(corners)[1]) for corners in parts)
+    return f"# {STAND_IN}: convex parts by CoACD\n" + join_convex_parts(hulls)
 
 
 def _write_grasps(assets: Path) -> None:

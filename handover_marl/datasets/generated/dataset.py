@@ -133,14 +133,8 @@ class GeneratedDataset(Dataset):
         handover, _ = _generate_scene(self.config, scene_id)
         giver = handover.giver
         ids = (giver.class_id, *(item.class_id for item in handover.clutter))
-        return SceneInfo(
-            scene_id=scene_id,
-            name=f"{giver.subject}/scene-{scene_id:08d}",
-            subject=giver.subject,
-            side=giver.side,
-            object_ids=ids,
-            object_names=tuple(self._names[number] for number in ids),
-        )
+        name, names = f"{giver.subject}/scene-{scene_id:08d}", tuple(self._names[number] for number in ids)
+        return SceneInfo(scene_id, name, giver.side, ids, names)
 
     def load_scene(self, scene_id: int) -> Scene:
         """Generate a scene with its motion in the world frame; raises `SceneError`."""
@@ -153,12 +147,7 @@ class GeneratedDataset(Dataset):
         )
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of a class's URDF; the URDF of a procedural object is written on first use.
-
-        Raises:
-            UnknownNameError: There is no such class.
-            DataNotFoundError: The user's cache folder cannot be written.
-        """
+        """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
         number = self._names.find_procedural(object_name)
         if number is None:
             return find_object_urdf(object_name)
@@ -183,10 +172,6 @@ class GeneratedDataset(Dataset):
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return version and configuration of the generator; the number of scenes does not matter."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
-
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty text: all generated scenes have the library's models."""
-        return ""
 
 
 @lru_cache(maxsize=4)

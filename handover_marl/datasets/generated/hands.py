@@ -51,12 +51,7 @@ class Person:
 
 @lru_cache(maxsize=1024)
 def draw_person(config: GeneratedConfig, number: int) -> Person:
-    """Draw a person: a woman or a man with normally distributed hand length and breadth.
-
-    Args:
-        config: Configuration of the scenes.
-        number: Number of the person, from 0.
-    """
+    """Draw the person of a number: a woman or a man with normally distributed hand length and breadth."""
     random = open_stream(make_seed(config, "person", number), "person")
     lengths, breadths = WOMEN if random.uniform() < 0.5 else MEN
     first, other = random.normal(), random.normal()

@@ -49,8 +49,7 @@ class HumanGraspConfig:
         palm_yield: Largest penetration of the object into the palm (m).
         forearm_clearance: Smallest distance of the forearm to the object (m).
         touch_distance: Largest distance of a digit in contact (m).
-        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the
-            object lies (m).
+        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the object lies (m).
         n_distal_steps: Number of steps in which end joints close on after a root joint has stopped.
         relaxed_step: Step of closing at which a digit that misses the object stays.
     """
@@ -80,14 +79,8 @@ def draw_human_grasps(
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
-    Args:
-        random: Random stream of the scene's human grasps.
-        solid: Object.
-        up_axes: Weights of the axes that point up on a table: +x, -x, +y, -y, +z, -z; in every grasp the
-            hand is clear of the table for one of them.
-        size: Size of the hand.
-        side: Side of the hand.
-        config: Parameters of the search.
+    In every grasp the hand is clear of the table for one of the axes that point up on a table: `up_axes` are the
+    weights of +x, -x, +y, -y, +z, -z.
     """
     config = config or HumanGraspConfig()
     templates = make_hand_templates(size)

@@ -1,37 +1,32 @@
 """URDF and mesh files of procedural objects and hands, in the user's cache folder.
 
-A folder's name has a hash of its content, so that equal models of different data sets share files.
-Folders are written under a temporary name and renamed; the oldest ones are removed when there are
-too many.
+A folder's name has a hash of its content, so that equal models of different data sets share files. Folders are written
+under a temporary name and renamed; the oldest ones are removed when there are too many.
 """
 
 import hashlib
-import json
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable
-from functools import lru_cache
-from importlib.resources import files
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from handover_marl.assets.hand_model import HANDS_FOLDER, Side, scale_hand
-from handover_marl.assets.hand_urdf import format_hand_urdf
+from handover_marl.assets.hand_model import HANDS_FOLDER, Side, format_hand_urdf, scale_hand
 from handover_marl.assets.object_models import (
     COLLISION_NAME,
-    OBJECTS_ROOT,
-    TEMPLATES_PACKAGE,
     URDF_NAME,
     VISUAL_NAME,
+    copy_palette,
     format_object_urdf,
+    format_visual,
 )
 from handover_marl.datasets.generated.hands import Person
 from handover_marl.datasets.generated.objects import ProceduralObject
 from handover_marl.datasets.generated.shapes import make_surface
 from handover_marl.errors import DataNotFoundError
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.model_files.obj_files import format_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts
 
 #: Largest number of folders of models; of more, the oldest ones are removed.
 MAX_FOLDERS: Final = 20_000
@@ -39,28 +34,25 @@ MAX_FOLDERS: Final = 20_000
 _KEPT_TIME = 86_400.0
 _CHECK_INTERVAL = 1000
 _HAND_NAME = "mano.urdf"
-_PALETTE_FILES = ("palette.png", "palette.mtl")
 
 _n_written = 0
 
 
 def write_object_model(name: str, item: ProceduralObject) -> Path:
-    """Write the model of an object unless it exists, and return the path of its URDF.
-
-    Args:
-        name: Class name, also the name of the folder.
-        item: Object.
+    """Write the model of an object unless it exists, and return the path of its URDF in a folder of its name.
 
     Raises:
         DataNotFoundError: The user's cache folder cannot be written.
     """
 
     def write(folder: Path) -> None:
-        (folder / COLLISION_NAME).write_text(_format_collision(item), newline="\n")
-        (folder / VISUAL_NAME).write_text(_format_visual(item), newline="\n")
-        (folder / URDF_NAME).write_text(_object_urdf(), newline="\n")
-        for file in _PALETTE_FILES:
-            shutil.copyfile(_find_palette_folder() / file, folder / file)
+        meshes = [
+            (part.color, surface.vertices, surface.faces) for part in item.parts for surface in [make_surface(part)]
+        ]
+        (folder / COLLISION_NAME).write_text(format_convex_parts(mesh[1:] for mesh in meshes), newline="\n")
+        (folder / VISUAL_NAME).write_text(format_visual(meshes), newline="\n")
+        (folder / URDF_NAME).write_text(format_object_urdf(), newline="\n")
+        copy_palette(folder)
 
     return _write_folder(repr(item), name, write) / URDF_NAME
 
@@ -132,47 +124,3 @@ def _remove_old_folders(root: Path, limit: int = MAX_FOLDERS) -> None:
     for changed, path in ages[: len(folders) - limit // 2]:
         if time.time() - changed > _KEPT_TIME:
             shutil.rmtree(path, ignore_errors=True)
-
-
-def _format_collision(item: ProceduralObject) -> str:
-    """Return an OBJ text with one convex object for each part."""
-    texts, first = [], 1
-    for number, part in enumerate(item.parts):
-        surface = make_surface(part)
-        texts.append(f"o convex_{number}\n{format_obj(surface.vertices, surface.faces, first)}")
-        first += len(surface.vertices)
-    return "".join(texts)
-
-
-def _format_visual(item: ProceduralObject) -> str:
-    """Return an OBJ text whose faces have the texture coordinates of a color's cell in the palette."""
-    names = _list_colors()
-    lines = ["mtllib palette.mtl", "o visual", "usemtl palette"]
-    lines += [f"vt {(index + 0.5) / len(names):.4f} 0.5" for index in range(len(names))]
-    first = 1
-    for part in item.parts:
-        surface, texture = make_surface(part), names.index(part.color) + 1
-        lines += _format_vertices(surface.vertices.tolist())
-        lines += [f"f {a}/{texture} {b}/{texture} {c}/{texture}" for a, b, c in (surface.faces + first).tolist()]
-        first += len(surface.vertices)
-    return "\n".join(lines) + "\n"
-
-
-def _format_vertices(vertices: Iterable[Iterable[float]]) -> list[str]:
-    return [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices]
-
-
-@lru_cache(maxsize=1)
-def _list_colors() -> tuple[str, ...]:
-    """Return the names of the colors in the order of the palette's cells."""
-    return tuple(sorted(json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())))
-
-
-@lru_cache(maxsize=1)
-def _object_urdf() -> str:
-    return format_object_urdf()
-
-
-def _find_palette_folder() -> Path:
-    """Return the folder of a shipped object; all have the same palette."""
-    return OBJECTS_ROOT / "025_mug"

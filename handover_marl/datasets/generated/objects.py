@@ -35,12 +35,7 @@ class ProceduralObject:
 
 
 def draw_object(random: RandomStream, weights: tuple[float, ...]) -> ProceduralObject:
-    """Draw a procedural object.
-
-    Args:
-        random: Random stream of the object.
-        weights: Weights of the kinds, in the order of `OBJECT_KINDS`.
-    """
+    """Draw a procedural object; the weights are in the order of `OBJECT_KINDS`."""
     kind = OBJECT_KINDS[random.weighted_index(weights)]
     parts, up_axes = _DRAWERS[kind](random)
     return ProceduralObject(kind, _center(parts), up_axes)

@@ -1,11 +1,9 @@
 """Motions in scenes of the family `hard`: handovers at the edge of the robot's reach, objects that keep moving.
 
-After the object has arrived at the handover pose, hand and object follow a smooth curve together
-until 8 s have passed, as in the set t0 of GenH2R (Wang et al., CVPR 2024), and then rest. All poses
-are in the table's frame.
+After the object has arrived at the handover pose, hand and object follow a smooth curve together until 8 s have passed,
+as in the set t0 of GenH2R (Wang et al., CVPR 2024), and then rest. All poses are in the table's frame.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -25,49 +23,32 @@ Array = npt.NDArray[np.float64]
 SHOULDER_HEIGHT: Final = 0.333
 
 
-@dataclass(frozen=True)
-class PostArrivalMotionConfig:
-    """Parameters of motions of the hard family.
-
-    Attributes:
-        duration: Duration of a scene's motion (s).
-        reach: Smallest and largest distance of the handover position from the robot's shoulder (m).
-        max_azimuth: Largest angle between the robot's forward direction and that position (rad).
-        elevation: Smallest and largest elevation of that position seen from the shoulder (rad).
-        min_height: Smallest height of that position above the table (m).
-        n_waypoints: Smallest and largest number of waypoints of the curve.
-        extent: Largest distance of a waypoint from the handover position along x, y and z (m).
-        max_speed: Largest speed of the object's origin (m/s).
-        turn_speed: Smallest and largest value of a scene's peak angular speed (rad/s).
-        max_turn: Largest component of the rotation vector of a waypoint (rad).
-    """
-
-    duration: float = 8.0
-    reach: tuple[float, float] = (0.70, 0.82)
-    max_azimuth: float = 0.6
-    elevation: tuple[float, float] = (-0.25, 0.25)
-    min_height: float = 0.12
-    n_waypoints: tuple[int, int] = (3, 6)
-    extent: tuple[float, float, float] = (0.12, 0.08, 0.10)
-    max_speed: float = 0.30
-    turn_speed: tuple[float, float] = (np.radians(30.0), np.radians(90.0))
-    max_turn: float = 0.9
+#: Duration of a scene's motion (s).
+DURATION: Final = 8.0
+#: Smallest and largest distance of the handover position from the robot's shoulder, and smallest height above the
+#: table (m).
+REACH, MIN_HEIGHT = (0.70, 0.82), 0.12
+#: Largest speed of the object's origin (m/s).
+MAX_SPEED: Final = 0.30
+# Largest angle between the robot's forward direction and the handover position, and its elevation from the shoulder.
+_MAX_AZIMUTH, _ELEVATION = 0.6, (-0.25, 0.25)  # rad
+# Smallest and largest number of waypoints of the curve.
+_N_WAYPOINTS = (3, 6)
+# Largest distance of a waypoint from the handover position along x, y and z (m), and component of its rotation (rad).
+_EXTENT, _MAX_TURN = (0.12, 0.08, 0.10), 0.9
+# Smallest and largest value of a scene's peak angular speed (rad/s).
+_TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 
-POST_ARRIVAL_MOTION: Final = PostArrivalMotionConfig()
-
-
-def draw_far_positions(
-    random: RandomStream, config: PostArrivalMotionConfig = POST_ARRIVAL_MOTION
-) -> HandoverPositions:
+def draw_far_positions(random: RandomStream) -> HandoverPositions:
     """Draw positions of an object that is offered at the edge of the robot's reach."""
     start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
-    distance, azimuth = random.uniform(*config.reach), random.uniform(-config.max_azimuth, config.max_azimuth)
-    elevation = random.uniform(*config.elevation)
+    distance, azimuth = random.uniform(*REACH), random.uniform(-_MAX_AZIMUTH, _MAX_AZIMUTH)
+    elevation = random.uniform(*_ELEVATION)
     x, y, z = PandaConfig().base_position
     flat = distance * np.cos(elevation)
     height = z + SHOULDER_HEIGHT - TABLE_HEIGHT + distance * np.sin(elevation)
-    handover = np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, config.min_height)])
+    handover = np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, MIN_HEIGHT)])
     return HandoverPositions(start, handover)
 
 
@@ -76,19 +57,10 @@ def add_post_arrival_motion(
     motion: KeyframeMotion,
     held: HeldObject,
     grasp: int,
-    config: PostArrivalMotionConfig = POST_ARRIVAL_MOTION,
 ) -> KeyframeMotion:
-    """Return a motion continued by a smooth curve of the held object until a fixed duration.
-
-    Args:
-        random: Random stream of the curve.
-        motion: Motion until the object is held out.
-        held: Object and the subject's grasps of it.
-        grasp: Index of the grasp.
-        config: Parameters of the curve.
-    """
-    count = round(config.duration / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
-    offsets, vectors = _draw_curve(random, count, config)
+    """Return a motion continued by a smooth curve of the object, held in a grasp, until a fixed duration."""
+    count = round(DURATION / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
+    offsets, vectors = _draw_curve(random, count)
     start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]
     turns = Rotation.from_rotvec(vectors).as_quat()
     rotation = Rotation.from_quat(multiply_quaternions(turns, start_rotation.as_quat()))
@@ -111,24 +83,24 @@ def add_post_arrival_motion(
     )
 
 
-def _draw_curve(random: RandomStream, count: int, config: PostArrivalMotionConfig) -> tuple[Array, Array]:
+def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
     """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) of a curve that starts and ends at rest."""
-    low, high = config.n_waypoints
+    low, high = _N_WAYPOINTS
     n = low + random.integer(high - low + 1)
-    moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(config.extent)
-    turns = (2.0 * random.uniforms(n, 3) - 1.0) * config.max_turn
-    peak = random.uniform(*config.turn_speed)
+    moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(_EXTENT)
+    turns = (2.0 * random.uniforms(n, 3) - 1.0) * _MAX_TURN
+    peak = random.uniform(*_TURN_SPEED)
     times = np.linspace(0.0, 1.0, n + 1)
     # The last 0.2 s are at rest.
     grid = np.minimum(np.arange(count + 1) / max(count - 5, 1), 1.0)
     curve = CubicSpline(times, np.concatenate([np.zeros((1, 6)), np.hstack([moves, turns])]), bc_type="clamped")(grid)
     offsets, vectors = curve[:, :3], curve[:, 3:]
     speed = float(np.linalg.norm(np.diff(offsets, axis=0), axis=1).max()) / KEYFRAME_PERIOD
-    offsets = offsets * min(1.0, config.max_speed / speed)
+    offsets = offsets * min(1.0, MAX_SPEED / speed)
     # Speeds grow a little slower than the rotation vectors, so that two corrections suffice.
     for _ in range(3):
         vectors = vectors * (peak / max(_find_peak_turn_speed(vectors), 1e-6))
-    vectors = vectors * min(1.0, config.turn_speed[1] / _find_peak_turn_speed(vectors))
+    vectors = vectors * min(1.0, _TURN_SPEED[1] / _find_peak_turn_speed(vectors))
     return offsets[1:], vectors[1:]
 
 

@@ -2,8 +2,7 @@
 
 Collisions are excluded by signed distances.
 
-A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand
-approaches along z.
+A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along z.
 """
 
 from dataclasses import dataclass
@@ -12,13 +11,32 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.grasp_order import compute_farthest_point_order
 from handover_marl.assets.hand_openings import normalize
 from handover_marl.datasets.generated.shapes import GraspableSolid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
+
+
+def compute_farthest_point_order(grasps: Array) -> npt.NDArray[np.intp]:
+    """Return an order of grasps (k, 4, 4) in which each grasp is farthest from all before.
+
+    The distance is that of the points between the fingers, plus that of closing and approach directions, of 5 cm each.
+    """
+    if not len(grasps):
+        return np.zeros(0, dtype=np.intp)
+    tips = grasps[:, :3, 3] + 0.1 * grasps[:, :3, 2]
+    axes = np.einsum("ki,kj->kij", grasps[:, :3, 0], grasps[:, :3, 0]).reshape(-1, 9)
+    features = np.concatenate([tips, 0.05 * grasps[:, :3, 2], 0.05 * axes], axis=1)
+    order = [0]
+    distance = np.linalg.norm(features - features[0], axis=1)
+    for _ in range(len(grasps) - 1):
+        order.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(features - features[order[-1]], axis=1))
+        distance[order[-1]] = -1.0
+    return np.array(order)
+
 
 # Rows of the points between the fingers at the palm.
 _PALM_MIDDLE = slice(60, 63)
@@ -72,15 +90,9 @@ def _make_gripper_points() -> Array:
 
 
 def draw_robot_grasps(random: RandomStream, solid: GraspableSolid, config: RobotGraspConfig | None = None) -> Array:
-    """Draw robot grasps of an object that are likely to hold it; they are not tried in simulation.
+    """Draw robot grasps (n, 4, 4) `object_from_gripper` (m) that are likely to hold an object, not tried in simulation.
 
-    Args:
-        random: Random stream of the object's robot grasps.
-        solid: Object.
-        config: Parameters of the grasps.
-
-    Returns:
-        (n, 4, 4) transforms `object_from_gripper` (m), rounded to float32; n can be 0.
+    They are rounded to float32; n can be 0.
     """
     config = config or RobotGraspConfig()
     first, second, cosines = solid.sample_opposite_points(random, config.n_points, config.max_width, config.tilt)

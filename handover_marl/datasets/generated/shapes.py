@@ -34,8 +34,7 @@ class Part:
 
     Attributes:
         kind: "box"; "cone", a truncated cone about z; or "superellipsoid".
-        size: Half lengths along x, y and z (m); of a cone the radii at the lower and the upper end and
-            half its length.
+        size: Half lengths along x, y and z (m); of a cone the radii at the lower and the upper end and half its length.
         color: Name of a color in the palette of the object models.
         rounding: Radius (m) of the edges of a box or cone.
         exponents: Exponents along z and in the xy plane of a superellipsoid: 1 is round, 0 angular.
@@ -65,11 +64,9 @@ class Part:
         return self.compute_column_distances((points[..., 0], points[..., 1], points[..., 2]))
 
     def compute_column_distances(self, columns: Columns) -> Array:
-        """Return signed distances (...) of points, negative inside, as `compute_distances` (m).
+        """Return signed distances (...) of points with coordinates x, y and z (...), as `compute_distances` (m).
 
-        Args:
-            columns: Coordinates x, y and z (...) of the points in the object's frame (m). Arrays of one coordinate
-                are several times as fast as one array of points, whose last dimension is short.
+        Arrays of one coordinate are several times as fast as one array of points, whose last dimension is short.
         """
         order = ((self.axis + 1) % 3, (self.axis + 2) % 3, self.axis)
         x, y, z = (columns[axis] - self.position[axis] for axis in order)
@@ -114,12 +111,7 @@ class ConvexSurface:
     offsets: Array
 
     def find_exits(self, points: Array, directions: Array) -> tuple[Array, Array]:
-        """Return where rays that start in the part leave it: lengths (k,) in m, and normals (k, 3) there.
-
-        Args:
-            points: (k, 3) starts of the rays (m).
-            directions: (k, 3) unit vectors.
-        """
+        """Return lengths (k,) in m and normals (k, 3) where rays from points (k, 3) in the part leave it."""
         lengths, planes = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
         for start in range(0, len(points), _N_RAYS):
             rows = slice(start, start + _N_RAYS)
@@ -264,17 +256,11 @@ class Solid:
     def sample_opposite_points(
         self, random: RandomStream, count: int, max_width: float, tilt: float
     ) -> tuple[Array, Array, Array]:
-        """Sample pairs of opposite points on the outer surface, both on one part.
+        """Sample pairs of opposite points on the outer surface, both on one part, from `count` surface points.
 
-        Args:
-            random: Random stream.
-            count: Number of surface points that are tried.
-            max_width: Largest distance of two opposite points (m).
-            tilt: Standard deviation of the components (rad) by which rays deviate from the normal.
-
-        Returns:
-            (k, 3) points, (k, 3) opposite points (m), and (k,) cosines of the angles between the rays and
-            the normals at the opposite points.
+        Pairs are at most `max_width` apart (m); `tilt` is the standard deviation of the components (rad) by
+        which rays deviate from the normal. Returns points (k, 3), opposite points (k, 3) in m, and cosines (k,)
+        of the angles between the rays and the normals at the opposite points.
         """
         draws, noise = random.uniforms(count, 3), random.normals(count, 3)
         areas = self._triangles.areas

@@ -22,24 +22,15 @@ ItemKind = Literal["scene", "object", "person"]
 
 
 def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:
-    """Return the seed of the random streams of a scene, an object or a person by its number.
+    """Return the seed of the random streams of a scene, object or person by its number, after failed attempts.
 
-    Args:
-        config: Configuration; only its family and seed are used.
-        kind: Kind of the item.
-        number: Number of the item, from 0.
-        attempt: Number of earlier attempts to generate the item that failed.
+    Only the family and the seed of the configuration are used.
     """
     return (_SALTS[kind], VERSION, FAMILIES.index(config.family), config.seed, number & 0xFFFFFFFF, attempt)
 
 
 def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return indices into `SPLITS` of scene or object numbers: a fixed hash of the number alone.
-
-    Args:
-        numbers: (n,) numbers from 0.
-        of_objects: Whether the numbers are numbers of procedural objects, not of scenes.
-    """
+    """Return indices into `SPLITS` of scene or object numbers (n,): a fixed hash of the number alone."""
     words = np.asarray(numbers, dtype=np.uint64) + np.uint64(_OBJECT_OFFSET if of_objects else 0)
     # SplitMix64 (Steele, Lea and Flood, 2014).
     with np.errstate(over="ignore"):

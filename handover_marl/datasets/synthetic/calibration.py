@@ -1,8 +1,7 @@
 """Statistics of DexYCB, from which quantities of synthetic scenes are drawn.
 
-`dexycb_statistics.json` has the source, the units and a description of every table. For the
-statistics, scenes with left hands are mirrored to right hands (positions x -> 2 * MIRROR_X - x,
-directions x -> -x).
+`dexycb_statistics.json` has the source, the units and a description of every table. For the statistics, scenes with
+left hands are mirrored to right hands (positions x -> 2 * MIRROR_X - x, directions x -> -x).
 """
 
 import json
@@ -29,8 +28,7 @@ FRAME_COUNTS: MappingProxyType[int, int] = MappingProxyType(
     {int(length): count for length, count in _STATISTICS["recordings_by_length"].items()}
 )
 
-#: Number of recordings by YCB class and by the object axis that points up on the table: +x, -x, +y,
-#: -y, +z, -z.
+#: Number of recordings by YCB class and by the object axis that points up on the table: +x, -x, +y, -y, +z, -z.
 UP_AXES: MappingProxyType[int, tuple[int, ...]] = MappingProxyType(
     {int(number): tuple(counts) for number, counts in _STATISTICS["recordings_by_class_and_up_axis"].items()}
 )

@@ -80,13 +80,8 @@ def draw_clutter(
 ) -> tuple[ClutterObject, ...]:
     """Draw the objects on the table that are not handed over in a scene, all of different classes.
 
-    Args:
-        random: Random stream of the scene's other objects.
-        counts: Numbers of objects, all equally likely; there can be fewer where there is no space.
-        draw_item: Function that draws an object.
-        corners: (n, 3) corners of the handed-over object's hull in its frame (m).
-        motion: Keyframes of the handed-over object and of the hand.
-        model: Geometry of the subject's hand.
+    All of the given numbers of objects are equally likely; there can be fewer where there is no space. They keep
+    clear of the handed-over object, with corners (n, 3) of its hull in its frame (m), and of the hand.
     """
     count = counts[random.integer(len(counts))]
     points = _compute_swept_points(corners, motion, model)

@@ -27,9 +27,8 @@ from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 # Numbers of other objects on the table.
 _CLUTTER_COUNTS = range(2, 5)
-# Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in
-# splits. With the prescribed trials they give the 449 / 91 / 360 scenes of setup S2 (HandoverSim,
-# Table I).
+# Number of left-handed last trials of subjects 0-1 and 2-9, in scenes of objects that are in splits. With the
+# prescribed trials they give the 449 / 91 / 360 scenes of setup S2 (HandoverSim, Table I).
 _N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
 
@@ -73,21 +72,13 @@ class SyntheticDataset(Dataset):
         return load_object_grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that the library's object models can be read.
-
-        Raises:
-            DataNotFoundError, DataFormatError: A model is missing or damaged.
-        """
+        """Check that the library's object models can be read."""
         for name in CLASS_NAMES.values():
             compute_hull_corners(name)
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return the version of the scene generator."""
         return f"synthetic-{VERSION}"
-
-    def describe_models(self, scene_id: int) -> str:
-        """Return an empty note: all synthetic scenes have the library's models."""
-        return ""
 
 
 def subject_from_scene(scene_id: int) -> int:
@@ -150,13 +141,6 @@ def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], 
     clutter = draw_clutter(open_stream(seed, "clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
     object_dof, hand_dof, hand_first = compute_trajectories(motion, clutter)
     ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
-    subject = f"synthetic-subject-{subject_id:02d}"
-    info = SceneInfo(
-        scene_id=scene_id,
-        name=f"{subject}/scene-{scene_id:03d}",
-        subject=subject,
-        side=side,
-        object_ids=ids,
-        object_names=tuple(CLASS_NAMES[number] for number in ids),
-    )
+    name = f"synthetic-subject-{subject_id:02d}/scene-{scene_id:03d}"
+    info = SceneInfo(scene_id, name, side, ids, tuple(CLASS_NAMES[number] for number in ids))
     return info, object_dof, hand_dof, hand_first

@@ -21,8 +21,7 @@ from handover_marl.geometry.poses import compose, compute_pose_distances, poses_
 
 Array = npt.NDArray[np.float64]
 
-#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm
-#: inside of the surface.
+#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
 CLEARANCE = 0.02
 
 
@@ -41,22 +40,12 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
 
 
 def place_gripper_points(grasps: Array) -> Array:
-    """Return the gripper's points (n, p, 3) (m) at n grasps and their approaches, in the object's frame.
-
-    Args:
-        grasps: (n, 7) poses of the gripper's hand link in the object's frame.
-    """
+    """Return the gripper's points (n, p, 3) in m at grasps (n, 7) and their approaches, in the object's frame."""
     return np.asarray(transform_points(grasps[:, None], _make_gripper_points()))
 
 
 def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the robot grasps that are clear of the giver's hand.
-
-    Args:
-        gripper_points: (n, p, 3) points of the gripper at n grasps (m).
-        hand_points: (21, 3) keypoints of the hand (m) in the same frame, in the order of
-            `HandGeometry.compute_keypoints`.
-    """
+    """Return a mask (n,) of the grasps, with gripper points (n, p, 3), that are clear of hand keypoints (21, 3)."""
     wrist, digits = hand_points[:1], hand_points[1:].reshape(5, 4, 3)
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
@@ -66,14 +55,10 @@ def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[
 
 
 def compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
-    """Return the fractions (m,) (0 to 1) of preferred robot grasps that are clear of the giver's hand.
+    """Return the shares (m,) of preferred robot grasps (n, 7) that are clear of the giver's hand, at poses (m, 7).
 
-    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper.
-
-    Args:
-        world_from_object: (m, 7) poses of the object, xyz (m) and quaternion xyzw.
-        clear: (n,) mask of the grasps that are clear of the hand, from `find_clear_grasps`.
-        grasps: (n, 7) poses of the gripper's hand link in the object's frame.
+    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper. The mask `clear`
+    (n,) is from `find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
     costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)

@@ -83,14 +83,7 @@ class HandoverTiming:
 
 
 def draw_motion(seed: Seed, placement: ObjectPlacement, held: HeldObject, model: HandGeometry) -> KeyframeMotion:
-    """Draw the keyframes of the object and the hand in a synthetic scene.
-
-    Args:
-        seed: Seed of the scene.
-        placement: Poses of the object on the table and at the handover, and the grasp.
-        held: Object with the subject's grasps.
-        model: Geometry of the subject's hand.
-    """
+    """Draw the keyframes of the object and the hand in a synthetic scene."""
     random = open_stream(seed, "motion")
     side_sign = 1.0 if held.grasps.side == "right" else -1.0
     speed = random.draw_quantile("peak_speed")
@@ -177,12 +170,7 @@ class _HandoverPath:
         return max(fastest / (_LIFT_SPEED_RATIO * speed), _MIN_LIFT_TIME)
 
     def sample_keyframes(self, timing: HandoverTiming, sway: Array) -> tuple[Array, Rotation]:
-        """Return positions (T, 3) and rotations of the object in all frames.
-
-        Args:
-            timing: Timing of the handover.
-            sway: (3,) largest displacement (m) while the object is held out.
-        """
+        """Return positions (T, 3) and rotations of the object, which sways by up to `sway` (3,) in m while held out."""
         frames = np.arange(timing.n_frames)
         progress = minimum_jerk((frames - timing.lift) / (timing.arrival - timing.lift))
         position, rotation = self.sample(progress)
@@ -234,19 +222,14 @@ def _compute_reach_progress(timing: HandoverTiming, frames: npt.NDArray[np.int64
     """Return the progress (0 to 1) along the visible part of the reach in some frames."""
     time = timing.onset_share + (1.0 - timing.onset_share) * (frames - timing.onset) / (timing.grasp - timing.onset)
     start = float(minimum_jerk(timing.onset_share))
-    progress: Array = (minimum_jerk(time) - start) / (1.0 - start)
-    return progress
+    return np.asarray((minimum_jerk(time) - start) / (1.0 - start))
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:
-    """Return wrist positions (n, 3) on a Bezier curve of given length (m).
+    """Return wrist positions (n, 3) at shares (n,) of a Bezier curve of given length (m) to a point (3,).
 
-    Args:
-        entry: (3,) position that the curve comes from; its distance is adapted to the length.
-        end: (3,) end of the curve.
-        finger_direction: (3,) direction of the fingers, the curve's tangent at its end.
-        length: Length of the curve.
-        progress: (n,) fractions of the length.
+    The distance of `entry` (3,), from which the curve comes, is adapted to the length; at its end the tangent is
+    the direction of the fingers (3,).
     """
     direction = (entry - end) / max(float(np.linalg.norm(entry - end)), 1e-9)
     bend = 0.35 * min(length, 0.4)

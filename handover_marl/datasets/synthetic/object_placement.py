@@ -1,7 +1,6 @@
 """Poses of the object on the table and at the handover, and the human grasp between them.
 
-All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the
-table's surface.
+All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the table's surface.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,8 +49,7 @@ _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.
 def compute_hull_corners(object_name: str) -> npt.NDArray[np.float64]:
     """Return the corners (n, 3) (m) of the hull of an object's collision mesh, in its frame."""
     corners, _ = read_collision_mesh(find_object_urdf(object_name))
-    hull: npt.NDArray[np.float64] = corners[np.sort(ConvexHull(corners).vertices)]
-    return hull
+    return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +96,7 @@ class HeldObject:
 def make_ycb_held_object(
     class_id: int, name: str, model: HandGeometry, grasps: HumanGrasps, robot_grasps: Array | None
 ) -> HeldObject:
-    """Return an object of a YCB class with the grasps of one subject.
-
-    Args:
-        class_id: YCB class number.
-        name: YCB class name.
-        model: Hand of the subject.
-        grasps: Grasps of the subject.
-        robot_grasps: (n, 7) poses of the gripper's hand link in the object's frame, or None.
-    """
+    """Return an object of a YCB class with the grasps of one subject, and robot grasps (n, 7) or None."""
     return make_held_object(
         compute_hull_corners(name),
         calibration.UP_AXES[class_id],
@@ -125,16 +115,7 @@ def make_held_object(
     grasps: HumanGrasps,
     robot_grasps: Array | None,
 ) -> HeldObject:
-    """Return an object with the grasps of one subject; the arguments are fields of `HeldObject`.
-
-    Args:
-        corners: Corners of the hull.
-        up_axes: Weights of the axes that point up.
-        wrist_distances: Quantiles of the wrist's distance.
-        model: Hand of the subject.
-        grasps: Grasps of the subject.
-        robot_grasps: Poses of the gripper's hand link.
-    """
+    """Return an object with the grasps of one subject; the arguments are fields of `HeldObject`."""
     dof = grasps.compute_hand_dof()
     return HeldObject(
         corners=corners,
@@ -174,13 +155,7 @@ def draw_placement(
     held: HeldObject,
     draw_positions: Callable[[RandomStream], HandoverPositions] = draw_calibrated_positions,
 ) -> ObjectPlacement:
-    """Draw the start pose, the grasp and the handover pose of a scene.
-
-    Args:
-        random: Random stream of the scene's placement.
-        held: Object and the subject's grasps of it.
-        draw_positions: Function that draws the positions of the object.
-    """
+    """Draw the start pose, the grasp and the handover pose of a scene at drawn positions of the object."""
     positions = draw_positions(random)
     distance = float(np.interp(random.uniform(), LEVELS, held.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
@@ -218,12 +193,7 @@ def _sample_resting_grasps(random: RandomStream, held: HeldObject, distance: flo
 
 
 def resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
-    """Return rotations (..., 3, 3) of an object with one of its axes up.
-
-    Args:
-        axis: Index of the object's axis that points up, in the list +x, -x, +y, -y, +z, -z.
-        yaw: (...) rotations about the vertical (rad).
-    """
+    """Return rotations (..., 3, 3) with an axis (in the list +x, -x, +y, -y, +z, -z) up, at yaw angles (...) in rad."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turns = np.zeros((*np.shape(cos), 3, 3))
     turns[..., 0, 0], turns[..., 0, 1], turns[..., 1, 0], turns[..., 1, 1] = cos, -sin, sin, cos
@@ -241,12 +211,9 @@ def _make_upright_rotation(axis: int) -> Array:
 
 
 def _find_reachable_grasps(held: HeldObject, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
-    """Return a mask (n, g) of the grasps that are clear of the table and come from the giver's side.
+    """Return a mask (n, g) of an object's g grasps that are clear of the table and come from the giver's side.
 
-    Args:
-        held: Object and its g grasps.
-        rotations: (n, 3, 3) rotations of the object with the same axis up.
-        limit: Least cosine of the angle between fingers and reach direction.
+    The rotations (n, 3, 3) have the same axis up; `limit` is the least cosine between fingers and reach direction.
     """
     up = rotations[0, 2]  # Equal for all yaws.
     clear = (held.keypoints @ up).min(axis=1) - (held.corners @ up).min() > JOINT_CLEARANCE

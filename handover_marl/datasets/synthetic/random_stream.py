@@ -91,12 +91,7 @@ class RandomStream:
 
 
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
-    """Return one of the independent streams of a scene, from its start.
-
-    Args:
-        seed: Numbers of at least 0 that identify the scene.
-        purpose: Purpose of the random numbers, one of `PURPOSES`.
-    """
+    """Return one of the independent streams (see `PURPOSES`) of the scene that numbers of at least 0 identify."""
     return RandomStream(*seed, PURPOSES.index(purpose))
 
 

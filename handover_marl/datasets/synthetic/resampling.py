@@ -22,26 +22,19 @@ Float32 = npt.NDArray[np.float32]
 #: Frames of 1 ms between two keyframes.
 STRIDE = 40
 
-# Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and
-# splines, which differ between machines and versions of NumPy. A power of two, since decimal
-# constants in the inputs would give ties.
+# Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and splines, which differ
+# between machines and versions of NumPy. A power of two, since decimal constants in the inputs would give ties.
 _GRID = 2.0**-23
 
 
 def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
-    """Return the trajectories of all objects and of the hand at 1 kHz in the world frame.
+    """Return objects (T, n, 6) and hand (T, 51) at 1 kHz in the world frame, and the hand's first frame.
 
-    Args:
-        motion: Keyframes (25 Hz) of the handed-over object and the hand in the table's frame.
-        clutter: Other objects in the table's frame.
-
-    Returns:
-        Positions and Euler angles (T, n, 6) of the objects, the handed-over one first, joint
-        positions (T, 51) of the hand, and the first frame in which the hand is visible.
+    The keyframes (25 Hz) are in the table's frame; the handed-over object is the first.
     """
     n, first = len(motion.object_position), motion.hand_first
-    key_times = np.arange(n) * KEYFRAME_PERIOD
-    times = np.arange((n - 1) * STRIDE + 1) * TIME_STEP
+    key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
+    times = np.arange((n - 1) * STRIDE + 1, dtype=np.float64) * TIME_STEP
     target = resample_poses(key_times, motion.object_position, motion.object_rotation, times)
     object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
     if clutter:
@@ -59,27 +52,14 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
 
 
 def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
-    """Return positions and unwrapped Euler angles (T, 6) at some times.
-
-    Args:
-        key_times: (n,) times of the keyframes (s).
-        positions: (n, 3) positions (m).
-        rotations: n rotations.
-        times: (T,) times from the first to the last keyframe (s).
-    """
+    """Return positions and unwrapped Euler angles (T, 6) at times (T,) from keyframes at `key_times` (n,)."""
     points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
     angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)
     return round_to_grid(np.concatenate([points, angles], axis=1))
 
 
 def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
-    """Return finger joint angles (T, 45) at some times.
-
-    Args:
-        key_times: (n,) times of the keyframes (s).
-        fingers: (n, 45) finger joint angles (rad).
-        times: (T,) times from the first to the last keyframe (s).
-    """
+    """Return finger joint angles (T, 45) at times (T,) from keyframes (n, 45) at `key_times` (n,)."""
     joints = np.split(fingers, fingers.shape[1] // 3, axis=1)
     angles = [_resample_angles(key_times, Rotation.from_euler("XYZ", joint), times) for joint in joints]
     return round_to_grid(np.concatenate(angles, axis=1))

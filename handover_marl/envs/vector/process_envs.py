@@ -11,7 +11,6 @@ from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
-from handover_marl.execution.options import open_missing_descriptors
 from handover_marl.execution.pool import make_picklable, pickle_by_value, unpickle
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
@@ -30,7 +29,6 @@ class ProcessEnvs:
     arrays = NUMPY_ARRAYS
 
     def __init__(self, make: Callable[[int], Envs], count: int) -> None:
-        open_missing_descriptors()
         # Loky's processes do not import the main module of the program.
         context = get_context("loky")
         self._pipe, child = context.Pipe()

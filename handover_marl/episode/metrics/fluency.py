@@ -80,8 +80,6 @@ class FluencyMetrics:
             the hand before it stops; None without a hand.
         giver_rula: Mean of RULA's scores of the giver's upper arm and forearm, 2 (best) to 8, until
             the release or the end, for an assumed shoulder; None without a hand.
-
-    The metrics after `reach` are None for results of version 0.7 and of HandoverSim.
     """
 
     handover_time: float | None

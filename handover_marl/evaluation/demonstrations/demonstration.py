@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl import __version__
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation, receiver_observation_space
@@ -33,6 +32,7 @@ from handover_marl.evaluation.results.result_folder import (
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.version import __version__
 
 _UNKNOWN = -1
 _NUMBERS = ("scene_id", "release_step")  # that may be unknown

@@ -2,12 +2,11 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from handover_marl import __version__
 from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
@@ -21,6 +20,7 @@ from handover_marl.evaluation.results.metadata import ResultMetadata, read_resul
 from handover_marl.evaluation.results.result_folder import REPORT_FILES, find_replays, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+from handover_marl.version import __version__
 from handover_marl.visualization.web_page import render_page
 
 # Data sets with the scene numbers of DexYCB.
@@ -48,8 +48,7 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     size = metadata.split_size
     if results[-1].index >= size:
         raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
-    scenes = _list_known_scenes(metadata)
-    return Report(metadata, tuple(_add_scene_info(path, result, scenes) for result in results), size)
+    return Report(metadata, tuple(_add_scene_info(path, metadata, results)), size)
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:
@@ -78,36 +77,29 @@ def write_report(folder: Path, report: Report) -> None:
         write_atomically(folder / name, content)
 
 
-def _list_known_scenes(metadata: ResultMetadata) -> tuple[int, ...] | None:
-    """Return the scene number of every index of a split, or None if only the data set knows them."""
-    # In s2 the index of a scene depends on the hand used.
-    if metadata.setup == "s2" or metadata.setup not in SETUPS or metadata.dataset not in _OFFICIAL_SCENES:
-        return None
-    return list_split_scenes(metadata.setup, metadata.split, lambda _: "")
-
-
-def _add_scene_info(path: Path, result: EpisodeResult, scenes: tuple[int, ...] | None) -> EpisodeResult:
-    """Add scene, object and subject to a result of HandoverSim, if the index determines them.
+def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[EpisodeResult]) -> Iterator[EpisodeResult]:
+    """Add scene, object and subject to results of HandoverSim, if their index determines them.
 
     Raises:
         ResultsError: A result states another scene than its index.
     """
-    if scenes is None:
-        return result
-    scene_id = scenes[result.index]
-    if result.scene_id is not None:
-        if result.scene_id != scene_id:
+    # In s2 the index of a scene depends on the hand used; scenes of other data only their data set knows.
+    if metadata.setup not in SETUPS or metadata.setup == "s2" or metadata.dataset not in _OFFICIAL_SCENES:
+        yield from results
+        return
+    scenes = list_split_scenes(metadata.setup, metadata.split, lambda _: "")
+    for result in results:
+        scene_id = scenes[result.index]
+        if result.scene_id is None:
+            name, subject = CLASS_NAMES[SCENE_CLASSES[scene_id // 5 % 20]], SUBJECTS[scene_id // 100]
+            yield replace(result, scene_id=scene_id, object_name=name, subject=subject)
+        elif result.scene_id == scene_id:
+            yield result
+        else:
             raise ResultsError(
                 f"{path}: {result.index:03d}.npz must be of scene {scene_id}, got scene {result.scene_id}; delete it, "
                 "or give it its name back"
             )
-        return result
-    return replace(
-        result,
-        scene_id=scene_id,
-        object_name=CLASS_NAMES[SCENE_CLASSES[scene_id // 5 % 20]],
-        subject=SUBJECTS[scene_id // 100],
-    )
 
 
 def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:

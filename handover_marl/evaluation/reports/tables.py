@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import tabulate
-
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import check_name
 from handover_marl.evaluation.reports.statistics import compute_mean_interval, compute_wilson_interval
@@ -21,6 +19,16 @@ NO_VALUE = "-"
 TableFormat = Literal["markdown", "csv", "latex"]
 TABLE_FORMATS: tuple[TableFormat, ...] = ("markdown", "csv", "latex")
 _MAX_WIDTH = 100  # characters
+_LATEX_ESCAPES = str.maketrans(
+    {character: f"\\{character}" for character in "&%$#_{}"}
+    | {
+        "~": r"\textasciitilde{}",
+        "^": r"\^{}",
+        "\\": r"\textbackslash{}",
+        "<": r"\ensuremath{<}",
+        ">": r"\ensuremath{>}",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -116,8 +124,12 @@ class ReportTable:
         if style == "csv":
             return format_csv([self.header, *self.rows]).rstrip("\n")
         if style == "latex":
-            cells = [[str(cell) for cell in row] for row in self.rows]
-            return str(tabulate.tabulate(cells, self.header, tablefmt="latex_booktabs", disable_numparse=True))
+            head, *body = (
+                f" {' & '.join(str(cell).translate(_LATEX_ESCAPES) for cell in row)} \\\\"
+                for row in (self.header, *self.rows)
+            )
+            lines = [f"\\begin{{tabular}}{{{'l' * len(self.header)}}}", r"\toprule", head, r"\midrule", *body]
+            return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
         keys, split = self.n_keys, self.split_column
         parts = [slice(keys, split), slice(split, None)] if split else [slice(keys, None)]
         return "\n\n".join(
@@ -239,9 +251,6 @@ def format_percent_difference(difference: tuple[float, float, float], digits: in
 
 def _format_columns(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
     chosen = [[row[column] for column in columns] for row in cells]
-    # The padding that tabulate adds to titles would exceed the width.
-    padding, tabulate.MIN_PADDING = tabulate.MIN_PADDING, 0
-    try:
-        return str(tabulate.tabulate(chosen[1:], headers=chosen[0], tablefmt="github", disable_numparse=True))
-    finally:
-        tabulate.MIN_PADDING = padding
+    widths = [max(map(len, cells)) for cells in zip(*chosen, strict=True)]
+    head, *body = (f"| {' | '.join(map(str.ljust, row, widths))} |" for row in chosen)
+    return "\n".join([head, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *body])

@@ -6,27 +6,23 @@ those of the episodes in `report.json`.
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, check_metadata
-from handover_marl.evaluation.results.result_folder import FLUENCY_PREFIX, check_scenes_differ, parse_result
+from handover_marl.evaluation.results.result_folder import check_scenes_differ, parse_result
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
 
 _MAX_BYTES = 16_000_000
 _METRICS = tuple(field.name for field in fields(FluencyMetrics))
 _STATUSES = {EpisodeStatus(bits).label: bits for bits in range(1, 16)}
-# Keys of `episode_result.EpisodeResult` and of HandoverSim's result files.
-_OFFICIAL_KEYS = {"steps": "elapsed_frame", "plan_s": "elapsed_time"}
 
 
 def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResult]) -> str:
@@ -58,8 +54,10 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         metadata = ResultMetadata(**content["metadata"])
         rows = [dict(zip(content["columns"], row, strict=True)) | content["common"] for row in content["episodes"]]
-        arrays = {_check_index(row.pop("index")): _arrays_from_row(row) for row in rows}
-        if not rows or len(arrays) != len(rows):
+        results = [
+            parse_result({**row, "status": _STATUSES[row["outcome"]]}, _check_index(row["index"])) for row in rows
+        ]
+        if not rows or len({result.index for result in results}) < len(rows):
             raise ValueError("episodes must have at least one row, and each index once")
     except Exception as error:  # the file may have any content
         raise ResultsError(
@@ -67,9 +65,8 @@ def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
             "folder, or a file of docs/results/data/episodes"
         ) from error
     check_metadata(metadata, path)
-    results = [parse_result(arrays[index], index, path) for index in sorted(arrays)]
     check_scenes_differ(results, path)
-    return metadata, results
+    return metadata, sorted(results, key=lambda result: result.index)
 
 
 def _describe_result(episode: EpisodeResult) -> dict[str, Any]:
@@ -80,18 +77,6 @@ def _describe_result(episode: EpisodeResult) -> dict[str, Any]:
     # The cells that most readers look for come first.
     first = {key: values.pop(key) for key in ("index", "scene_id")}
     return {**first, "outcome": outcome, **values, "plan_s": round(episode.plan_s, 4), **metrics}
-
-
-def _arrays_from_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row's values under the keys of official result files."""
-    values = {key: value for key, value in row.items() if value is not None}
-    arrays: dict[str, Any] = {"result": _STATUSES[values.pop("outcome")]}
-    for key, value in values.items():
-        name = FLUENCY_PREFIX + key if key in _METRICS else _OFFICIAL_KEYS.get(key, key)
-        arrays[name] = np.asarray(value)
-    if any(name.startswith(FLUENCY_PREFIX) for name in arrays):
-        arrays |= {FLUENCY_PREFIX + key: np.nan for key in _METRICS if FLUENCY_PREFIX + key not in arrays}
-    return arrays
 
 
 def _check_index(index: Any) -> int:

@@ -9,7 +9,6 @@ from typing import Any
 
 import yaml
 
-from handover_marl import __version__
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.episode.spaces import OBS_MODES, STATE
@@ -20,6 +19,7 @@ from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.execution.reading import read_yaml
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA, ROBOTS
 from handover_marl.simulation.engines import PHYSICS
+from handover_marl.version import __version__
 
 CONFIG_FILE = "config.yaml"
 #: Label of the official world and rules.
@@ -241,8 +241,8 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
     if metadata.setup not in SETUPS and not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
         raise ResultsError(
-            f"{path}: unknown setup {shorten_text(metadata.setup)!r} without a number of scenes; valid: "
-            f"{', '.join(SETUPS)}"
+            f"{path}: unknown setup {shorten_text(metadata.setup)!r}; valid: {', '.join(SETUPS)}, or another one, "
+            f"beside which n_split_scenes must be a number, got {metadata.n_split_scenes!r}"
         )
 
 
@@ -278,18 +278,15 @@ def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
 def _infer_handoversim_metadata(path: Path, content: Mapping[str, Any]) -> dict[str, str]:
     """Infer the identity of a result folder that HandoverSim wrote, without the wait."""
     has_camera = content.get("ENV", {}).get("ID", "") == _HANDOVERSIM_CAMERA_ENV
+    folder = path.resolve().name
+    # <date>_<time>_<method>_<setup>_<split>
+    match = re.fullmatch(r"[\d-]+_[\d-]+_(.+)_s[0-3]_(train|val|test)", folder)
     return {
         "robot": PANDA_CAMERA if has_camera else PANDA,
         "obs_mode": "state+pointcloud" if has_camera else STATE,
-        "receiver": _parse_method_name(path.resolve().name),
+        "receiver": match.group(1) if match else folder,
         "giver": "replay",
         "physics": "exact",
         "dataset": "dexycb",
         "version": "HandoverSim",
     }
-
-
-def _parse_method_name(folder: str) -> str:
-    """Return the method in a folder name `<date>_<time>_<method>_<setup>_<split>`."""
-    match = re.fullmatch(r"[\d-]+_[\d-]+_(.+)_s[0-3]_(train|val|test)", folder)
-    return match.group(1) if match else folder

@@ -44,15 +44,15 @@ _EXTRAS: dict[str, type] = {
     for name, hint in get_type_hints(EpisodeResult).items()
     if NoneType in get_args(hint) and name != "fluency"
 }
-#: Prefix of the keys of fluency metrics in result files.
-FLUENCY_PREFIX = "fluency_"
+_METRICS = tuple(field.name for field in fields(FluencyMetrics))
+_FLUENCY_PREFIX = "fluency_"
 _MAX_TEXT = 10_000  # characters of a description
 _MAX_NUMBER, _MAX_OBJECTS, _MAX_SCENES = 1e9, 1000, 10_000_000
 # Smallest and largest possible values.
 _LIMITS: dict[str, tuple[float, float]] = {
-    "result": (1, 15),
-    "elapsed_frame": (1, _MAX_NUMBER),
-    "elapsed_time": (0.0, _MAX_NUMBER),
+    "status": (1, 15),
+    "steps": (1, _MAX_NUMBER),
+    "plan_s": (0.0, _MAX_NUMBER),
     "scene_id": (0, _MAX_SCENES - 1),
     "release_step": (0, _MAX_NUMBER),
     "n_objects": (1, _MAX_OBJECTS),
@@ -190,7 +190,10 @@ def encode_result(
         "elapsed_frame": np.int64(result.steps),
         "result": np.int64(result.status),
         **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
-        **_arrays_from_fluency(result.fluency),
+        **{
+            _FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64)
+            for key, value in (asdict(result.fluency) if result.fluency else {}).items()
+        },
     }
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
@@ -299,62 +302,46 @@ def read_result(path: Path) -> EpisodeResult:
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
     """
-    return parse_result(load_result_arrays(path), int(path.stem), path)
+    arrays = load_result_arrays(path)
+    try:
+        values = {key.removeprefix(_FLUENCY_PREFIX): array[()] for key, array in arrays.items()}
+        values |= {"status": values["result"], "steps": values["elapsed_frame"]}
+        return parse_result({**values, "plan_s": np.sum(arrays["elapsed_time"])}, int(path.stem))
+    except Exception as error:  # arrays may have any shape and type
+        raise _make_read_error(path, error) from error
 
 
-def parse_result(arrays: Mapping[str, npt.NDArray[Any]], index: int, path: Path) -> EpisodeResult:
-    """Return the result of an episode from the arrays of a result file.
+def parse_result(values: Mapping[str, Any], index: int) -> EpisodeResult:
+    """Return the result of an episode from values that were read from a file.
 
     Args:
-        arrays: Arrays by key; `elapsed_time` may also be the whole time.
+        values: Fields of `EpisodeResult` and of `FluencyMetrics` by name, as Python or NumPy scalars; unknown ones may
+            be None or missing.
         index: Position of the scene in its split.
-        path: The file, for error messages.
 
     Raises:
-        ResultsError: Arrays are missing, or their values are impossible.
+        KeyError, TypeError, ValueError: A value is missing, of another type or impossible.
     """
-    try:
-        status, steps = int(arrays["result"]), int(arrays["elapsed_frame"])
-        plan_s = float(np.sum(arrays["elapsed_time"]))
-        extras: dict[str, Any] = {
-            key: check_scalar(key, arrays[key].item(), kind) for key, kind in _EXTRAS.items() if key in arrays
-        }
-        extras["fluency"] = _read_fluency(arrays)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise _make_read_error(path, error) from error
-    values = {"result": status, "elapsed_frame": steps, "elapsed_time": plan_s, **extras}
-    wrong = [key for key in _LIMITS if values.get(key) is not None and not _is_within(values[key], _LIMITS[key])]
-    if wrong or (status & 1 and status != 1):
-        key = wrong[0] if wrong else "result"
-        raise ResultsError(f"{path}: impossible {key} {shorten_text(values[key])}; delete it and run the scene again")
+    status, steps, plan_s = int(values["status"]), int(values["steps"]), float(values["plan_s"])
+    extras: dict[str, Any] = {
+        key: check_scalar(key, values[key], kind) for key, kind in _EXTRAS.items() if values.get(key) is not None
+    }
+    known = {"status": status, "steps": steps, "plan_s": plan_s, **extras}
+    for key, (low, high) in _LIMITS.items():
+        if key in known and not low <= known[key] <= high:
+            raise ValueError(f"impossible {key} {shorten_text(known[key])}")
+    if status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS:
+        raise ValueError(f"impossible status {status}")
+    metrics = {name: float(np.nan if values.get(name) is None else values[name]) for name in _METRICS}
+    if np.any(np.abs(list(metrics.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
+        raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
+    if not all(map(np.isnan, metrics.values())):
+        unknown: Any = {name: None if np.isnan(value) else value for name, value in metrics.items()}
+        extras["fluency"] = FluencyMetrics(**unknown)
     return EpisodeResult(index=index, status=EpisodeStatus(status), steps=steps, plan_s=plan_s, **extras)
-
-
-def _is_within(value: float, limit: tuple[float, float]) -> bool:
-    return limit[0] <= value <= limit[1]
 
 
 def _make_read_error(path: Path, error: Exception) -> ResultsError:
     return ResultsError(
         f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
     )
-
-
-def _arrays_from_fluency(fluency: FluencyMetrics | None) -> dict[str, npt.NDArray[np.float64]]:
-    """Return one number per metric, NaN for missing ones."""
-    if fluency is None:
-        return {}
-    values = asdict(fluency).items()
-    return {
-        FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64) for key, value in values
-    }
-
-
-def _read_fluency(archive: Mapping[str, npt.NDArray[Any]]) -> FluencyMetrics | None:
-    names = [field.name for field in fields(FluencyMetrics)]
-    if FLUENCY_PREFIX + names[0] not in archive:
-        return None
-    values = {name: float(archive[FLUENCY_PREFIX + name]) for name in names}
-    if np.any(np.abs(list(values.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
-        raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
-    return FluencyMetrics(**{key: None if np.isnan(value) else value for key, value in values.items()})  # type: ignore[arg-type]

@@ -73,12 +73,7 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
     """Return the corners (n, 3) of the convex parts of a mesh by CoACD (Wei et al., SIGGRAPH 2022).
 
     Needs CoACD (extra `import`). A part has at most 64 corners, as in HandoverSim's files; CoACD's own reduction of
-    corners cuts off millimetres.
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex numbers of triangles.
-        concavity: Largest concavity of a part, 0.01 (many parts) to 1; the default is CoACD's.
+    corners cuts off millimetres. The largest concavity of a part is 0.01 (many parts) to 1; the default is CoACD's.
     """
     import coacd  # type: ignore[import-untyped]
 
@@ -121,11 +116,7 @@ def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
 
 
 def check_model(urdf: Path, n_joints: int) -> None:
-    """Check all that simulations read of a URDF model: joints, links, shapes and meshes.
-
-    Args:
-        urdf: URDF file of the model.
-        n_joints: Number of moving joints that the model must have.
+    """Check all that simulations read of a URDF model: a number of moving joints, links, shapes and meshes.
 
     Raises:
         DataFormatError, SimulationError: A file cannot be read or is damaged.
@@ -146,12 +137,7 @@ def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
 
 
 def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
-    """Read the mesh vertices of some links of a URDF model: (m, 3) in each link's frame (m).
-
-    Args:
-        urdf: URDF file of the model.
-        purpose: "collision" or "visual".
-        names: Names of the links.
+    """Read the vertices (m, 3) of the "collision" or "visual" meshes of some links, each in its link's frame (m).
 
     Raises:
         DataFormatError: A link has no shape, or a file cannot be read.
@@ -183,12 +169,7 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
 
 
 def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
-    """Read the visual meshes of a URDF model, one for every link with visual shapes.
-
-    Args:
-        urdf: URDF file of the model.
-        tree: Kinematic tree of the model.
-        without: Names of links to leave out.
+    """Read the visual meshes of a URDF model, one for every link with visual shapes, without some links.
 
     Raises:
         SimulationError: A shape cannot be read from the model.

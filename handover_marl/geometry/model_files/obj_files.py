@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,16 +99,19 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
-    """Return a mesh as Wavefront OBJ text with 6 decimals, as in HandoverSim's files.
-
-    Args:
-        vertices: (v, 3) vertices (m).
-        faces: (f, 3) vertex indices, from 0.
-        first: Number of the mesh's first vertex in the file; other meshes may precede it.
-    """
+    """Return a mesh as OBJ text with 6 decimals, as in HandoverSim's files; vertices count from `first`."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + first).tolist()]
     return "".join(lines)
+
+
+def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
+    """Return convex meshes (vertices and faces) as the objects of one OBJ file; PyBullet makes a hull of each."""
+    texts, first = [], 1
+    for number, (vertices, faces) in enumerate(parts):
+        texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")
+        first += len(vertices)
+    return "".join(texts)
 
 
 def check_mesh(path: Path) -> None:

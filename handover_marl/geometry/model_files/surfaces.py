@@ -44,19 +44,13 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return the colours (n, 3) of points of n triangles.
-
-        Args:
-            faces: (n,) numbers of the triangles.
-            weights: (n, 2) barycentric coordinates of the points: weights of the second and the third corner.
-        """
+        """Return the colours (n, 3) of points of n triangles with weights (n, 2) of their second and third corners."""
         first, *size = self.textures[faces].T
         corners = self.corners[faces]
         place = corners[:, 0] + np.einsum("nk,nkj->nj", weights, corners[:, 1:] - corners[:, :1])
         size = np.stack(size, axis=-1)
         column, row = np.minimum(((place - np.floor(place)) * size).astype(np.int64), size - 1).T
-        colors: Texture = self.texels[first + row * size[:, 0] + column]
-        return colors
+        return np.asarray(self.texels[first + row * size[:, 0] + column])
 
 
 def read_surfaces(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[Surface]:
@@ -119,12 +113,7 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
 
 
 def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:
-    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None.
-
-    Args:
-        folder: Folder of the file.
-        lines: Words of each line of the file.
-    """
+    """Return the first texture (h, w, 3) that the materials of an OBJ file's objects name, or None."""
     textures: dict[str, str] = {}
     current, has_faces = "", False
     for words in [*lines, ["o"]]:

@@ -70,10 +70,6 @@ class UrdfShape:
 def read_urdf_links(urdf: Path, tree: KinematicTree) -> list[UrdfLink]:
     """Read the properties of all links of a URDF model by link number; the base link is last.
 
-    Args:
-        urdf: URDF file of the model.
-        tree: Kinematic tree of the model.
-
     Raises:
         SimulationError: A number cannot be read.
     """
@@ -150,16 +146,10 @@ def _read_mtime(path: str) -> int:
 
 
 def read_urdf_shapes(urdf: Path, tree: KinematicTree, purpose: str) -> list[UrdfShape]:
-    """Read all collision or all visual shapes of a URDF model; an unchanged file is read once.
-
-    Args:
-        urdf: URDF file of the model.
-        tree: Kinematic tree of the model.
-        purpose: "collision" or "visual".
+    """Read all "collision" or all "visual" shapes of a URDF model; an unchanged file is read once.
 
     Raises:
-        SimulationError: The file cannot be read, a shape is neither mesh, box nor sphere, or an
-            attribute is missing.
+        SimulationError: The file cannot be read, a shape is neither mesh, box nor sphere, or an attribute is missing.
     """
     return list(_read_shapes(urdf, urdf.stat().st_mtime_ns if urdf.exists() else 0, tree, purpose))
 
@@ -225,13 +215,7 @@ def _read_color(material: ET.Element) -> Color | None:
 
 
 def render_urdf(package: str, template: str, **content: Any) -> str:
-    """Render a Jinja template to the text of a URDF.
-
-    Args:
-        package: Package with the folder `templates/`.
-        template: Name of a file in that folder.
-        content: Values of the template's variables.
-    """
+    """Render a Jinja template in the folder `templates/` of a package to the text of a URDF."""
     # Imported here: simulations read URDF files, but write none.
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

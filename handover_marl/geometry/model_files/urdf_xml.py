@@ -25,12 +25,6 @@ def parse_urdf(urdf: Path) -> ET.Element:
 def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
     """Read an attribute of a child of an XML element, or return a default.
 
-    Args:
-        element: Parent element.
-        tag: Tag of the child.
-        name: Name of the attribute.
-        default: Value of a missing child or attribute.
-
     Raises:
         ValueError: The attribute is missing and there is no default.
     """

@@ -1,7 +1,5 @@
 """Tests of imports with damaged recordings, into folders with other files, and of imports that are killed."""
 
-import errno
-import os
 import shutil
 import signal
 import subprocess
@@ -16,7 +14,6 @@ import pytest
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
 from handover_marl.datasets.dexycb.raw_files import read_sequence_names
 from handover_marl.datasets.scene_files import CACHE_FOLDER
-from handover_marl.errors import ResultsError
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.raw_files import RawScene, all_files, hand_poses, mano_file, object_poses, write_mano
 
@@ -89,23 +86,6 @@ def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> Non
     for name in SPOILS:
         assert any(f"{name} exists, but differs from the result" in fault for fault in found.faults)
     assert all_files(out) == before
-
-
-def test_folders_that_cannot_be_written(given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("mine")
-    with pytest.raises(ResultsError, match=r"cannot make the folder .*file"):
-        imported(given, given / "raw", tmp_path / "file")
-
-    def fail(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fail)
-        with pytest.raises(ResultsError, match=r"cannot write .*No space left"):
-            imported(given, given / "raw", tmp_path / "out")
-    assert not all_files(tmp_path / "out")
-    imported(given, given / "raw", tmp_path / "out")
-    assert all_files(tmp_path / "out") == all_files(given / "expected")
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])

@@ -61,20 +61,6 @@ def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -
     assert files(tmp_path) == before
 
 
-def test_damaged_recording_does_not_stop_the_import(given: Path, tmp_path: Path) -> None:
-    raw = tmp_path / "dex-ycb"
-    shutil.copytree(given / "dex-ycb", raw)
-    (raw / SUBJECTS[3] / "20200903_100001" / "pose.npz").write_bytes(b"no archive")
-    (raw / SUBJECTS[3] / "20200903_100002" / "meta.yml").unlink()
-    found = import_dexycb(raw, given / "mano", tmp_path / "out", scenes=(300, 301, 302, 303), workers=1, progress=False)
-    assert found.scenes == (300, 303)
-    text = str(found)
-    assert "scene 301" in text
-    assert "20200903_100001/pose.npz" in text
-    assert "20200903_100002" in text
-    assert not (tmp_path / "out/dex-ycb-cache/meta_301.json").exists()
-
-
 def test_models_of_other_data_are_kept(given: Path, tmp_path: Path) -> None:
     options = {"scenes": (300,), "workers": 1, "progress": False}
     import_dexycb(given / "dex-ycb", given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
@@ -94,21 +80,13 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
         import_dexycb(tmp_path, mano, out)
     with pytest.raises(DataNotFoundError, match=r"holds no MANO_RIGHT\.pkl"):
         import_dexycb(raw, tmp_path, out)
-    with pytest.raises(SceneError, match="scene 1000 does not exist"):
+    with pytest.raises(SceneError, match="scene 1000 is not in DexYCB"):
         import_dexycb(raw, mano, out, scenes=[1000])
     with pytest.raises(OptionError, match=r"workers must be .* got 0"):
         import_dexycb(raw, mano, out, workers=0)
     for scenes in (300, [300.5], [None]):
         with pytest.raises(SceneError, match="scenes must be scene numbers"):
             import_dexycb(raw, mano, out, scenes=scenes)  # type: ignore[arg-type]
-    long = tmp_path / ("x" * 300)
-    for folders in ((long, mano), (raw, long)):
-        with pytest.raises(DataNotFoundError, match="x" * 300):
-            import_dexycb(*folders, out)
-    with pytest.raises(ResultsError, match=r"cannot write .*File name too long"):
-        import_dexycb(raw, mano, long)
-    with pytest.raises(DataNotFoundError, match="x" * 300):
-        import_dexycb(raw, mano, out, third_party=long)
     for wrong in (None, 5, "", "a\0b"):
         for position, name in enumerate(("dexycb", "mano", "out")):
             arguments: list[Any] = [raw, mano, out]

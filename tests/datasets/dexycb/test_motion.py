@@ -27,14 +27,6 @@ def test_keyframes_in_the_tag_frame(seed: int) -> None:
     assert (Rotation.from_euler("XYZ", keys[:, 3:]) * expected.inv()).magnitude().max() < 1e-5
 
 
-def test_object_angles_are_unwrapped() -> None:
-    poses = object_poses(12)[:, 0]
-    tag = TagFrame.from_extrinsics(np.eye(3, 4))
-    poses[:, :4] = Rotation.from_rotvec(np.linspace(0.0, 7.0, 12)[:, None] * [0.0, 0.0, 1.0]).as_quat()
-    found = compute_object_trajectory(poses, tag)
-    np.testing.assert_allclose(found[[0, -1], 5], [0.0, 7.0], atol=1e-5)
-
-
 MODEL = hand_model()
 WRIST = MODEL.locate_wrist([0.5] * 10)
 
@@ -86,13 +78,3 @@ def test_base_angles_are_unwrapped() -> None:
     found = trajectory(poses)
     assert found[-1, 3] - found[0, 3] == pytest.approx(7.0, abs=1e-4)
     assert np.abs(np.diff(found[:, 3:6], axis=0)).max() < 0.02
-
-
-def test_other_base_joint_changes_the_base_position_only() -> None:
-    poses = hand_poses(6)
-    shift = np.array([0.1, 0.0, 0.2])
-    usual, other = trajectory(poses), trajectory(poses, base=WRIST + shift)
-    np.testing.assert_array_equal(usual[:, 3:], other[:, 3:])
-    keys = Rotation.from_euler("XYZ", usual[::STRIDE, 3:6])
-    moved = other[::STRIDE, :3] - usual[::STRIDE, :3]
-    np.testing.assert_allclose(moved, shift - keys.apply(shift), atol=1e-5)

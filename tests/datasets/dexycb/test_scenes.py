@@ -1,5 +1,4 @@
 import json
-import multiprocessing
 import zipfile
 from pathlib import Path
 
@@ -58,25 +57,6 @@ def _unpacked(path: Path) -> bytes:
         return archive.read("pose_y.npy")[:128]
 
 
-def test_equal_files_are_kept(tmp_path: Path) -> None:
-    write_scene(scene(), tmp_path)
-    # This archive has the same arrays, but was written in another way.
-    with (tmp_path / "pose_007.npz").open("wb") as stream:
-        np.savez(stream, pose_m=scene().pose_m, pose_y=scene().pose_y)
-    before = contents(tmp_path)
-    write_scene(scene(), tmp_path)
-    assert contents(tmp_path) == before
-
-
-def test_incomplete_scene_is_completed(tmp_path: Path) -> None:
-    write_scene(scene(), tmp_path)
-    before = contents(tmp_path)
-    for name in before:
-        (tmp_path / name).unlink()
-        write_scene(scene(), tmp_path)
-        assert sorted(contents(tmp_path)) == sorted(before)
-
-
 @pytest.mark.parametrize("change", [np.float32(1e-45), np.float32(-0.0)])
 def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32) -> None:
     write_scene(scene(), tmp_path)
@@ -113,18 +93,6 @@ def test_scene_in_the_cache(tmp_path: Path) -> None:
     )
     assert pose_m.shape == (361, 1, 51)
     np.testing.assert_array_equal(np.flatnonzero(pose_m.any(axis=(1, 2)))[[0, -1]], [80, 320])
-
-
-def test_imports_are_equal_in_a_worker_process(tmp_path: Path) -> None:
-    sequence = RawScene().write(tmp_path / "raw")
-    betas = find_first_betas([sequence])
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        pool.apply(import_scene, (sequence, MODELS, betas, tmp_path / "out"))
-    written = contents(tmp_path / "out" / CACHE_FOLDER)
-    assert sorted(written) == ["meta_000.json", "pose_000.npz"]
-    # An import raises an error if a file exists with other content.
-    import_scene(sequence, MODELS, betas, tmp_path / "out")
-    assert contents(tmp_path / "out" / CACHE_FOLDER) == written
 
 
 def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:

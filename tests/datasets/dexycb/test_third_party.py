@@ -1,6 +1,5 @@
 """Tests of the installation of files from the third-party archive, and of stand-ins for them."""
 
-import hashlib
 import shutil
 from pathlib import Path
 
@@ -10,21 +9,17 @@ import pytest
 from handover_marl import receivers
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets import OfficialDataset, official_files
+from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.assets import write_object_assets
-from handover_marl.datasets.dexycb.stand_ins import format_convex_parts, install_third_party, write_stand_ins
+from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins
 from handover_marl.datasets.grasp_files import load_grasps
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
-    FileOrigin,
-    classify_file_origin,
     is_stand_in_file,
     list_required_files,
-    read_third_party_checksums,
 )
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import DataFormatError, ResultsError, UnsafeFileError
-from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.errors import UnsafeFileError
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from tests.execution.test_archives import link, tar
 from tests.fake_layout import FakeScene, write_layout
@@ -36,16 +31,6 @@ FILES = {
     "grasps/003_cracker_box.npy": b"grasps",
     "franka_panda/meshes/visual/link1.obj": b"v 1 1 1\n",
 }
-
-
-def test_required_files() -> None:
-    needed = list_required_files()
-    assert len([path for path in needed if path.endswith("model_normalized_convex.obj")]) == 21
-    assert len([path for path in needed if path.startswith("grasps/")]) == 19
-    assert set(PANDA_FILES.values()) <= set(needed)
-    assert not [path for path in needed if path.endswith((".png", ".mtl"))]
-    sums = [known for known in read_third_party_checksums().values() if known]
-    assert all(len(known) == 64 and int(known, 16) >= 0 for known in sums)
 
 
 @pytest.mark.parametrize("root", ["", "assets/", "./handover/data/assets/"])
@@ -71,34 +56,6 @@ def test_source_is_checked_before_writing(tmp_path: Path) -> None:
     assert not (tmp_path / "zzz").is_symlink()
 
 
-def test_existing_third_party_files_are_kept(tmp_path: Path) -> None:
-    install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
-    install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
-    (tmp_path / "assets/003_cracker_box/textured_simple.obj").write_bytes(b"mine")
-    with pytest.raises(ResultsError, match="other content"):
-        install_third_party(tar(tmp_path / "a.tar", "w", FILES), tmp_path / "assets")
-    assert (tmp_path / "assets/003_cracker_box/textured_simple.obj").read_bytes() == b"mine"
-
-
-def test_ambiguous_archives_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataFormatError, match="none of the files"):
-        install_third_party(tar(tmp_path / "a.tar", "w", {"README": b""}), tmp_path / "assets")
-    both = {f"old/{path}": b"old" for path in FILES} | {f"new/{path}": b"new" for path in FILES}
-    with pytest.raises(DataFormatError, match="'new' and in 'old'"):
-        install_third_party(tar(tmp_path / "a.tar", "w", both), tmp_path / "assets")
-    assert not (tmp_path / "assets").exists()
-
-
-def test_file_origins(monkeypatch: pytest.MonkeyPatch) -> None:
-    path = "grasps/003_cracker_box.npy"
-    known = {path: hashlib.sha256(b"the original").hexdigest()}
-    monkeypatch.setattr(official_files, "read_third_party_checksums", lambda: known)
-    assert classify_file_origin(path, b"the original") is FileOrigin.ORIGINAL
-    assert classify_file_origin(path, b"another") is FileOrigin.UNKNOWN
-    assert classify_file_origin(path, f"# {official_files.STAND_IN}".encode()) is FileOrigin.STAND_IN
-    assert classify_file_origin("foreign", b"the original") is FileOrigin.UNKNOWN
-
-
 @pytest.fixture(scope="module")
 def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return `assets/` with the stand-ins that DexYCB's models of two objects give; a third model is damaged."""
@@ -115,18 +72,6 @@ def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert len(faults) == 1
     assert "025_mug" in faults[0]
     return folder / "assets"
-
-
-def test_convex_parts_fill_the_model(stood_in: Path) -> None:
-    parts = read_obj(stood_in / "003_cracker_box/model_normalized_convex.obj")
-    whole = read_obj(stood_in / "003_cracker_box/textured_simple.obj")
-    assert np.abs(parts.vertices.min(axis=0) - whole.vertices.min(axis=0)).max() < 0.005
-    assert np.abs(parts.vertices.max(axis=0) - whole.vertices.max(axis=0)).max() < 0.005
-    assert all(len(np.unique(group)) <= 64 for group in parts.groups)
-    assert (
-        format_convex_parts(stood_in / "003_cracker_box/textured_simple.obj")
-        == (stood_in / "003_cracker_box/model_normalized_convex.obj").read_text()
-    ), "the same again"
 
 
 def test_stand_ins_are_marked(stood_in: Path) -> None:

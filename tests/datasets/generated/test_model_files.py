@@ -1,4 +1,3 @@
-import os
 from pathlib import Path
 
 import pytest
@@ -36,17 +35,6 @@ def test_models_are_written_once(root: Path) -> None:
     assert dataset.find_object_urdf("object_00001") == urdf
     assert urdf.stat().st_mtime_ns == before
     assert GeneratedDataset("seed=3").find_object_urdf("object_00001") != urdf
-
-
-def test_oldest_folders_are_removed(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(model_files, "_n_written", 0)
-    root.mkdir(parents=True)
-    for number in range(8):
-        (root / str(number)).mkdir()
-        os.utime(root / str(number), (number, number))
-    (root / "new").mkdir()
-    model_files._remove_old_folders(root, limit=6)
-    assert sorted(path.name for path in root.iterdir()) == ["6", "7", "new"]
 
 
 def test_folders_that_cannot_be_written_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

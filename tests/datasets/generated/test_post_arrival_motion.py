@@ -5,7 +5,9 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import TABLE_HEIGHT, PandaConfig
 from handover_marl.datasets.generated.dataset import GeneratedDataset
 from handover_marl.datasets.generated.post_arrival_motion import (
-    POST_ARRIVAL_MOTION,
+    MAX_SPEED,
+    MIN_HEIGHT,
+    REACH,
     SHOULDER_HEIGHT,
     draw_far_positions,
 )
@@ -27,7 +29,7 @@ def test_objects_move_and_turn_for_eight_seconds(scene_id: int) -> None:
     # After the handover pose is reached, which takes about 3 s.
     assert 29.0 < turns[80:].max() < 91.0
     speeds = np.linalg.norm(np.diff(keyframes[:, :3], axis=0), axis=1) / 0.04
-    assert speeds[80:].max() < POST_ARRIVAL_MOTION.max_speed + 0.02
+    assert speeds[80:].max() < MAX_SPEED + 0.02
     assert speeds[-4:].max() < 0.01
     # The hand holds the object in the same way all the time.
     hand = scene.hand_dof[::40].astype(np.float64)
@@ -43,7 +45,4 @@ def test_offers_are_at_the_edge_of_reach() -> None:
     for seed in range(50):
         handover = draw_far_positions(RandomStream(seed)).handover
         distance = np.linalg.norm(handover - shoulder)
-        assert (
-            POST_ARRIVAL_MOTION.reach[0] - 1e-9 < distance < POST_ARRIVAL_MOTION.reach[1] + 1e-9
-            or handover[2] == POST_ARRIVAL_MOTION.min_height
-        )
+        assert REACH[0] - 1e-9 < distance < REACH[1] + 1e-9 or handover[2] == MIN_HEIGHT

@@ -3,11 +3,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from handover_marl.config import CameraConfig, PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.simulation.bullet.exact_world import ExactWorld
-from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 SCENES = range(3, 1000, 71)
 
@@ -69,34 +67,3 @@ def test_hand_touches_the_object_at_the_handover(episode: Episode, scene_id: int
     assert min(point[8] for point in points) > -0.012
     # The human hand is more than 3 cm away from the robot in its start pose.
     assert measure_distance(world, world._hand.id, world._loaded_workcell.panda.id) > 0.03
-
-
-def test_robot_is_at_rest_and_motors_follow(episode: Episode) -> None:
-    scene = SyntheticDataset().load_scene(209)
-    episode.reset(scene)
-    start = np.array(PandaConfig().start_joints, dtype=np.float32)
-    episode.advance(start, scene.n_frames + 200)
-    assert not episode.status
-    seen = episode.observe()
-    assert np.abs(seen["robot_joint_position"] - start).max() < 0.02
-    np.testing.assert_allclose(episode.world.read_object_joints(), scene.object_dof[-1], atol=2e-3)
-    np.testing.assert_allclose(seen["hand_dof_position"][:3], scene.hand_dof[-1, :3], atol=2e-3)
-
-
-@pytest.mark.parametrize("scene_id", [209, 333])
-def test_pictures_show_robot_hand_and_objects(episode: Episode, scene_id: int) -> None:
-    episode.reset(SyntheticDataset().load_scene(scene_id))
-    camera = CameraConfig(width=160, height=120)
-    before = episode.render(camera)
-    set_frame(episode, episode.scene.n_frames - 1)
-    after = episode.render(camera)
-    assert before.std() > 20
-    assert 0.003 < (before != after).any(axis=2).mean() < 0.2
-
-
-def test_world_follows_the_object_trajectory(episode: Episode) -> None:
-    scene = SyntheticDataset().load_scene(209)
-    episode.reset(scene)
-    episode.world.set_reference(ReferenceMotion(scene.object_dof[:1], scene.hand_dof[:1], np.array([False])))
-    episode.world.step(list(PandaConfig().start_joints))
-    np.testing.assert_allclose(episode.world.read_object_joints(), scene.object_dof[0], atol=1e-4)

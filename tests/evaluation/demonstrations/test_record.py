@@ -1,10 +1,5 @@
 """Tests of the folder of a recording: resuming, workers, selection of episodes and refused options."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +10,7 @@ import handover_marl
 from handover_marl import Demonstrations
 from handover_marl.cli import main
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation.demonstrations.demonstration import hold_actions
-from handover_marl.evaluation.demonstrations.record import compute_frame_step
+from handover_marl.errors import OptionError, UnknownNameError
 from tests.evaluation.demonstrations.recording import HORIZON, SCENES, SHORT, MovingReceiver, contents, record
 
 REPOSITORY = Path(__file__).parents[3]
@@ -37,43 +30,6 @@ def test_data_do_not_depend_on_workers(tmp_path: Path) -> None:
         record(None, tmp_path / str(workers), workers=workers, **options)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
     assert sorted(contents(tmp_path / "1")) == ["000.npz", "072.npz", "metadata.json"]
-
-
-KILLED = """
-import sys, time
-from pathlib import Path
-from handover_marl.evaluation.episode_runner import EpisodeRunner
-from tests.evaluation.demonstrations.recording import record
-
-simulate = EpisodeRunner.run
-
-def slowly(player, task):
-    if task.scene_id != 5:
-        time.sleep(100.0)
-    return simulate(player, task)
-
-EpisodeRunner.run = slowly
-record(Path(sys.argv[1]), Path(sys.argv[2]))
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_recording_resumes(
-    fake_data: Path, tmp_path: Path, whole: dict[str, bytes], played: list[int]
-) -> None:
-    out = tmp_path / "killed"
-    process = subprocess.Popen([sys.executable, "-c", KILLED, str(fake_data), str(out)], cwd=REPOSITORY)
-    until = time.monotonic() + 60.0
-    while not list(out.glob("*.npz")) and time.monotonic() < until:
-        time.sleep(0.05)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    assert [metadata.scene_id for metadata in Demonstrations(out).read_metadata()] == [5]
-    # A process that is killed while it writes leaves such a file.
-    (out / "demonstrations" / ".072.npz.abcd1234.part").write_bytes(b"half")
-    record(fake_data, out)
-    assert played == [105]
-    assert contents(out) == whole
 
 
 @pytest.mark.slow
@@ -132,18 +88,6 @@ def test_frames_are_those_of_the_nearest_step(tmp_path: Path) -> None:
     assert (decisions.metadata, decisions.truncations[-1]) == (frames.metadata, frames.truncations[-1])
 
 
-def test_frame_steps() -> None:
-    assert [compute_frame_step(number, 20) for number in range(4)] == [0, 50, 100, 150]
-    assert [compute_frame_step(number, 30) for number in range(4)] == [0, 33, 67, 100]
-    # If two steps are equally near, the later one is used.
-    assert compute_frame_step(1, 400) == 3
-
-
-def test_actions_are_held() -> None:
-    decisions = [(0, np.zeros(1, np.float32)), (50, np.ones(1, np.float32))]
-    assert hold_actions(decisions, np.array([0, 49, 50, 99])).ravel().tolist() == [0.0, 0.0, 1.0, 1.0]
-
-
 @pytest.mark.slow
 def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     """Episodes that `keep` excluded are simulated again only if a later recording includes them."""
@@ -171,20 +115,6 @@ def test_a_recording_without_episodes(fake_data: Path, tmp_path: Path) -> None:
     assert "Simulated: 1 (timeout 1)" in str(nothing)
 
 
-@pytest.mark.parametrize("split", ["val", "test"])
-def test_other_splits_are_refused(
-    fake_data: Path, tmp_path: Path, split: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    why = f"split must be 'train', got '{split}'"
-    with pytest.raises(OptionError, match=why):
-        record(fake_data, tmp_path / "out", split=split)
-    with pytest.raises(OptionError, match=why):
-        handover_marl.demonstrate(handover_marl.EvaluationConfig(split=split), out=tmp_path / "out")
-    assert main(["demonstrate", "--split", split, "--out", str(tmp_path / "out"), "--data-dir", str(fake_data)]) == 2
-    assert why in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     ("error", "match", "options"),
     [
@@ -192,6 +122,7 @@ def test_other_splits_are_refused(
         (UnknownNameError, "unknown keep 'some'; valid: all, success", {"keep": "some"}),
         (UnknownNameError, "unknown obs_mode 'sonar'", {"obs_mode": "sonar"}),
         (UnknownNameError, "unknown split", {"split": "later"}),
+        (OptionError, "split must be 'train', got 'val'", {"split": "val"}),
         (UnknownNameError, "unknown renderer", {"renderer": "x", "obs_mode": "state+pointcloud"}),
         (OptionError, "fps must be an integer from 1 to 1000, got 0", {"fps": 0}),
         (OptionError, "fps must be an integer from 1 to 1000, got 29.97", {"fps": 29.97}),
@@ -203,42 +134,6 @@ def test_impossible_recordings_are_refused(
     with pytest.raises(error, match=match):
         record(fake_data, **{"out": tmp_path / "out", **options})
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-def test_other_folders_are_unchanged(fake_data: Path, tmp_path: Path) -> None:
-    foreign = tmp_path / "foreign"
-    foreign.mkdir()
-    (foreign / "thesis.txt").write_text("precious")
-    with pytest.raises(ResultsError, match="is no result folder"):
-        record(fake_data, foreign)
-    assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
-    record(fake_data, tmp_path / "out", scenes=[5])
-    before = contents(tmp_path / "out")
-    for other in ({"obs_mode": "state+pointcloud"}, {"seed": 1}, {"giver": "noisy"}, {"physics": "exact"}, {"fps": 9}):
-        with pytest.raises(ResultsError, match="holds another evaluation"):
-            record(fake_data, tmp_path / "out", scenes=[5], **other)
-    run: dict[str, Any] = {"receiver": MovingReceiver, "split": "train", "scenes": [5], "world_config": SHORT}
-    run |= {"data_dir": fake_data, "physics": "fast", "progress": False, "workers": 1}
-    with pytest.raises(ResultsError, match="recorded 'demonstrations, obs_mode state' in the folder, '' now"):
-        handover_marl.evaluate_pair("replay", out=tmp_path / "out", **run)
-    assert contents(tmp_path / "out") == before
-    handover_marl.evaluate_pair("replay", out=tmp_path / "plain", **run)
-    with pytest.raises(ResultsError, match="recorded '' in the folder"):
-        record(fake_data, tmp_path / "plain", scenes=[5])
-
-
-@pytest.mark.slow
-def test_fresh_deletes_earlier_recordings(fake_data: Path, tmp_path: Path) -> None:
-    record(fake_data, tmp_path / "out")
-    (tmp_path / "out" / "demonstrations" / "notes.txt").write_text("precious")
-    anew = record(fake_data, tmp_path / "out", seed=1, scenes=[5], fresh=True)
-    assert [(metadata.scene_id, metadata.seed) for metadata in anew.read_metadata()] == [(5, 1)]
-    assert (tmp_path / "out" / "demonstrations" / "notes.txt").read_text() == "precious"
-    run: dict[str, Any] = {"split": "train", "scenes": [5], "world_config": SHORT, "data_dir": fake_data}
-    run |= {"physics": "fast", "progress": False, "workers": 1}
-    handover_marl.evaluate_pair("replay", "hold", out=tmp_path / "out", fresh=True, **run)
-    assert [path.name for path in (tmp_path / "out" / "demonstrations").iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.slow

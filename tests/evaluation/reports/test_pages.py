@@ -3,9 +3,8 @@ from pathlib import Path
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
-from tests.evaluation.reports.test_report import SETTINGS, episode, report
+from tests.evaluation.reports.test_report import report
 from tests.evaluation.test_comparison import folder
 from tests.visualization.outside import dangling, outside, references
 
@@ -43,14 +42,6 @@ def test_names_are_escaped() -> None:
     )
     assert outside(made) == []
     assert "&lt;img src=https://example.org&gt;" in made
-
-
-def test_page_of_36_scenes_is_small() -> None:
-    episodes = tuple(episode(index, 1 + index % 2) for index in range(36))
-    made = render_report_page(
-        Report(SETTINGS, episodes, 36), {204 + 5 * index: f"episodes/{index}.html" for index in range(36)}
-    )
-    assert len(made.encode()) < 60_000
 
 
 def test_replay_links_are_relative_to_the_page(tmp_path: Path) -> None:

@@ -1,17 +1,10 @@
 import json
-from dataclasses import replace
 
 import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.episode_tables import (
-    build_difference_table,
-    build_object_table,
-    build_scene_table,
-)
 from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata
 
@@ -72,12 +65,6 @@ def test_rates_have_two_decimals_and_counts() -> None:
     assert cells(text, "95 % interval", "success %") == ["8.2 to 64.1"]
 
 
-def test_without_successes_the_average_success_is_zero() -> None:
-    found = replace(report(2), episodes=())
-    assert found.average_success == 0.0
-    assert report(2, 8).average_success == 0.0
-
-
 def test_the_heading_names_the_shard_and_the_robot() -> None:
     text = report(1, 2, shard="3/16 of 9,14,19", robot="panda_camera").heading
     assert "2 of 144 scenes (partial, shard 3/16)" in text
@@ -92,13 +79,6 @@ def test_whole_and_partial_splits() -> None:
     assert whole.extent == "all 144 scenes"
     assert part.extent == "1 of 144 scenes (partial)"
     assert (report(1, wait_s="1.5").wait_label, part.wait_label) == ("1.5", "-")
-
-
-def test_scenes_with_different_outcomes_are_listed_whichever_is_better() -> None:
-    better, worse = report(1, 2, 1).episodes, report(4, 2, 8).episodes
-    for first, second in ((better, worse), (worse, better)):
-        table = build_difference_table(list(zip(first, second, strict=True)), ("A", "B"))
-        assert [row[0] for row in table.rows] == ["204", "214"]
 
 
 def test_text_describes_the_evaluation() -> None:
@@ -173,10 +153,6 @@ def test_every_published_row_has_its_wait_and_source() -> None:
             assert total == pytest.approx(100.0, abs=0.03)
 
 
-def test_bars_in_cells_do_not_end_them() -> None:
-    assert format_table(["a|b", "c"], [["1", "2|3"]]).splitlines()[::2] == [r"| a\|b | c    |", r"| 1    | 2\|3 |"]
-
-
 @pytest.mark.parametrize(
     ("counts", "label"),
     [([1, 1], "1 object a scene"), ([4], "4 objects a scene"), ([5, 3, 4, 3], "3 to 5 objects a scene")],
@@ -195,24 +171,6 @@ def test_notes_name_another_world_and_other_physics(world: str) -> None:
     assert f"not the official ones ({world})" in report(1, world=world).format_notes()
     for physics in ("fast", "mujoco", "a"):
         assert "exact physics" in report(1, physics=physics).format_notes()
-
-
-def test_notes_count_episodes_of_an_earlier_run() -> None:
-    assert "2 of the 3 episodes come from an earlier run" in replace(report(1, 2, 4), n_resumed=2).format_notes()
-
-
-def test_table_by_object_separates_objects() -> None:
-    names = ["003_cracker_box", "025_mug", "003_cracker_box", "061_foam_brick"]
-    episodes = [episode(index, 1 if index else 2, object_name=name) for index, name in enumerate(names)]
-    rows = build_object_table(episodes).rows
-    assert [(row[0], row[1]) for row in rows] == [("003_cracker_box", 2), ("025_mug", 1), ("061_foam_brick", 1)]
-
-
-def test_table_by_scene_shows_the_step_of_the_release() -> None:
-    episodes = [episode(0, 1, release_step=3210), episode(1, 8)]
-    table = build_scene_table(episodes)
-    column = list(table.header).index("release step")
-    assert [row[column] for row in table.rows] == ["3210", "-"]
 
 
 def test_intervals_of_times_are_in_seconds() -> None:

@@ -1,7 +1,5 @@
 import csv
 import io
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,7 +7,6 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.episode.metrics.fluency import FluencyMetrics
-from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports.episode_tables import (
@@ -18,19 +15,10 @@ from handover_marl.evaluation.reports.episode_tables import (
     format_scene_cells,
 )
 from handover_marl.evaluation.reports.tables import (
-    AVERAGE_SUCCESS,
-    COUNTS,
     FLUENCY,
-    N_EPISODES,
-    RATES,
     TABLE_FORMATS,
-    TIMES,
-    WAIT,
     ReportTable,
     TabularResult,
-    format_percent_difference,
-    format_percent_mean,
-    format_table,
 )
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from tests.evaluation.quick import write_results
@@ -46,13 +34,6 @@ def test_parts_of_a_wide_table_repeat_its_key_columns() -> None:
     for part in parts:
         assert [cell.strip() for cell in part.splitlines()[0].split("|")[1:3]] == ["giver", "receiver"]
         assert max(map(len, part.splitlines())) <= 100
-
-
-def test_one_column_is_repeated_by_default() -> None:
-    parts = str(ReportTable(WIDE.header, WIDE.rows)).split("\n\n")
-    first = [[cell.strip() for cell in part.splitlines()[0].strip("|").split("|")] for part in parts]
-    assert [titles[0] for titles in first] == ["giver"] * len(parts)
-    assert [titles.count("receiver") for titles in first] == [1] + [0] * (len(parts) - 1)
 
 
 def test_other_formats_are_not_split() -> None:
@@ -94,19 +75,6 @@ def test_every_result_has_every_format(result: TabularResult) -> None:
     assert latex.count("\\begin{tabular}") == len(tables)
     for text in texts:
         assert all(f"% {line}" in latex.splitlines() for line in text.splitlines())
-
-
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
-def test_latex_compiles(tmp_path: Path) -> None:
-    body = "\n".join(result.format("latex") for result in results())
-    text = f"\\documentclass{{article}}\\usepackage{{booktabs}}\\begin{{document}}{body}\\end{{document}}"
-    (tmp_path / "t.tex").write_text(text)
-    subprocess.run(["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"], cwd=tmp_path, check=True)
-
-
-def test_unknown_formats_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="markdown, csv, latex"):
-        report(1).format("html")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("table_format", TABLE_FORMATS)
@@ -152,28 +120,6 @@ def test_episodes_without_metrics_as_csv() -> None:
     assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
 
 
-def test_formats_of_means_and_differences() -> None:
-    assert format_percent_mean([0.25, 0.5]) == "37.50 (25.0 to 50.0)"
-    assert format_percent_mean([0.25]) == "25.00"
-    assert format_percent_mean([0.25, 0.5], signed=True) == "+37.50 (+25.0 to +50.0)"
-    assert format_percent_mean([-0.5], signed=True) == "-50.00"
-    assert format_percent_difference((0.125, -0.25, 0.5)) == "+12.5 (-25.0 to +50.0)"
-
-
-def test_tables_print_shares_in_percent_and_distances_in_centimetres() -> None:
-    units = {column.key: (column.unit, column.scale) for column in FLUENCY}
-    assert {key for key, (unit, _) in units.items() if unit == "%"} == {
-        "human_idle",
-        "robot_idle",
-        "concurrent",
-        "functional_delay",
-    }
-    assert {key for key, (unit, _) in units.items() if unit == "cm"} == {"min_distance", "min_separation_margin"}
-    assert [column.unit for column in (*RATES, AVERAGE_SUCCESS)] == ["%"] * 5
-    for unit, scale in (*units.values(), *((column.unit, column.scale) for column in (*RATES, AVERAGE_SUCCESS))):
-        assert scale == (100.0 if unit in ("%", "cm") else 1.0)
-
-
 def test_cells_of_fluency_metrics_have_mean_interval_and_n() -> None:
     metrics = {column.key: 0.25 for column in FLUENCY}
     known = [episode(index, 1, fluency=FluencyMetrics(**metrics)) for index in range(2)]
@@ -192,28 +138,6 @@ def test_cells_of_scenes() -> None:
     assert format_scene_cells(EpisodeResult(0, one.status, 5, 0.0)) == ["-"] * 4 + ["contact+drop", "5", "-", "0.000"]
 
 
-def test_wide_tables_keep_the_order_of_columns() -> None:
-    header = ["key", *(f"title {number}" for number in range(12))]
-    parts = format_table(header, [[f"cell {number}" for number in range(13)]], max_width=40).split("\n\n")
-    titles = [[cell.strip() for cell in part.splitlines()[0].strip("|").split("|")] for part in parts]
-    assert [title for part in titles for title in part[1:]] == header[1:]
-    assert {part[0] for part in titles} == {"key"}
-    assert all(len(line) <= 40 for part in parts for line in part.splitlines())
-
-
-def test_titles_of_columns_are_their_keys_and_units() -> None:
-    titles = [column.title for column in (N_EPISODES, *RATES, *COUNTS, AVERAGE_SUCCESS, WAIT, *TIMES)]
-    assert titles == [
-        "n episodes",
-        *("success %", "contact %", "drop %", "timeout %"),
-        *("n success", "n contact", "n drop", "n timeout"),
-        "AS %",
-        *("wait s", "exec s", "plan s", "total s"),
-    ]
-    assert TITLES[:2] == ["handover time s", "human idle %"]
-    assert "min distance cm" in TITLES
-
-
 def test_numbers_of_the_fluency_table_have_three_digits() -> None:
     metrics = {column.key: 0.0 for column in FLUENCY}
     cells = {}
@@ -227,13 +151,3 @@ def test_numbers_of_the_fluency_table_have_three_digits() -> None:
         for index, value in enumerate((0.5, 1500.25))
     ]
     assert ["gripper jerk m/s^3", "750", "0 to 1500", 2] in build_fluency_table(both).rows
-
-
-@pytest.mark.parametrize("n_keys", [1, 2])
-def test_tables_are_split_only_if_they_do_not_fit(n_keys: int) -> None:
-    header, rows = ["first key", "second", "value", "other"], [["a", "bbbbbbbbbb", "1", "22222222"]]
-    width = len(format_table(header, rows, n_keys).splitlines()[0])
-    assert "\n\n" not in format_table(header, rows, n_keys, max_width=width)
-    parts = format_table(header, rows, n_keys, max_width=width - 1).split("\n\n")
-    assert len(parts) == 2
-    assert max(len(line) for part in parts for line in part.splitlines()) < width

@@ -66,13 +66,6 @@ def test_unknown_choices_and_long_names(folder: ResultFolder, key: str, value: s
         read_result_metadata(folder.path)
 
 
-@pytest.mark.parametrize("value", [[1], "text", 3, {"colour": "red"}, {"setup": "s0"}, {3: "x"}])
-def test_malformed_library_sections(folder: ResultFolder, value: object) -> None:
-    change_config(folder.path, "HANDOVER_MARL", value)
-    with pytest.raises(ResultsError, match=r"config\.yaml: not a readable configuration"):
-        read_result_metadata(folder.path)
-
-
 @pytest.mark.parametrize("text", ["", "3", "[1]", "x: [", "SIM: [1]", "[" * 5000])
 def test_malformed_configurations(folder: ResultFolder, text: str) -> None:
     (folder.path / "config.yaml").write_text(text)

@@ -77,20 +77,6 @@ def test_values_of_another_type_are_refused(folder: ResultFolder, changes: dict[
     assert folder.read(0, "abc") is None
 
 
-def test_files_of_another_kind_count_as_unfinished(folder: ResultFolder) -> None:
-    path = folder.path / "000.npz"
-    whole = path.read_bytes()
-    with path.open("wb") as stream:
-        np.save(stream, np.zeros(3))
-    with pytest.raises(ResultsError, match=r"000\.npz: not a readable result file"):
-        read_results(folder.path)
-    assert folder.read(0, "abc") is None
-    # Set the flag for encrypted entries in the central directory of the zip archive.
-    start = whole.rindex(b"PK\x01\x02", 0, whole.rindex(b"result.npy"))
-    path.write_bytes(whole[: start + 8] + b"\x01" + whole[start + 9 :])
-    assert folder.read(0, "abc") is None
-
-
 def test_a_renamed_result_is_refused(folder: ResultFolder) -> None:
     (folder.path / "000.npz").rename(folder.path / "001.npz")
     with pytest.raises(ResultsError, match=r"001\.npz must be of scene 214, got scene 209; delete it"):

@@ -9,11 +9,10 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
+from handover_marl.planning.clearance import compute_grasp_clearances
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import load_obstacle
-from handover_marl.receivers.reactive.motion import MotionController
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
 from tests.receivers.quick import QUICK_PREPARATION, observe_handover
@@ -101,26 +100,6 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     chosen = receiver.selector.compute_grasp_pose(receiver.selector.chosen, pose)
     assert compute_grasp_clearances(blocked[None], obstacles)[0] < 0.0
     assert compute_grasp_clearances(chosen[None], obstacles, CONFIG.approach.standoff)[0] > 0.0
-
-
-def test_robot_slows_down_before_other_objects(handover_observation: Observation) -> None:
-    estimate = make_estimate(remove_others(handover_observation))
-    receiver = make_receiver()
-    ahead = transform_points(estimate.gripper_pose, np.array([0.0, 0.0, 1.0])) - estimate.gripper_pose[:3]
-    velocity = receiver.arm.compute_joint_velocity(
-        estimate.arm_joints, 0.4 * ahead, np.zeros(3), 0.1, receiver.servo.period
-    )
-
-    def speed_ahead() -> float:
-        receiver.servo.reset()
-        MotionController(receiver.arm, receiver.servo, estimate).approach(velocity)
-        return float(ahead @ (receiver.arm.compute_jacobian(estimate.arm_joints)[:3] @ receiver.servo.velocity))
-
-    free = speed_ahead()
-    tips = transform_points(estimate.gripper_pose, np.array([[0.0, 0.05, 0.135], [0.0, -0.05, 0.135]]))
-    estimate.set_obstacles(Spheres(tips, np.full(2, 0.015)))
-    assert free > 0.2
-    assert speed_ahead() < 0.5 * free
 
 
 def test_no_other_object_is_touched() -> None:

@@ -1,11 +1,8 @@
 """Tests of the reactive receiver."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from handover_marl import receivers
 from handover_marl.config import ARM_DOF
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
@@ -19,7 +16,6 @@ from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
 from handover_marl.receivers.reactive.scene_estimate import PoseSceneEstimate
-from handover_marl.testing import check_receiver
 from tests.receivers.quick import QUICK_PREPARATION, observe_handover
 
 SCENE = 5
@@ -30,13 +26,6 @@ QUICK = ReactiveConfig(preparation=QUICK_PREPARATION)
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
-
-
-class QuickReceiver(ReactiveReceiver):
-    name = "quick"
-
-    def __init__(self, context: receivers.PolicyContext) -> None:
-        super().__init__(context, config=QUICK)
 
 
 def make_reactive(wait: float = 0.0, risk: float = 0.5) -> ReactiveReceiver:
@@ -69,10 +58,6 @@ def handover_observation() -> Observation:
     return observe_handover(DATA.load_scene(SCENE), 2900)
 
 
-def test_satisfies_the_receiver_checks() -> None:
-    check_receiver(QuickReceiver, dataset=DATA, steps=1500)
-
-
 @pytest.fixture(scope="module")
 def played() -> tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]]:
     """Return a receiver with the episode, actions and phases of a scene."""
@@ -92,15 +77,6 @@ def test_takes_the_object_to_the_goal(
     assert ReactivePhase.CLOSE in order
     start_closing = np.array([phase in (ReactivePhase.CLOSE, ReactivePhase.RETREAT) for phase in phases])
     np.testing.assert_array_equal(actions[:, ARM_DOF:] == 0.0, np.stack([start_closing, start_closing], axis=1))
-
-
-def test_whole_episodes_repeat(
-    played: tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]],
-) -> None:
-    receiver, first, actions, _ = played
-    again, others, _ = play_scene(receiver)
-    assert first.steps == again.steps
-    np.testing.assert_array_equal(actions, others)
 
 
 def test_waits(handover_observation: Observation) -> None:
@@ -173,28 +149,6 @@ def test_backs_out_and_selects_another_grasp_after_a_miss(handover_observation: 
     assert chosen.number != missed.number
 
 
-def test_backs_out_without_release(handover_observation: Observation) -> None:
-    receiver, observation = start_closing(handover_observation)
-    held = observation["robot_joint_position"].copy()
-    held[ARM_DOF:] = 0.02
-    receiver.act(observe_at(observation, 3.7, robot_joint_position=held))
-    assert receiver.phase is ReactivePhase.CLOSE
-    receiver.act(observe_at(observation, 3.9, robot_joint_position=held))
-    assert receiver.phase is ReactivePhase.BACK_OUT
-
-
-def test_retreats_after_release(handover_observation: Observation) -> None:
-    receiver, observation = start_closing(handover_observation)
-    free = {"released": np.ones(1, dtype=np.float32)}
-    action = receiver.act(observe_at(observation, 3.2, **free))
-    assert receiver.phase is ReactivePhase.RETREAT
-    assert action[-1] == 0.0
-    # The retreat has begun: the robot moves.
-    hand = observation["gripper_pose"]
-    assert np.isfinite(hand).all()
-    assert np.abs(receiver.servo.velocity).max() > 0.05
-
-
 def observe_closing(observation: Observation, seconds: float, fingers: float, **changes: np.ndarray) -> Observation:
     """Return an observation after an early release, with both fingers at a position (m)."""
     joints = observation["robot_joint_position"].copy()
@@ -216,15 +170,6 @@ def test_closes_until_the_object_is_held_after_an_early_release(handover_observa
     assert (rate @ receiver.servo.velocity)[2] < -0.1
     receiver.act(observe_closing(observation, 3.04, 0.0292, object_poses=fallen))
     assert receiver.phase is ReactivePhase.RETREAT
-
-
-def test_gives_up_an_object_that_has_fallen(handover_observation: Observation) -> None:
-    receiver, observation = start_closing(handover_observation)
-    fallen = observation["object_poses"].copy()
-    fallen[0, 2] -= 0.05
-    action = receiver.act(observe_closing(observation, 3.01, 0.036, object_poses=fallen))
-    assert receiver.phase is ReactivePhase.BACK_OUT
-    assert action[-1] == np.float32(0.04)
 
 
 def test_closes_around_an_object_that_was_released_before(handover_observation: Observation) -> None:
@@ -294,20 +239,6 @@ def test_risk_scales_speeds_and_costs() -> None:
     ):
         values = [getattr(getattr(config, part), name) for config in (careful, usual, bold)]
         assert values == pytest.approx([4.0 * values[1], values[1], values[1] / 4.0])
-
-
-def test_settings_replace_numbers_of_the_configuration() -> None:
-    receiver = receivers.make("reactive:risk=1,approach_standoff=0.1,near_period=0.04", DATA)
-    assert isinstance(receiver, ReactiveReceiver)
-    bold = apply_risk(ReactiveConfig(), 1.0)
-    assert receiver.config == replace(bold, approach=replace(bold.approach, standoff=0.1), near_period=0.04)
-
-
-def test_name_with_options() -> None:
-    receiver = receivers.make("reactive:wait=1.5,risk=0.2", DATA)
-    assert isinstance(receiver, ReactiveReceiver)
-    assert receiver.wait == 1.5
-    assert receiver.config == apply_risk(ReactiveConfig(), 0.2)
 
 
 def test_exact_physics() -> None:

@@ -9,7 +9,6 @@ from handover_marl.errors import OptionError
 from handover_marl.receivers.point_cloud_memory import PointCloudMemoryConfig
 from handover_marl.receivers.vision.config import GraspTrackerConfig, VisionConfig, make_vision_reactive_config
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
-from handover_marl.receivers.vision.grasp_predictor import GraspPredictorConfig
 from handover_marl.receivers.vision.object_tracking import FilterGains
 
 
@@ -26,7 +25,6 @@ from handover_marl.receivers.vision.object_tracking import FilterGains
         (lambda: VisionConfig(release_delay=-0.1), "release_delay of VisionConfig"),
         (lambda: FingerGeometry(tip_z=-0.1), "tip_z of FingerGeometry"),
         (lambda: FilterGains(0.5, 0.1, 1.1), "grasp of FilterGains"),
-        (lambda: GraspPredictorConfig(n_grasps=0), "n_grasps of GraspPredictorConfig"),
         (lambda: PointCloudMemoryConfig(thinning=1.5), "thinning of PointCloudMemoryConfig"),
     ],
 )

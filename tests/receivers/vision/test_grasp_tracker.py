@@ -62,44 +62,6 @@ def test_candidates_are_good_grasps_and_half_turns() -> None:
     np.testing.assert_allclose(tracker.costs, -GraspTrackerConfig().cost_scale * np.log([0.9, 0.5, 0.9, 0.5]))
 
 
-def test_all_grasps_and_tilted_copies() -> None:
-    config = GraspTrackerConfig()
-    tracker = GraspTracker(FixedPredictor(), config, 0)
-    tracker.use_all = True
-    tracker.update(0.0, LINK, ITEM, HAND)
-    assert len(tracker.grasps) == 2 * len(GRASPS) * (1 + len(config.tilts))
-    found, pads = in_world(tracker), np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0])
-    positions = {tuple(np.round(position, 6)) for position in compose(found, pads)[:, :3]}
-    assert positions == {tuple(np.round(position, 6)) for position in compose(GRASPS, pads)[:, :3]}
-    np.testing.assert_allclose(np.sort(tracker.costs)[-2:], config.tilt_cost - config.cost_scale * np.log(0.01))
-
-
-def nearest_distances(points: Array, others: Array) -> Array:
-    """Return the distances (n,) of points to the nearest of others."""
-    found: Array = np.linalg.norm(points[:, None] - others, axis=-1).min(axis=1)
-    return found
-
-
-def test_point_maps_keep_one_point_per_voxel() -> None:
-    config = GraspTrackerConfig()
-    tracker = GraspTracker(FixedPredictor(), config, 0)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    assert tracker.human_hand is not None
-    for centers, points in ((tracker.human_hand.centers, HAND), (tracker.surface.centers + CENTER, ITEM)):
-        assert nearest_distances(centers, transform_points(LINK, points)).max() < 1e-9
-        assert nearest_distances(transform_points(LINK, points), centers).max() < config.voxel_size * 3.0**0.5
-        assert len(centers) < len(points)
-
-
-def test_few_points_are_ignored() -> None:
-    predictor = FixedPredictor()
-    tracker = GraspTracker(predictor, GraspTrackerConfig(), 0)
-    tracker.update(0.0, LINK, ITEM[:5], HAND)
-    assert not tracker.is_initialized
-    assert predictor.n_calls == 0
-    assert len(tracker.grasps) == 0
-
-
 def test_selected_grasp_is_first_and_corrected() -> None:
     predictor = FixedPredictor()
     tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.1, far_gains=FilterGains(0.5, 0.1, 0.5)), 0)
@@ -110,20 +72,6 @@ def test_selected_grasp_is_first_and_corrected() -> None:
     tracker.update(0.05, LINK, ITEM, HAND)
     np.testing.assert_allclose(tracker.grasps[0][:3], chosen[:3] + np.array([0.005, 0.0, 0.0]), atol=1e-3)
     assert len(tracker.grasps) == 5
-
-
-def test_unseen_selected_grasp_gains_cost() -> None:
-    predictor = FixedPredictor()
-    tracker = GraspTracker(predictor, GraspTrackerConfig(), 0)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    tracker.selected = tracker.grasps[0]
-    tracker.update(0.05, LINK, ITEM, HAND)
-    before = tracker.costs[0]
-    predictor.grasps, predictor.quality = GRASPS[1:], np.array([0.5, 0.01])
-    tracker.update(0.1, LINK, ITEM, HAND)
-    assert tracker.costs[0] == pytest.approx(before + GraspTrackerConfig().unseen_cost)
-    tracker.update(0.15, LINK, ITEM[:3], HAND)
-    assert is_same_grasp(in_world(tracker)[0], GRASPS[0])
 
 
 def test_failed_grasps_cost_more_for_a_while() -> None:
@@ -143,15 +91,6 @@ def make_near_tracker(predictor: FixedPredictor) -> GraspTracker:
     for number in range(2):
         tracker.update(0.05 * number, LINK, ITEM, HAND)
     return tracker
-
-
-def test_predicted_centers_are_ignored_nearby() -> None:
-    predictor = FixedPredictor()
-    tracker = make_near_tracker(predictor)
-    for number in range(2, 30):
-        predictor.center = CENTER + 0.02
-        tracker.update(0.05 * number, LINK, ITEM, HAND)
-    np.testing.assert_allclose(tracker.object_pose[:3], CENTER, atol=1e-3)
 
 
 def test_registration_tracks_the_surface_nearby() -> None:

@@ -34,20 +34,8 @@ def test_registration_of_a_sphere(seed: int, size: float) -> None:
     assert np.linalg.norm(found - translation) < 0.2 * size + 0.001
 
 
-def test_registration_does_not_move_along_a_plane() -> None:
-    rng = np.random.default_rng(0)
-    plane = np.c_[rng.uniform(-0.1, 0.1, (3000, 2)), np.zeros(3000)]
-    found, share = Keyframe(plane).register(plane[::7] + np.array([0.01, 0.0, 0.005]), max_distance=0.03)
-    assert share > 0.9
-    np.testing.assert_allclose(found, [0.0, 0.0, 0.005], atol=2e-4)
-
-
 def test_share_of_matched_points() -> None:
     keyframe = Keyframe(CLOUD)
     assert keyframe.register(CLOUD + 1.0, max_distance=0.03)[1] == 0.0
     both = np.concatenate([CLOUD, CLOUD + 1.0])
     assert keyframe.register(both, max_distance=0.03)[1] == pytest.approx(0.5)
-
-
-def test_keyframe_of_few_points() -> None:
-    assert Keyframe(CLOUD[:3]).register(CLOUD, max_distance=0.03)[0].shape == (3,)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from handover_marl.receivers.vision.point_map import PointMap
+from handover_marl.receivers.vision.object_tracking import PointMap
 
 
 def test_points_are_forgotten_after_a_while() -> None:

@@ -97,22 +97,6 @@ def test_succeeds_with_true_grasps_and_point_clouds_only() -> None:
     assert receiver.keys <= ALLOWED
 
 
-def test_episodes_are_independent() -> None:
-    episode, log = Episode("fast"), ActionRecorder()
-    receiver = VisionReceiver(CONTEXT, grasp_predictor=TruePredictor(episode))
-    for scene, until in ((9, 1500), (14, 2500)):
-        episode.reset(DATA.load_scene(scene))
-        run_episode(episode, receiver, seed=0, until=until, callbacks=[log])
-    np.testing.assert_array_equal(log.actions, play_scene(14, until=2500)[2])
-
-
-def test_waits() -> None:
-    _, _, actions = play_scene(9, wait=1.0, until=1000)
-    assert np.abs(np.diff(actions[:990, :7], axis=0)).max() < 0.2
-    home = np.array(receivers.WAITING_JOINTS[:7])
-    assert np.abs(actions[980, :7] - home).max() < 0.05
-
-
 def test_weight_files(tmp_path: Path) -> None:
     path, network = tmp_path / "net.npz", GraspNetwork(SMALL)
     write_network_weights(path, network, {"seed": 0})
@@ -174,8 +158,3 @@ def test_default_weights_depend_on_the_setup(monkeypatch: pytest.MonkeyPatch, tm
     assert len(hashes) == 2
     with pytest.raises(OptionError, match=r"s1.*--setup s1"):
         receivers.make("vision", DATA, setup="s1")
-
-
-def test_weights_exclude_a_predictor() -> None:
-    with pytest.raises(OptionError, match="not both"):
-        VisionReceiver(CONTEXT, weights="a.npz", grasp_predictor=TruePredictor(Episode("fast")))

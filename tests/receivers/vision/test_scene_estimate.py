@@ -63,12 +63,6 @@ def test_visible_points_of_other_objects_are_kept() -> None:
     assert len(estimate.obstacles.radii) < len(OTHERS)
 
 
-def test_points_out_of_reach_are_no_obstacles() -> None:
-    estimate = make_estimate()
-    estimate.update(observe(0.0, OBJECT, OTHERS + np.array([3.0, 0.0, 0.0])))
-    assert estimate.obstacles is None
-
-
 @pytest.mark.parametrize("others", [np.zeros((0, 3)), OTHERS])
 def test_hidden_object_at_rest_is_expected_for_longer_beside_others(others: Array) -> None:
     estimate, nothing = make_estimate(), np.zeros((0, 3))
@@ -78,11 +72,3 @@ def test_hidden_object_at_rest_is_expected_for_longer_beside_others(others: Arra
     for since, is_lost in ((patience - 0.05, False), (patience + 0.1, True)):
         estimate.update(observe(round(0.45 + since, 3), nothing, others))
         assert estimate.is_lost is is_lost
-
-
-def test_hidden_object_that_moved_is_searched_at_once() -> None:
-    estimate = make_estimate()
-    for number in range(10):
-        estimate.update(observe(0.05 * number, OBJECT + 0.03 * number * np.array([1.0, 0.0, 0.0]), OTHERS))
-    estimate.update(observe(0.8, np.zeros((0, 3)), OTHERS))
-    assert estimate.is_lost

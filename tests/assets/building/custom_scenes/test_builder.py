@@ -16,7 +16,7 @@ from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom import CustomDataset
-from handover_marl.errors import DataFormatError, HandoverError, OptionError, ResultsError, SceneError, UnknownNameError
+from handover_marl.errors import DataFormatError, HandoverError, OptionError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.distance_field import distance_field_from_mesh
 from handover_marl.simulation.engines import PHYSICS
@@ -118,12 +118,6 @@ def test_left_hands_are_mirrored_right_hands() -> None:
     np.testing.assert_allclose(left.shift, right.shift * [-1.0, 1.0, 1.0], atol=1e-9)
 
 
-def test_scenes_without_a_hand(scenes: CustomSceneFolder) -> None:
-    scene = scenes.check().load_scene(2)
-    assert scene.hand_first is scene.hand_last is None
-    assert not scene.hand_dof.any()
-
-
 @pytest.mark.parametrize("physics", PHYSICS)
 @pytest.mark.parametrize("scene_id", range(3))
 def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id: int) -> None:
@@ -160,17 +154,6 @@ def test_demonstrations_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Pa
     assert data.observation_space["object_classes"].high[0] == 22
     assert "own:boxes, all train" in str(data)
     assert data[0].observations["object_classes"].max() == 22
-
-
-def test_names_of_own_data_sets(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    assert isinstance(open_dataset(scenes.dataset), CustomDataset)
-    assert open_dataset("own:boxes", scenes.folder).name == "own:boxes"
-    with pytest.raises(OptionError, match=r"data_dir must hold the scenes 'cups', got .* with 'boxes'"):
-        open_dataset("own:cups", scenes.folder)
-    with pytest.raises(HandoverError, match="does not exist"):
-        open_dataset(f"own:{tmp_path / 'gone'}")
-    with pytest.raises(HandoverError, match=r"has no scenes\.json"):
-        open_dataset(f"own:{tmp_path}")
 
 
 def table_frame() -> dict[str, Any]:
@@ -291,14 +274,6 @@ def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
         config = MeshConfig(concavity=1.0)
         CustomSceneFolder(folder).add_object("box", make_box(), config, grasps=3, workers=workers, progress=False)
     assert list_files(folders[0]) == list_files(folders[1])
-
-
-def test_folders_with_other_files(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(ResultsError, match="is not empty"):
-        CustomSceneFolder(tmp_path)
-    with pytest.raises(OptionError, match="name must be"):
-        CustomSceneFolder(tmp_path / "a b")
 
 
 def test_damaged_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:

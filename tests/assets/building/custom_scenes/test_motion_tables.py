@@ -5,17 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, make_trajectory, read_motion_table
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
-from handover_marl.geometry.poses import compose, invert_pose
 from tests.custom_scenes import make_recording, write_csv
-from tests.unreadable import check_content_refusal
 
 NO = slice(0, 0)
 
@@ -133,12 +128,6 @@ def test_damaged_csv_files(kind: str, tmp_path: Path) -> None:
         read_motion_table(path, MotionConfig())
 
 
-@pytest.mark.parametrize("content", [b"", b"time", b"\xff\xfe\x00", b'time,"object\n1', b"\x00\n\x00"])
-@pytest.mark.parametrize("suffix", [".csv", ".npz", ".txt"])
-def test_files_that_are_no_recordings(content: bytes, suffix: str, tmp_path: Path) -> None:
-    check_content_refusal(lambda path: read_motion_table(path, MotionConfig()), tmp_path / f"motion{suffix}", content)
-
-
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:
     np.savez(tmp_path / "motion.npz", time=np.array([{}], dtype=object))
     with pytest.raises(DataFormatError, match="not a readable"):
@@ -179,11 +168,6 @@ def test_short_gaps_are_filled_and_stated() -> None:
     np.testing.assert_allclose(table.bodies["object"][:, :3], make_recording()["object"][:, :3], atol=2e-3)
 
 
-def test_missing_rows_are_stated() -> None:
-    table = read_motion_table(with_rows(np.r_[0:60, 66:181]), MotionConfig())
-    assert table.repairs == ("gaps of up to 0.117 s between rows interpolated",)
-
-
 def test_a_hand_that_appears_later() -> None:
     table = read_motion_table(change("wrist", slice(0, 12), slice(None), np.nan), MotionConfig())
     assert (table.wrist_rows, table.repairs) == ((12, 181), ())
@@ -215,16 +199,6 @@ def test_units_frames_and_orders() -> None:
     np.testing.assert_allclose(table.time, recording["time"], atol=1e-9)
     np.testing.assert_allclose(table.bodies["object"][:, :3], expected[:, :3], atol=1e-9)
     np.testing.assert_allclose(np.abs(table.bodies["object"][:, 6]), 1.0)
-
-
-@settings(max_examples=25)
-@given(st.tuples(*[st.floats(-1.0, 1.0)] * 3), st.tuples(*[st.floats(-3.0, 3.0)] * 3))
-def test_any_frame(position: tuple[float, ...], rotation: tuple[float, ...]) -> None:
-    world_from_frame = np.array([*position, *Rotation.from_rotvec(rotation).as_quat()])
-    recording = make_recording()
-    moved = {"time": recording["time"], "object": compose(invert_pose(world_from_frame), recording["object"])}
-    table = read_motion_table(moved, MotionConfig(frame=tuple(world_from_frame)))
-    np.testing.assert_allclose(table.bodies["object"][:, :3], recording["object"][:, :3], atol=1e-9)
 
 
 @pytest.mark.parametrize("rate", [25.0, 60.0, 119.88, 500.0])
