@@ -218,8 +218,8 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
 def make_frozen_env(args: PpoArgs, agent: str, partner: str, config: EnvConfig) -> EncodedEnv:
     """Make one environment of a learning agent, whose infos have the sums of the reward terms."""
     frozen = freeze(EpisodeReturns(parallel_env(config)), agent, partner)
-    encoded: EncodedEnv = encode(frozen, args.features, args.actions)
-    return encoded
+    env: EncodedEnv = encode(frozen, args.features, args.actions)
+    return env
 
 
 def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
