@@ -11,7 +11,7 @@ command continues an interrupted search, and with another split evaluates the re
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -83,21 +83,10 @@ class BestResponse:
     success_rate: float
 
 
-def draw_policy(
-    name: str, space: Mapping[str, tuple[float, float]], rng: np.random.Generator, logarithmic: bool
-) -> str:
-    """Return a policy with random settings.
-
-    Args:
-        name: Name of the policy.
-        space: Range of each setting.
-        rng: Random generator.
-        logarithmic: Whether the logarithm of each setting is uniformly distributed, instead of the setting itself.
-    """
-    limits = {key: np.log(pair) if logarithmic else np.array(pair) for key, pair in space.items()}
-    drawn = {key: rng.uniform(*pair) for key, pair in limits.items()}
-    values = {key: float(np.exp(value) if logarithmic else value) for key, value in drawn.items()}
-    return f"{name}:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in values.items())
+def draw_policy(rng: np.random.Generator) -> str:
+    """Return the receiver `reactive` with random settings, whose logarithms are uniformly distributed."""
+    drawn = {key: float(np.exp(rng.uniform(*np.log(limits)))) for key, limits in SEARCH_SPACE.items()}
+    return "reactive:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in drawn.items())
 
 
 def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestResponse:
@@ -114,7 +103,7 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestR
         select_scenes_evenly(args.open_dataset().list_scenes(args.setup, split), n)
         for split, n in ((args.split, args.n_scenes), ("train", args.draw_scenes))
     )
-    receivers = [draw_policy("reactive", SEARCH_SPACE, rng, logarithmic=True) for _ in range(args.draws)]
+    receivers = [draw_policy(rng) for _ in range(args.draws)]
     scores = [
         evaluate_draw(args, giver, receiver, "train", few, args.out / "draws" / folder / str(number)).average_success
         for number, receiver in enumerate(receivers)
