@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-_ROW = re.compile(r"^\| `([\w/]+)` \|.*\| (\d+) \|$", re.MULTILINE)
+_ROW = re.compile(r"^\| `([\w/]+)` \| (\d+) \|$", re.MULTILINE)
 
 
 def count_lines() -> dict[str, int]:
