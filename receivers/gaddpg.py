@@ -206,8 +206,7 @@ def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[
     is_own = weights.endswith(_OWN_SUFFIX)
     require_modules("receiver 'gaddpg' with weights", "train", "torch")
     # Imported here since PyTorch is optional.
-    from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
-    from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+    from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, read_gaddpg_checkpoint
     from handover_marl.learning.networks.weights import read_network_weights
 
     loaded, fingerprint = read_network_weights(weights, GaddpgNetwork) if is_own else read_gaddpg_checkpoint(weights)

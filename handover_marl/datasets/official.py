@@ -5,6 +5,7 @@
 """
 
 import hashlib
+import io
 import os
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +15,6 @@ import numpy.typing as npt
 
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
-from handover_marl.datasets.grasp_files import load_grasps
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
     FileOrigin,
@@ -23,12 +23,46 @@ from handover_marl.datasets.official_files import (
     find_origin,
     require_file,
 )
+from handover_marl.datasets.restricted_pickle import load_restricted
 from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
-from handover_marl.errors import DataNotFoundError
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
+
+_MAX_BYTES = 20_000_000  # official files have less than 1 MB
+
+
+def load_grasps(path: Path) -> npt.NDArray[np.float64]:
+    """Load the gripper poses (n, 4, 4) `object_from_gripper` (m) of a grasp file.
+
+    Raises:
+        UnsafeFileError: The pickle uses something other than arrays and plain values.
+        DataFormatError: The file is damaged, or has no finite poses.
+    """
+    try:
+        stream = io.BytesIO(read_plain_file(path, _MAX_BYTES))
+        np.lib.format.read_magic(stream)
+        np.lib.format.read_array_header_1_0(stream)
+        content = load_restricted(stream.read())
+        content = content.item() if isinstance(content, np.ndarray) else content
+        # Files of Python 3 have bytes as keys.
+        by_name = {key.decode() if isinstance(key, bytes) else key: value for key, value in content.items()}
+        grasps: npt.NDArray[np.float64] = by_name["transforms"].astype(np.float64)
+        if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
+            raise ValueError(f"'transforms' must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
+    except UnsafeFileError as error:
+        raise UnsafeFileError(
+            f"{path}: refused to load, the pickle {error} and may run foreign code. "
+            "Replace it by the original HandoverSim file."
+        ) from None
+    except Exception as error:  # Damaged pickles raise exceptions of many types.
+        raise DataFormatError(
+            f"{path}: not a readable grasp file ({shorten_text(error)}). Copy it again from the HandoverSim data."
+        ) from error
+    return grasps
 
 
 class OfficialDataset(Dataset):

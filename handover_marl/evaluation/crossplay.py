@@ -111,7 +111,7 @@ class CrossPlay(TabularResult):
         Raises:
             ResultsError: The folder cannot be written.
         """
-        from handover_marl.visualization.heat_map import draw_heat_map
+        from handover_marl.visualization.figures import draw_heat_map
 
         write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
         write_atomically(folder / CROSSPLAY_CSV, self.to_csv())

@@ -29,7 +29,7 @@ from handover_marl.execution.options import check_boolean, forward_signature, re
 from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
-from handover_marl.visualization.plan_figure import draw_plan_figure
+from handover_marl.visualization.figures import draw_plan_figure, draw_wrist_view
 from handover_marl.visualization.replay_page import build_replay_page
 from handover_marl.visualization.replay_recorder import ReplayRecorder
 from handover_marl.visualization.replay_scene import require_replay_extra
@@ -44,7 +44,6 @@ from handover_marl.visualization.video import (
     encode_video,
     format_caption,
 )
-from handover_marl.visualization.wrist_view import draw_wrist_view
 
 #: Names of the views.
 VIEWS = ("outside", "wrist")

@@ -1,8 +1,47 @@
 """Motion and state of many worlds whose arrays are PyTorch tensors on one device."""
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-from handover_marl.geometry.arrays import AnyArray
+import warp
+
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+
+
+class WarpDevice:
+    """Device that Warp and PyTorch use in turn, on a GPU in one stream.
+
+    Args:
+        arrays: Creator of tensors on the device.
+
+    Attributes:
+        stream: PyTorch's stream on a GPU, else None.
+    """
+
+    def __init__(self, arrays: ArrayFactory) -> None:
+        self._arrays, self._name = arrays, str(arrays.device)
+        self.stream = arrays.xp.cuda.Stream(arrays.device) if arrays.device.type == "cuda" else None
+
+    def synchronize(self) -> None:
+        """Wait until the device has done all work in the stream, so that what it reads may be replaced."""
+        if self.stream is not None:
+            self.stream.synchronize()
+
+    @contextlib.contextmanager
+    def use(self) -> Iterator[None]:
+        """Let Warp and PyTorch use the device, on a GPU in one stream, so that they wait for each other."""
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(warp.ScopedDevice(self._name))
+            if self.stream is not None:
+                cuda = self._arrays.xp.cuda
+                outer = cuda.current_stream(self._arrays.device)
+                self.stream.wait_stream(outer)
+                stack.callback(outer.wait_stream, self.stream)
+                stack.enter_context(cuda.stream(self.stream))
+                # A graph cannot be captured in the default stream.
+                stack.enter_context(warp.ScopedStream(warp.stream_from_torch(self.stream)))
+            yield
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.datasets.grasp_files import load_grasps
+from handover_marl.datasets.official import load_grasps
 from handover_marl.errors import DataFormatError, UnsafeFileError
 from tests.fake_layout import evil_grasps, write_grasps
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from handover_marl.datasets.dexycb.stand_ins import find_plain_files, open_folder
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.execution.archives import find_plain_files, open_folder
 
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}
 

@@ -14,8 +14,7 @@ pytest.importorskip("torch")
 from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.learning.imitation.gaddpg.states import read_states
 from handover_marl.learning.imitation.vision.view_files import get_view_path, read_views
-from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
-from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, read_gaddpg_checkpoint
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.training.run_folder import read_checkpoint

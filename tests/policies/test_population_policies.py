@@ -9,8 +9,7 @@ import pytest
 import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.errors import OptionError
-from handover_marl.policies.population_policies import PopulationPolicy
-from handover_marl.policies.populations import load_population
+from handover_marl.policies.populations import PopulationPolicy, load_population
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
 from tests.givers.test_givers import seen
 

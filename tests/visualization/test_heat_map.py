@@ -7,7 +7,7 @@ from PIL import Image
 
 pytest.importorskip("matplotlib", reason="needs the extra `plot`")
 
-from handover_marl.visualization.heat_map import draw_heat_map
+from handover_marl.visualization.figures import draw_heat_map
 
 LONG = "cooperative:" + ",".join(f"option_{number}=0.123" for number in range(30))
 

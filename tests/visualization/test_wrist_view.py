@@ -10,7 +10,7 @@ from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.visualization.wrist_view import draw_wrist_view
+from handover_marl.visualization.figures import draw_wrist_view
 
 CAMERA = CameraConfig(width=320, height=240)
 COMMAND = [

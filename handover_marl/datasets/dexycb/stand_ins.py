@@ -8,8 +8,12 @@ PyBullet's Panda. Stand-in files and all results made with them are marked as su
 
 import functools
 import io
+import tarfile
+import tempfile
+import zipfile
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -26,8 +30,8 @@ from handover_marl.datasets.official_files import (
     classify_file_origin,
     read_third_party_checksums,
 )
-from handover_marl.errors import DataFormatError
-from handover_marl.execution.archives import find_plain_files, open_folder
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
+from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.tasks import map_with_progress
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
@@ -35,6 +39,50 @@ from handover_marl.geometry.model_files.obj_files import format_convex_parts as 
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
+
+
+@contextmanager
+def open_folder(source: Path) -> Iterator[Path]:
+    """Yield a folder, or a temporary folder with the content of a .tar, .tar.gz, .tar.bz2, .tar.xz or .zip archive.
+
+    Raises:
+        DataNotFoundError: The source does not exist or is not a folder or plain file.
+        UnsafeFileError: The archive contains devices, links or paths to places outside itself.
+        DataFormatError: The archive is damaged, or the file is not an archive.
+    """
+    try:
+        is_folder, is_file = source.is_dir(), source.is_file()
+    except OSError as error:  # such as a name that is too long
+        raise DataNotFoundError(f"cannot read {source} ({error.strerror or error})") from error
+    if is_folder:
+        yield source
+        return
+    if not is_file:
+        raise DataNotFoundError(f"{source} must be a folder or an archive, got no such file")
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            if zipfile.is_zipfile(source):
+                with zipfile.ZipFile(source) as zip_archive:
+                    zip_archive.extractall(folder)
+            else:
+                with tarfile.open(source) as archive:
+                    archive.extractall(folder, filter="data")
+        except tarfile.FilterError as error:
+            raise UnsafeFileError(
+                f"{source}: refused to unpack, {shorten_text(error)}; download it again, or unpack an archive that "
+                "you trust and pass the folder"
+            ) from error
+        except Exception as error:  # tarfile and zipfile raise exceptions of many kinds on damaged bytes
+            raise DataFormatError(
+                f"{source}: not a readable archive ({shorten_text(error)}); download it again"
+            ) from error
+        yield Path(folder)
+
+
+def find_plain_files(folder: Path) -> list[Path]:
+    """Return the paths of all regular files in a folder, sorted; links are left out."""
+    return sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+
 
 #: File name of HandoverSim's archive of third-party files.
 ARCHIVE_NAME: Final = "assets-3rd-party-20220511.tar.gz"

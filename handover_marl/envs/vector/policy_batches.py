@@ -20,7 +20,7 @@ from handover_marl.policies.batch import (
     SequentialPolicyBatch,
 )
 from handover_marl.policies.policy import Policy
-from handover_marl.policies.population_policies import PopulationPolicy
+from handover_marl.policies.populations import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
 from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 

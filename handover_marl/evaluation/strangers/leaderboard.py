@@ -69,7 +69,7 @@ class Leaderboard(TabularResult):
             ResultsError: The file cannot be written.
         """
         require_modules("the heat map", "plot", "matplotlib")
-        from handover_marl.visualization.heat_map import draw_heat_map
+        from handover_marl.visualization.figures import draw_heat_map
 
         first = self.reports[0]
         rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()

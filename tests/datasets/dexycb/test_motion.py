@@ -4,13 +4,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.dexycb.motion import (
+from handover_marl.datasets.dexycb.rotations import STRIDE, KeyframeSpan, TagFrame
+from handover_marl.datasets.dexycb.scenes import (
     compute_finger_poses,
     compute_hand_trajectory,
     compute_object_trajectory,
     find_hand_span,
 )
-from handover_marl.datasets.dexycb.rotations import STRIDE, KeyframeSpan, TagFrame
 from tests.datasets.dexycb.raw_files import hand_model, hand_poses, object_poses, tag_pose
 
 

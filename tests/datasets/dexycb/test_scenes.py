@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.datasets.dexycb.motion import compute_hand_trajectory, compute_object_trajectory
 from handover_marl.datasets.dexycb.rotations import TagFrame
 from handover_marl.datasets.dexycb.scenes import (
     CachedScene,
+    compute_hand_trajectory,
+    compute_object_trajectory,
     find_first_betas,
     import_scene,
     write_scene,

@@ -12,7 +12,7 @@ from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.assets import write_object_assets
 from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins
-from handover_marl.datasets.grasp_files import load_grasps
+from handover_marl.datasets.official import load_grasps
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
     is_stand_in_file,

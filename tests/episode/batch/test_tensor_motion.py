@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.episode.batch.recordings import RecordingBank
+from handover_marl.episode.batch.tensor_motion import RecordingBank
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy

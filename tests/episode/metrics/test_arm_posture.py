@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from handover_marl.episode.metrics.arm_posture import ArmModel, _pose_arm, compute_rula_arm_scores
+from handover_marl.episode.metrics.fluency import ArmModel, _pose_arm, compute_rula_arm_scores
 
 ARM = ArmModel()
 SHOULDER = np.add(ARM.chest, [ARM.half_shoulder_width, 0.0, 0.0])  # the left one

@@ -12,7 +12,7 @@ import torch
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.learning.networks.gaddpg_weights import read_gaddpg_checkpoint
+from handover_marl.learning.networks.gaddpg_network import read_gaddpg_checkpoint
 from handover_marl.receivers import make
 
 ACTOR, FEATURES = "DDPG_actor_PandaYCBEnv_latest", "DDPG_state_feat_PandaYCBEnv_latest"

@@ -19,7 +19,7 @@ from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_euler
-from handover_marl.simulation.warp_device import WarpDevice
+from handover_marl.simulation.tensor_state import WarpDevice
 
 # Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.
 _MAX_CONTACTS, _MAX_CONSTRAINTS = 128, 256

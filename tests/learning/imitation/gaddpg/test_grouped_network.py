@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches, StateAugmentationConfig  # noqa: E402
-from handover_marl.learning.imitation.gaddpg.grouped_network import evaluate_network  # noqa: E402
 from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402  # noqa: E402
     GaddpgLearner,
     GaddpgLearnerConfig,
     compute_action_losses,
     compute_goal_losses,
+    evaluate_network,
 )
 from handover_marl.learning.imitation.gaddpg.states import (  # noqa: E402
     ImitationStates,

@@ -10,9 +10,9 @@ from handover_marl.config import HandConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.mujoco.batches.warp_hands import HandBatch
+from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
+from handover_marl.simulation.mujoco.batches.warp_worlds import HandBatch
 from handover_marl.simulation.mujoco.contacts import SensorReadings
-from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import WXYZ
 from handover_marl.simulation.reference_tracking import HandTrajectory, ReferenceMotion

@@ -19,8 +19,8 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
+from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
-from handover_marl.simulation.mujoco.hand_kinematics import HandKinematics
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts
 from handover_marl.simulation.mujoco.models.model_variants import CollisionGroup
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
