@@ -10,12 +10,11 @@ from typing import Any
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
-from handover_marl.learning.adapters.function_policy import FunctionPolicy
+from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch

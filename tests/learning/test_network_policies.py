@@ -18,8 +18,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (

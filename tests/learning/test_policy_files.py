@@ -19,8 +19,8 @@ import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
+from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features
-from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import read_policy, write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.policies.policy import Policy

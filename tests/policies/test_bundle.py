@@ -12,7 +12,7 @@ import pytest
 import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
-from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE
+from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE
 from handover_marl.policies.bundle import PolicyBundle
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver

@@ -23,7 +23,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataNotFoundError, OptionError, PolicyError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
 from handover_marl.givers.replay import ReplayGiver
-from handover_marl.learning.learned_policy import DEFAULT_GIVER_FILE, LearnedPolicy
+from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE, LearnedPolicy
 from handover_marl.policies import registry
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list

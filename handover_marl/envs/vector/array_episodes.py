@@ -16,7 +16,8 @@ from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.batch.camera_observations import WristCameraBatch
-from handover_marl.episode.batch.make_episodes import make_episode_batch
+from handover_marl.episode.batch.episodes import EpisodeBatch
+from handover_marl.episode.batch.tensor_episodes import TensorEpisodeBatch
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
@@ -29,7 +30,7 @@ from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.simulation.engines import BatchBackend
+from handover_marl.simulation.engines import WARP, BatchBackend
 
 Flags: TypeAlias = AnyArray
 
@@ -67,7 +68,11 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes = make_episode_batch(config.world_config, count, backend)
+        self._episodes: EpisodeBatch | TensorEpisodeBatch
+        if backend.name == WARP:
+            self._episodes = TensorEpisodeBatch(config.world_config, count, backend.device)
+        else:
+            self._episodes = EpisodeBatch(config.world_config, count)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)

@@ -1,14 +1,17 @@
 """Policies that run a function or a network on encoded observations."""
 
 import inspect
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+import handover_marl.givers
 from handover_marl.episode.observations import Observation, giver_observation_space, receiver_observation_space
 from handover_marl.episode.spaces import STATE, check_vector
 from handover_marl.errors import ActionError, HandoverError, OptionError
@@ -17,6 +20,7 @@ from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.encodings.custom_features import AgentFeatures, FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import make_features
+from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
@@ -256,3 +260,49 @@ def _make_zeros(space: Any) -> Any:
     if isinstance(space, spaces.Dict):
         return {key: _make_zeros(part) for key, part in space.spaces.items()}
     return np.zeros(space.shape, dtype=space.dtype)
+
+
+#: Shipped giver, trained for the receiver `yang2021`.
+DEFAULT_GIVER_FILE = Path(handover_marl.givers.__file__).parent / "policies" / "for_yang2021.npz"
+
+
+class LearnedPolicy(FunctionPolicy):
+    """Policy that runs a trained network, `learned:FILE`; the giver `learned` runs the shipped file.
+
+    Args:
+        agent: Agent that the policy controls, "giver" or "receiver".
+        context: Robot, task and known grasps of the objects.
+        path: Policy file, see `handover_marl.learning.policy_files`.
+        trust: Whether code in the file may run.
+        control_period: Time between two decisions in training (s), for files that do not record it.
+        wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
+            default: as in training. Only action schemes that wait have this option.
+
+    Raises:
+        DataNotFoundError: The file does not exist.
+        DataFormatError: The file is damaged or for another agent.
+        UnsafeFileError: The file contains code, or names user-defined features or schemes (`module:name`),
+            and is not trusted.
+        OptionError: A receiver has no file, or an option does not fit the file.
+    """
+
+    name = "learned"
+
+    def __init__(
+        self,
+        agent: str,
+        context: PolicyContext,
+        path: str | os.PathLike[str] | None = None,
+        trust: bool = False,
+        control_period: float | None = None,
+        wait: float | None = None,
+    ) -> None:
+        if path is None and agent != "giver":
+            raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
+        found = read_policy(
+            DEFAULT_GIVER_FILE if path is None else Path(path).expanduser(), agent, trust, control_period
+        )
+        encoding = Encoding(found.spec.features, found.spec.actions, found.spec.control_period)
+        # Its name and the name and hash of the file.
+        label = self.name if path is None else f"{self.name}:{found.label}"
+        super().__init__(agent, context, found.function, encoding, self.name, label, wait=wait)

@@ -7,12 +7,11 @@ import numpy as np
 
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.batch.make_episodes import make_episode_batch
+from handover_marl.episode.batch.episodes import EpisodeBatch
 from handover_marl.episode.lockstep import RefereeStateBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.engines import BatchBackend
 from tests.fake_device import DEVICE, DeviceTensor
 
 
@@ -22,11 +21,10 @@ class TensorEpisodes:
     Args:
         config: Simulated world, protocol and limits of the givers.
         count: Number of episodes.
-        backend: Not used: MuJoCo simulates on the processor.
     """
 
-    def __init__(self, config: WorldConfig, count: int, backend: BatchBackend) -> None:
-        self._episodes = make_episode_batch(config, count, BatchBackend())
+    def __init__(self, config: WorldConfig, count: int) -> None:
+        self._episodes = EpisodeBatch(config, count)
         self.arrays, self.config = make_tensor_factory(DEVICE.type), config
 
     @property

@@ -10,10 +10,10 @@ import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError
 from handover_marl.learning.action_scheme import ActionScheme
+from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.encodings.choices import declare_size
 from handover_marl.learning.encodings.custom_features import FeatureExtractor
 from handover_marl.learning.features import make_features
-from handover_marl.learning.learned_policy import LearnedPolicy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
