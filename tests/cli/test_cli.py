@@ -151,6 +151,8 @@ def test_modules_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.Monke
     for name, file in (("minari", "__init__.py"), ("igl", "data.txt"), ("warp", "__init__.py")):
         (tmp_path / name).mkdir()
         (tmp_path / name / file).touch()
+        # Other tests may have imported it.
+        monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path)])
     importlib.invalidate_caches()

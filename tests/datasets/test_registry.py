@@ -166,5 +166,5 @@ def test_results_of_another_data_set(many: Dataset, tmp_path: Path) -> None:
 def test_wrong_sizes_are_refused(tmp_path: Path, size: str) -> None:
     metadata = ResultMetadata("all", "test", "hold", "replay", "fast", "many:cups", "0.8.0", n_split_scenes=size)
     (tmp_path / CONFIG_FILE).write_text(format_config(metadata, OFFICIAL_CONFIG))
-    with pytest.raises(ResultsError, match="without a number of scenes"):
+    with pytest.raises(ResultsError, match="beside which n_split_scenes must be a"):
         read_result_metadata(tmp_path)
