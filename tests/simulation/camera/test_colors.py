@@ -86,14 +86,15 @@ def compute_means(
 @pytest.mark.parametrize("data", ["synthetic", "own", "real"])
 def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_path: Path, data: str, count: int) -> None:
     rng, compared = np.random.default_rng(0), dict.fromkeys(SegmentationLabel, 0)
-    for scene in load_scenes(request, data, tmp_path):
+    scenes = load_scenes(request, data, tmp_path)
+    for scene in scenes:
         bullet, rays, device = (
             SceneRenderer(scene, CONFIG),
             RayCamera(scene.assets, CONFIG),
             WarpCamera(CONFIG, 1, TENSORS),
         )
         device.reset(0, scene.assets)
-        for _ in range(count):
+        for _ in range(-(-count // len(scenes))):
             now = draw_snapshot(scene, CONFIG, rng)
             drawn = bullet.render_wrist_camera(now, color=True)
             cast = rays.render_wrist_camera(now, color=True)
