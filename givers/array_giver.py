@@ -5,17 +5,14 @@ from abc import abstractmethod
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
-import numpy as np
-
 from handover_marl.config import CheckedConfig
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
 from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext
 
-_ROW = np.zeros(1, dtype=np.int64)
 _PAUSE = -1.0  # playback rate minus 1
 
 
@@ -73,7 +70,7 @@ class ArrayGiver(Giver):
 
     def act(self, observation: Observation) -> Action:
         """Return the action (8,) of a giver by itself."""
-        action: Action = self.decide(_ROW, {key: values[None] for key, values in observation.items()})[0]
+        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":

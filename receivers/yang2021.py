@@ -15,9 +15,9 @@ import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF, CheckedConfig, Limits, check_config
 from handover_marl.episode.loop import steps_from_hold_time
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
-from handover_marl.geometry.arrays import AnyIntegers, Indices
+from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices
 from handover_marl.geometry.poses import (
     compose,
     compute_dot_products,
@@ -258,9 +258,6 @@ def _fill(
         arms[some] = move(rows[some], {key: value[some] for key, value in observation.items()})
 
 
-_ROW = np.zeros(1, dtype=np.int_)
-
-
 class Yang2021Receiver(Receiver):
     """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
@@ -296,7 +293,7 @@ class Yang2021Receiver(Receiver):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
-        self._controller.reset(_ROW)
+        self._controller.reset(ONLY_ROW)
 
     @property
     def wait(self) -> float:
@@ -313,11 +310,11 @@ class Yang2021Receiver(Receiver):
     @property
     def hold_time(self) -> float:
         """Time until the next decision (s), infinite during the retreat."""
-        return float(self._controller.get_hold_times(_ROW)[0])
+        return float(self._controller.get_hold_times(ONLY_ROW)[0])
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions."""
-        action: Action = self._controller.act(_ROW, {key: values[None] for key, values in observation.items()})[0]
+        action: Action = self._controller.act(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
 

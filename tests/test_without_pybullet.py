@@ -263,6 +263,7 @@ def test_commands_say_what_they_cannot(refusals: list[tuple[int, str]], number: 
 def test_the_doctor_says_what_can_be_played(elsewhere: dict[str, str]) -> None:
     reported = command(elsewhere, "doctor").stdout
     assert "ok    physics         mujoco" in reported
+    assert "--physics mujoco" in reported
 
 
 @pytest.mark.skipif(not is_pybullet_installed(), reason="there is no result with PyBullet")

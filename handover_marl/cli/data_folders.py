@@ -24,7 +24,7 @@ from handover_marl.version import __version__
 Finding = tuple[str, str, str]
 
 _FAULT, _MAX_LISTED = "fault", 20
-_DISTRIBUTION, _DEVELOPER_EXTRAS = "handover-marl", ("assets", "dev", "docs")
+_PACKAGE, _DISTRIBUTION, _DEVELOPER_EXTRAS = "handover_marl", "handover-marl", ("assets", "dev", "docs")
 _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
 
 
@@ -87,13 +87,23 @@ def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = N
 
 def check_installation() -> list[Finding]:
     """Check the physics engines and the packages of the optional extras."""
-    from handover_marl.simulation.engines import list_available_physics
+    from handover_marl.simulation.engines import EXACT, list_available_physics
 
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     findings = [("ok", "library", f"handover_marl {__version__}, {machine}")]
+    clone = Path(__file__).parents[2]
+    if clone.name == _PACKAGE:
+        text = (
+            f"programs in {clone.parent} import the folder {clone.name} instead of the library, and miss its names; "
+            f"rename it, for example to {_DISTRIBUTION}, and install it again"
+        )
+        findings.append(("note", "folder", text))
     available = list_available_physics()
     text = ", ".join(available) or "none; install PyBullet (Python up to 3.13) or MuJoCo (Python from 3.11)"
     findings.append(("ok" if available else _FAULT, "physics", text))
+    if available and EXACT not in available:
+        text = "exact and fast need PyBullet, which has wheels up to Python 3.13; use --physics mujoco"
+        findings.append(("note", "physics", text))
     missing: dict[str, list[str]] = {extra: [] for extra in metadata(_DISTRIBUTION).get_all("Provides-Extra", [])}
     for requirement in requires(_DISTRIBUTION) or []:
         name, extra = _NAME.match(requirement), _EXTRA.search(requirement)

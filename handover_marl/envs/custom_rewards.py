@@ -18,14 +18,13 @@ from handover_marl.envs.rewards import (
     make_reward_config,
 )
 from handover_marl.envs.transition import Transition
+from handover_marl.episode.observations import add_episode_axis
 from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW
 from handover_marl.policies.registry import import_reference
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Position: TypeAlias = tuple[float, ...]
-# The only episode of an environment.
-_ROW = np.array([0])
 #: Function from a transition to the reward terms by agent and name.
 CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
@@ -156,19 +155,19 @@ class PresetRewardSource:
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent."""
-        self._rewards.start(_ROW, self._read_state(transition))
+        self._rewards.start(ONLY_ROW, self._read_state(transition))
         return {agent: dict.fromkeys(names, 0.0) for agent, names in self._rewards.names.items()}
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the reward terms of a control step, by agent."""
         status = np.array([int(transition.status)])
-        terms = self._rewards.compute_terms(_ROW, status, self._read_state(transition))
+        terms = self._rewards.compute_terms(ONLY_ROW, status, self._read_state(transition))
         return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in terms.items()}
 
     def _read_state(self, transition: Transition) -> dict[str, Any]:
         if not self._rewards.needs_state:
             return {}
-        state = {key: values[None] for key, values in transition.next_state.items()}
+        state = add_episode_axis(transition.next_state)
         return {**state, "grasped": np.array([transition.contacts.both_fingers_touch])}
 
 

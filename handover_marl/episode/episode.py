@@ -20,13 +20,11 @@ from handover_marl.episode.observations import (
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
 from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
 from handover_marl.simulation.world import BatchWorld, World
-
-# The only giver of an episode.
-_ROW = np.array([0])
 
 
 class Episode:
@@ -114,7 +112,9 @@ class Episode:
         while steps > 0 and not referee.status:
             planned = min(steps, PLANNED_STEPS)
             is_opening = referee.release_reason is ReleaseReason.VOLUNTARY
-            plan = motion.plan(_ROW, planned, giver_action[None], np.array([referee.released]), np.array([is_opening]))
+            plan = motion.plan(
+                ONLY_ROW, planned, giver_action[None], np.array([referee.released]), np.array([is_opening])
+            )
             world.set_reference(plan.references[0])
             steps -= planned
             if isinstance(world, BatchWorld) and not on_step and camera is None:

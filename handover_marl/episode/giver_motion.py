@@ -105,7 +105,7 @@ class GiverMotion:
 
     @property
     def holding(self) -> Flags:
-        """Whether each person has picked up the object, so that displacements take effect, (n,)."""
+        """Mask (n,) of the persons who have picked up the object, so that displacements take effect."""
         return np.asarray(self.frame >= self._pick_up)
 
     @property

@@ -207,6 +207,11 @@ def observe_giver(state: Observation, motion: GiverMotion, preview: MotionPrevie
     }
 
 
+def add_episode_axis(observation: Observation) -> Observation:
+    """Return the observation of one episode as arrays (1, ...), for code that takes those of many episodes."""
+    return {key: values[None] for key, values in observation.items()}
+
+
 def _unbounded(shape: tuple[int, ...]) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, shape, np.float32)
 

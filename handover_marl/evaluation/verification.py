@@ -90,7 +90,7 @@ class Verification(TabularResult):
 
     @property
     def is_verified(self) -> bool:
-        """Whether nothing in the folder differs."""
+        """True if nothing in the folder differs."""
         return not self.differences
 
     @property

@@ -77,7 +77,7 @@ class _ProcessState:
     """State of a worker process: its present job, and the function that the job has created."""
 
     job_id: ClassVar[str] = ""
-    job: ClassVar[Job[Any, Any] | None] = None
+    job: ClassVar[Job[Any, Any]]
     function: ClassVar[Callable[[Any], Any] | None] = None
     resources: ClassVar[ExitStack] = ExitStack()
 
@@ -104,10 +104,9 @@ def run_pickled_task(job_id: str, load_job: Callable[[], bytes], pickled_task: b
     state, description = _ProcessState, "a task"
     try:
         if state.job_id != job_id:
-            state.job, state.function = None, None
+            state.function = None
             state.resources.close()
             state.job_id, state.job = job_id, unpickle(load_job())
-        assert state.job is not None
         task = unpickle(pickled_task)
         description = state.job.describe(task)
         if state.function is None:

@@ -184,6 +184,9 @@ class ArrayFactory:
 
 #: Creator of NumPy arrays.
 NUMPY_ARRAYS = ArrayFactory(np, "cpu")
+#: Indices (1,) of a batch that has one row.
+ONLY_ROW = np.zeros(1, dtype=np.int64)
+ONLY_ROW.flags.writeable = False
 
 
 def make_tensor_factory(device: Any) -> ArrayFactory:

@@ -9,14 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
+from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory, to_numpy
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
-
-# The only episode of a single scheme.
-_ROW = np.array([0])
 
 
 class ArrayScheme(ABC):
@@ -50,6 +47,10 @@ class ArrayScheme(ABC):
     ) -> None:
         self._selector, self._arrays = selector, arrays
         self._outputs = arrays.zeros((count, self.size))
+        self.allocate(context, count)
+
+    def allocate(self, context: PolicyContext, count: int) -> None:  # noqa: B027
+        """Create what a scheme needs besides the outputs of its n episodes."""
 
     def reset(self, row: int) -> None:
         """Clear the state of the previous episode.
@@ -130,14 +131,14 @@ class SequentialScheme(ArrayScheme):
 
 
 class SingleScheme(ActionScheme):
-    """Action scheme of one episode, without the leading axis.
+    """Action scheme that takes and returns the values of one episode, without the axis of episodes.
 
     Args:
-        scheme: Scheme of one episode.
+        scheme: Scheme of n = 1 episode.
         context: Robot, task and known grasps of the objects.
 
     Attributes:
-        scheme: Scheme of one episode.
+        scheme: Scheme of n = 1 episode.
     """
 
     def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:
@@ -160,18 +161,13 @@ class SingleScheme(ActionScheme):
 
     def needs_outputs(self, observation: Observation) -> bool:
         """Return whether the network must be evaluated now; else its previous outputs remain in use."""
-        return bool(self.scheme.needs_outputs(_ROW, add_axis(observation))[0])
+        return bool(self.scheme.needs_outputs(ONLY_ROW, add_episode_axis(observation))[0])
 
     def set_outputs(self, outputs: Outputs) -> None:
         """Store new network outputs (size,)."""
-        self.scheme.set_outputs(_ROW, np.asarray(outputs)[None])
+        self.scheme.set_outputs(ONLY_ROW, np.asarray(outputs)[None])
 
     def compute_action(self, observation: Observation) -> Action:
         """Return the agent's action for the current outputs, an element of its action space."""
-        action: Action = self.scheme.compute_actions(_ROW, add_axis(observation))[0]
+        action: Action = self.scheme.compute_actions(ONLY_ROW, add_episode_axis(observation))[0]
         return action
-
-
-def add_axis(observation: Observation) -> Observation:
-    """Return an observation as a batch of one."""
-    return {key: values[None] for key, values in observation.items()}

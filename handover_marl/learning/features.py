@@ -6,9 +6,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from gymnasium import spaces
 
-from handover_marl.episode.observations import Observation, giver_observation_space, state_space
+from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space, state_space
 from handover_marl.errors import check_name
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.array_features import (
     N_STACKED,
@@ -21,7 +21,6 @@ from handover_marl.learning.array_features import (
     SequentialFeatures,
     StackedFeatures,
 )
-from handover_marl.learning.array_schemes import add_axis
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import (
     KIND,
@@ -39,8 +38,6 @@ _Make: TypeAlias = Callable[[PolicyContext, LowestCostGraspSelector, int, ArrayF
 
 _N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
 _GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), state_space()
-# The only episode of single features.
-_ROW = np.array([0])
 
 # By agent and name: factory and number of features. The flat ones are complete observations in the order in which
 # Gymnasium and Stable-Baselines3 flatten them.
@@ -71,10 +68,10 @@ _FEATURES: dict[str, dict[str, tuple[_Make, int]]] = {
 
 
 class SingleFeatures:
-    """Function from an observation of one episode to its features, without the leading axis.
+    """Features of one observation, without the axis of episodes.
 
     Args:
-        features: Features of one episode.
+        features: Features of n = 1 episode.
     """
 
     def __init__(self, features: ArrayFeatures) -> None:
@@ -86,7 +83,7 @@ class SingleFeatures:
 
     def __call__(self, observation: Observation) -> Vector:
         """Return the features (size,) of an observation."""
-        vector: Vector = self._features(_ROW, add_axis(observation))[0]
+        vector: Vector = self._features(ONLY_ROW, add_episode_axis(observation))[0]
         return vector
 
 

@@ -4,13 +4,12 @@ from abc import abstractmethod
 
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, giver_action_space
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, widen
+from handover_marl.geometry.arrays import AnyArray, widen
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.cooperative import HandoverPoseVariation
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
 from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import PolicyContext
 
@@ -40,15 +39,9 @@ class DeviationScheme(GiverScheme):
 
     name, size = "deviation", GIVER_ACTION_SIZE
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
-        space = giver_action_space(context.config.giver)
+    def allocate(self, context: PolicyContext, count: int) -> None:
+        """Create what a scheme needs besides the outputs of its n episodes."""
+        space, arrays = giver_action_space(context.config.giver), self._arrays
         self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -89,14 +82,9 @@ class HandoverPoseScheme(GiverScheme):
     arrival_tolerance = 0.01
     latest_decision_s = 2.5
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
+    def allocate(self, context: PolicyContext, count: int) -> None:
+        """Create what a scheme needs besides the outputs of its n episodes."""
+        arrays = self._arrays
         self._pose_variation = HandoverPoseVariation(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))

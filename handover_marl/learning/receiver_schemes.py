@@ -5,7 +5,7 @@ import numpy as np
 from handover_marl.config import ARM_DOF, PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, get_namespace, stack_last
+from handover_marl.geometry.arrays import AnyArray, get_namespace, stack_last
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import CLOSED, LOWER_LIMITS, OPEN, UPPER_LIMITS, WAITING_JOINTS
 from handover_marl.geometry.poses import (
@@ -22,7 +22,6 @@ from handover_marl.geometry.rotations import (
 )
 from handover_marl.learning.array_features import rotate_to_world
 from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
-from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
 
@@ -37,15 +36,9 @@ class JointScheme(ArrayScheme):
 
     agent = "receiver"
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
-        self._low, self._high = arrays.asarray(LOWER_LIMITS), arrays.asarray(UPPER_LIMITS)
+    def allocate(self, context: PolicyContext, count: int) -> None:
+        """Create what a scheme needs besides the outputs of its n episodes."""
+        self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
         """Return target positions (r, 9) from those of arms (r, 7) in rad and whether grippers close, (r,)."""
@@ -102,14 +95,10 @@ class CartesianDeltaScheme(JointScheme):
     max_output_translation: float | tuple[float, float, float] = 0.08
     max_output_rotation, damping = 0.3, 0.05
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
+    def allocate(self, context: PolicyContext, count: int) -> None:
+        """Create what a scheme needs besides the outputs of its n episodes."""
+        super().allocate(context, count)
+        arrays = self._arrays
         self._damping = arrays.asarray(self.damping**2 * np.eye(6))
         self._max_translation = arrays.asarray(self.max_output_translation)
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
@@ -170,14 +159,10 @@ class GraspServoScheme(CartesianDeltaScheme):
     lateral_tolerance, angle_tolerance = 0.01, 0.15
     standoff_per_offset, standoff_per_angle, max_standoff = 3.0, 0.3, 0.15
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
+    def allocate(self, context: PolicyContext, count: int) -> None:
+        """Create what a scheme needs besides the outputs of its n episodes."""
+        super().allocate(context, count)
+        arrays = self._arrays
         self._goal = arrays.asarray(context.protocol.goal_center)
         self._waiting = arrays.asarray(WAITING_JOINTS, "float32")
         self._closed = arrays.zeros(count, "bool")

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import Action, ActionScheme
-from handover_marl.learning.array_schemes import ArrayScheme, SequentialScheme, SingleScheme, add_axis
+from handover_marl.learning.array_schemes import ArrayScheme, SequentialScheme, SingleScheme
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
@@ -104,5 +104,5 @@ def outputs_from_action(scheme: ActionScheme, action: Action, observation: Obser
     inner = scheme.scheme if isinstance(scheme, SingleScheme) else None
     if not isinstance(inner, GiverScheme):
         raise OptionError(f"action scheme {scheme.name!r} cannot imitate; use a built-in scheme of the giver")
-    outputs = inner.outputs_from_actions(np.asarray(action)[None], add_axis(observation))[0]
+    outputs = inner.outputs_from_actions(np.asarray(action)[None], add_episode_axis(observation))[0]
     return np.asarray(outputs, dtype=np.float32)
