@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.errors import DataFormatError, SimulationError
-from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.simulation.bullet.client import connect, load_urdf
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
@@ -111,3 +111,14 @@ def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path, corne
     client = connect()
     with pytest.raises(SimulationError, match=r"mesh\.obj: a face names a corner"):
         load_urdf(client, urdf)
+
+
+def test_meshes_that_pybullet_reads_wrong_are_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, f"\ufeff{TRIANGLE}v 0 0 1\nf 1 2 3\n")
+    assert len(read_obj(path).vertices) == 4
+    with pytest.raises(DataFormatError, match="must not begin with a byte order mark"):
+        check_mesh(path)
+    flat = write(tmp_path, f"{TRIANGLE}f 1 2 3\n")
+    check_mesh(flat)
+    with pytest.raises(DataFormatError, match="all vertices are in one plane"):
+        check_mesh(flat, solid=True)

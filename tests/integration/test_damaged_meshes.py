@@ -1,4 +1,4 @@
-"""Tests of damaged collision meshes, which every physics engine refuses."""
+"""Tests of damaged collision meshes and of impossible numbers in URDF files, which every physics engine refuses."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,23 +9,42 @@ import pytest
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import DataFormatError
+from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 
 DAMAGES: dict[str, Callable[[str], str]] = {
     "empty": lambda text: "",
     "half": lambda text: text[: len(text) // 2].rpartition("\n")[0],
     "not finite": lambda text: text.replace("v ", "v nan ", 1),
+    "flat": lambda text: "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
 }
 
 
-def damage(scene: Scene, body: str, folder: Path, change: Callable[[str], str]) -> Scene:
-    """Return a scene in which all meshes of a body are changed copies."""
+#: Impossible numbers by body and by a pattern of the text before them.
+NUMBERS = {
+    ("object", 'mass value="'): ("nan", "-5", "1e30"),
+    ("object", 'lateral_friction value="'): ("inf",),
+    ("hand", 'mass value="'): ("nan",),
+    ("hand", 'ixx="'): ("-1",),
+    ("panda", 'izz="'): ("1e30",),
+    ("object", 'scale="'): ("0 1 1",),
+}
+
+
+def keep(text: str) -> str:
+    """Return the text."""
+    return text
+
+
+def damage(
+    scene: Scene, body: str, folder: Path, change: Callable[[str], str], change_urdf: Callable[[str], str] = keep
+) -> Scene:
+    """Return a scene in which URDF and all meshes of a body are changed copies."""
     assets = scene.assets
     urdf: Path = assets.objects[0] if body == "object" else getattr(assets, body)
     copy = folder / "models" / urdf.parent.name / urdf.name
     copy.parent.mkdir(parents=True)
-    copy.write_text(urdf.read_text())
+    copy.write_text(change_urdf(urdf.read_text()))
     for (_, mesh), (_, target) in zip(list_mesh_references(urdf), list_mesh_references(copy), strict=True):
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(change(mesh.read_text()))
@@ -42,5 +61,22 @@ def test_damaged_collision_meshes_are_refused(physics: str, body: str, kind: str
     scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, DAMAGES[kind])
     episode = Episode(physics)
     with pytest.raises(DataFormatError, match=r"\.obj"):
+        episode.reset(scene)
+    episode.close()
+
+
+@pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])
+@pytest.mark.parametrize(
+    ("body", "name", "number"), [(*key, value) for key, found in NUMBERS.items() for value in found]
+)
+def test_impossible_numbers_are_refused(physics: str, body: str, name: str, number: str, tmp_path: Path) -> None:
+    def change(text: str) -> str:
+        start, _, end = text.rpartition(name)
+        assert start
+        return "".join([start, name, number, end[end.index('"') :]])
+
+    scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, keep, change)
+    episode = Episode(physics)
+    with pytest.raises(HandoverError, match=r"\.urdf: .* must be a number from"):
         episode.reset(scene)
     episode.close()

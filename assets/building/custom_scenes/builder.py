@@ -18,8 +18,6 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
     MotionTable,
-    check_hand,
-    check_objects,
     make_trajectory,
     read_motion_table,
 )
@@ -28,7 +26,7 @@ from handover_marl.assets.building.mesh_solid import load_mesh_solid
 from handover_marl.assets.building.robot_grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
-from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
+from handover_marl.config import MAX_OBJECTS
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,
     MOTION_FOLDER,
@@ -36,6 +34,7 @@ from handover_marl.datasets.custom.dataset import (
     CustomDataset,
     get_motion_path,
 )
+from handover_marl.datasets.custom.ranges import check_hand, check_objects
 from handover_marl.datasets.custom.scene_file import (
     SCENE_FILE,
     CustomObject,
@@ -50,7 +49,7 @@ from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
-from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 #: Ways to divide scenes: by the object that is handed over, by the person, or at random.
@@ -274,8 +273,7 @@ class CustomSceneFolder:
         dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
-            check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
-            dataset.load_grasps(item.name)
+            dataset.check_object(item)
         for scene_id in range(dataset.n_scenes):
             dataset.load_scene(scene_id)
         return dataset

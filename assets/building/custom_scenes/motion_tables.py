@@ -16,12 +16,20 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.assets.hand_model import HandGeometry
-from handover_marl.config import HAND_DOF, OFFICIAL_CONFIG, TABLE_HEIGHT, TIME_STEP
+from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
+from handover_marl.datasets.custom.ranges import (
+    DURATION,
+    MAX_DISTANCE,
+    MAX_FINGER_ANGLE,
+    MAX_NORM_ERROR,
+    MAX_SPEED,
+    MAX_TURN_SPEED,
+)
 from handover_marl.datasets.synthetic.resampling import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.geometry.poses import compose, quaternions_from_euler, transform_points
+from handover_marl.geometry.poses import compose
 
 Array = npt.NDArray[np.float64]
 
@@ -36,16 +44,6 @@ _TIMES: Final = {"s": 1.0, "ms": 0.001}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
 _MAX_FRAME_DISTANCE = 100.0  # m
-#: Duration of a motion (s).
-DURATION: Final = (0.5, 60.0)
-# Distance of bodies from the origin of the world, on the floor below the table (m).
-_MAX_DISTANCE = 3.0
-# Speeds of recorded poses (m/s, rad/s), finger joint angles (rad), and deviation of the norm of quaternions from 1.
-_MAX_SPEED, _MAX_TURN_SPEED, _MAX_FINGER_ANGLE, _MAX_NORM_ERROR = 8.0, 60.0, 2.0 * np.pi, 0.02
-_MAX_REACH = 1.2  # m from the robot's base, where the handed-over object ends; the Panda reaches 0.855 m
-_MAX_SINK = 0.03  # m below the table's surface
-_MAX_HAND_DISTANCE = 1.0  # m, the smallest in a scene, between the hand's base and the handed-over object
-_FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's surface, 'table' on it; z points up"
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class MotionConfig:
                 pose.shape != (7,)
                 or not np.isfinite(pose).all()
                 or np.linalg.norm(pose[:3]) > _MAX_FRAME_DISTANCE
-                or abs(np.linalg.norm(pose[3:]) - 1.0) > _MAX_NORM_ERROR
+                or abs(np.linalg.norm(pose[3:]) - 1.0) > MAX_NORM_ERROR
             ):
                 raise OptionError(
                     f"frame must be 'world', 'table' or seven numbers, position (within {_MAX_FRAME_DISTANCE:g} m) and "
@@ -293,7 +291,7 @@ class _TableReader:
         poses[:, :3] *= _LENGTHS[self._config.length]
         poses = self._fill_gaps(key, poses, time[first:end], first)
         norms = np.linalg.norm(poses[:, 3:], axis=1)
-        wrong = np.flatnonzero(np.abs(norms - 1.0) > _MAX_NORM_ERROR)
+        wrong = np.flatnonzero(np.abs(norms - 1.0) > MAX_NORM_ERROR)
         if len(wrong):
             raise self._make_error(
                 f"the quaternion of {key} must have norm 1, got {norms[wrong[0]]:.4g} in row {first + wrong[0] + 1}; "
@@ -303,10 +301,10 @@ class _TableReader:
         self._check_speed(key, poses, time[first:end], first)
         world: Array = compose(self._config.world_from_frame, poses)
         distances = np.linalg.norm(world[:, :3], axis=1)
-        if distances.max() > _MAX_DISTANCE:
+        if distances.max() > MAX_DISTANCE:
             units = [unit for unit in _LENGTHS if unit != self._config.length]
             raise self._make_error(
-                f"{key} must be within {_MAX_DISTANCE:g} m of the world's origin, got a distance of "
+                f"{key} must be within {MAX_DISTANCE:g} m of the world's origin, got a distance of "
                 f"{distances.max():.4g} m in row {first + int(np.argmax(distances)) + 1}; if it is in {units[-1]}, "
                 f"pass length={units[-1]!r}, or pass the frame"
             )
@@ -347,7 +345,7 @@ class _TableReader:
         speeds = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) / steps
         turns = np.abs(np.einsum("ij,ij->i", poses[1:, 3:], poses[:-1, 3:]))
         turn_speeds = 2.0 * np.arccos(np.minimum(turns, 1.0)) / steps
-        for values, limit, unit in ((speeds, _MAX_SPEED, "m/s"), (turn_speeds, _MAX_TURN_SPEED, "rad/s")):
+        for values, limit, unit in ((speeds, MAX_SPEED, "m/s"), (turn_speeds, MAX_TURN_SPEED, "rad/s")):
             if len(values) and values.max() > limit:
                 row = int(np.argmax(values))
                 raise self._make_error(
@@ -362,7 +360,7 @@ class _TableReader:
         if not np.isfinite(angles).all():
             row = int(np.flatnonzero(~np.isfinite(angles).all(axis=1))[0])
             raise self._make_error(f"fingers must be finite where the wrist is, got none in row {rows[0] + row + 1}")
-        if np.abs(angles).max() > _MAX_FINGER_ANGLE:
+        if np.abs(angles).max() > MAX_FINGER_ANGLE:
             raise self._make_error(f"fingers must be angles in rad, got {np.abs(angles).max():.4g}; convert degrees")
         if self._config.fingers == "rotvec":
             rotations = Rotation.from_rotvec(angles.reshape(-1, 3))
@@ -407,46 +405,3 @@ def make_trajectory(
         hand[frames, :6] = resample_poses(recorded, base, rotations, shown)
         hand[frames, 6:] = resample_fingers(recorded, fingers, shown)
     return SceneTrajectory(np.stack(objects, axis=1), hand, span)
-
-
-def check_objects(objects: npt.NDArray[np.floating], bodies: Mapping[str, Array]) -> None:
-    """Check the motion (T, n, 6) of the objects of a scene at 1 kHz in the world frame (m, rad).
-
-    `bodies` are the vertices (v, 3) of the objects in their frames (m) by name, the handed-over one first.
-
-    Raises:
-        DataFormatError: An object is below the table or out of reach.
-    """
-    for number, (name, vertices) in enumerate(bodies.items()):
-        ends = objects[[0, -1], number].astype(np.float64)
-        poses = np.concatenate([ends[:, :3], quaternions_from_euler(ends[:, 3:])], axis=1)
-        _check_above_table(f"{name} must start", poses[0], vertices)
-        if number == 0:
-            base = np.array(OFFICIAL_CONFIG.physics.panda.base_position)
-            distance = float(np.linalg.norm(poses[-1, :3] - base))
-            if distance > _MAX_REACH:
-                raise DataFormatError(
-                    f"{name} must end within {_MAX_REACH} m of the robot's base, got {distance:.2f} m; {_FRAME_ADVICE}"
-                )
-            _check_above_table(f"{name} must end", poses[-1], vertices)
-
-
-def check_hand(hand: npt.NDArray[np.floating], objects: npt.NDArray[np.floating]) -> None:
-    """Check the motion (t, 51) of a hand near objects (t, n, 6), the handed-over one first, in the world frame.
-
-    Raises:
-        DataFormatError: The hand is never near the object.
-    """
-    nearest = float(np.linalg.norm(hand[:, :3] - objects[:, 0, :3], axis=1).min())
-    if nearest > _MAX_HAND_DISTANCE:
-        raise DataFormatError(
-            f"the hand must come within {_MAX_HAND_DISTANCE:g} m of the object, got {nearest:.3g} m; check its frame"
-        )
-
-
-def _check_above_table(what: str, pose: Array, vertices: Array) -> None:
-    lowest = float(transform_points(pose, vertices)[:, 2].min()) - TABLE_HEIGHT
-    if lowest < -_MAX_SINK:
-        raise DataFormatError(
-            f"{what} above the table, got its lowest point {-100 * lowest:.0f} cm below the surface; {_FRAME_ADVICE}"
-        )

@@ -19,6 +19,8 @@ from handover_marl.assets.object_models import (
     copy_palette,
     format_object_urdf,
 )
+from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
+from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules
@@ -30,10 +32,8 @@ Array = npt.NDArray[np.float64]
 
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-#: Smallest and largest extent of an object, and distance of its centre from the origin of its frame (m).
-MIN_EXTENT, MAX_EXTENT, MAX_OFFSET = 0.005, 0.7, 0.7
-#: Smallest and largest mass (kg).
-MASS: Final = (1e-3, 20.0)
+#: Smallest and largest extent of an object (m).
+MIN_EXTENT, MAX_EXTENT = EXTENT
 _MAX_BYTES = 1_000_000_000
 _MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
 
@@ -75,7 +75,7 @@ class MeshConfig:
             "scale": (1e-6, 1e6),
             "mass": MASS,
             "density": (1.0, 30_000.0),
-            "friction": (0.0, 10.0),
+            "friction": FRICTION_RANGE,
             "concavity": (0.01, 1.0),
             "max_faces": (100, 1_000_000),
         }

@@ -22,13 +22,16 @@ from handover_marl.assets.object_models import URDF_NAME
 from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.config import HAND_DOF, OBJECT_DOF
-from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file
+from handover_marl.datasets.custom.ranges import check_grasps, check_hand, check_objects, check_vertices
+from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomObject, CustomScene, SceneFile, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.geometry.model_files.urdf import list_mesh_references
+from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
+from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -89,6 +92,7 @@ class CustomDataset(Dataset):
         self._numbers = {name: number for number, name in self.content.object_names.items()}
         self._hash_model = lru_cache(maxsize=None)(_hash_model)
         self._read_grasps = lru_cache(maxsize=None)(self._load_grasps)
+        self._read_vertices = lru_cache(maxsize=None)(self._load_vertices)
 
     @property
     def source_folder(self) -> Path:
@@ -131,11 +135,18 @@ class CustomDataset(Dataset):
         return SceneInfo(scene_id, scene.name, scene.side, ids, scene.objects)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Load a scene with its motion in the world frame."""
+        """Load a scene with its motion in the world frame.
+
+        Raises:
+            SceneError: The scene number does not exist.
+            DataNotFoundError: A file is missing.
+            DataFormatError: A file is damaged, or a value is out of the ranges in `datasets.custom.ranges`.
+        """
         info = self.load_info(scene_id)
-        has_hand = self._get_scene(scene_id).hand is not None
         path = get_motion_path(self.folder, scene_id)
-        object_dof, hand_dof, span = _read_motion(path, len(info.object_ids), has_hand)
+        names = dict(zip(("object", *info.object_names[1:]), info.object_names, strict=True))
+        bodies = {name: self._read_vertices(found) for name, found in names.items()}
+        object_dof, hand_dof, span = _read_motion(path, bodies, self._get_scene(scene_id).hand is not None)
         return self.make_scene(info, self._find_scene_assets(scene_id), object_dof, hand_dof, span)
 
     def find_object_urdf(self, object_name: str) -> Path:
@@ -149,6 +160,25 @@ class CustomDataset(Dataset):
         if object_name in CLASS_NAMES.values():
             return load_object_grasps(object_name)
         return self._read_grasps(object_name)
+
+    def check_object(self, item: CustomObject) -> None:
+        """Check the model and the grasps of an object of `scenes.json`.
+
+        Raises:
+            DataNotFoundError, DataFormatError, SimulationError: A file is missing or damaged, or mass or friction of
+                the model are not those in `scenes.json`.
+        """
+        urdf = self.find_object_urdf(item.name)
+        check_model(urdf, OBJECT_DOF)
+        # The last link but the base carries the mass and all shapes.
+        link = read_urdf_links(urdf, read_tree(urdf))[-2]
+        for name in ("mass", "friction"):
+            stated, found = getattr(item, name), getattr(link, name)
+            if abs(found - stated) > 1e-3 * stated + 1e-6:
+                raise DataFormatError(
+                    f"{urdf}: {name} must be {stated:g} as in scenes.json, got {found:g}; correct one"
+                )
+        self.load_grasps(item.name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Raise `DataNotFoundError` for the first missing file of the given scenes."""
@@ -183,28 +213,46 @@ class CustomDataset(Dataset):
         path = _require_file(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)
         try:
             grasps = read_arrays(path, ("grasps",), _MAX_BYTES)["grasps"].astype(np.float64)
-            if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
-                raise ValueError(f"grasps must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
+            check_grasps(grasps, self._read_vertices(object_name))
         except Exception as error:  # NumPy and zipfile raise many types on damaged files
             raise DataFormatError(f"{path}: not a readable grasp file ({error}); add the object again") from error
         return grasps if len(grasps) else None
 
+    def _load_vertices(self, object_name: str) -> npt.NDArray[np.float64]:
+        """Return the checked vertices (v, 3) of an object's collision shapes in its frame (m)."""
+        urdf = self.find_object_urdf(object_name)
+        vertices, _ = read_collision_mesh(urdf)
+        try:
+            check_vertices(vertices)
+        except DataFormatError as error:
+            raise DataFormatError(f"{urdf}: {error}; add the object again") from None
+        return vertices
+
 
 def _read_motion(
-    path: Path, n_objects: int, has_hand: bool
+    path: Path, bodies: Mapping[str, npt.NDArray[np.float64]], has_hand: bool
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int] | None]:
-    """Return the motion of objects and hand, and the frames with the hand, or None without one."""
+    """Return the checked motion of objects and hand, and the frames with the hand, or None without one."""
     _require_file(path)
     try:
         arrays = read_arrays(path, ("object_dof", "hand_dof", "hand_span"), _MAX_BYTES)
-        objects, hand = (arrays[name].astype(np.float32) for name in ("object_dof", "hand_dof"))
-        n_frames, (first, last) = len(objects), arrays["hand_span"].tolist()
-        if objects.shape != (n_frames, n_objects, OBJECT_DOF) or hand.shape != (n_frames, HAND_DOF):
-            raise ValueError(f"got shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
-        if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
-            raise ValueError("the motion must be finite everywhere")
-        if has_hand and not 0 <= first <= last < n_frames:
-            raise ValueError(f"hand_span must be frames of the motion, got {first} and {last}")
+        n_frames = len(arrays["object_dof"])
+        expected = {"object_dof": (n_frames, len(bodies), OBJECT_DOF), "hand_dof": (n_frames, HAND_DOF)}
+        for name, shape in expected.items():
+            if arrays[name].shape != shape or not n_frames or arrays[name].dtype.kind != "f":
+                raise ValueError(
+                    f"{name} must be numbers of shape {shape}, got {arrays[name].dtype} {arrays[name].shape}"
+                )
+            if not np.isfinite(arrays[name]).all():
+                raise ValueError(f"{name} must be finite everywhere")
+        objects, hand = (arrays[name].astype(np.float32) for name in expected)
+        first, last = (int(value) for value in arrays["hand_span"])
+        if not (0 <= first <= last < n_frames if has_hand else first == last == -1):
+            rule = "frames of the motion" if has_hand else "-1 for a scene without a hand"
+            raise ValueError(f"hand_span must be {rule}, got {first} and {last}")
+        check_objects(objects, bodies)
+        if has_hand:
+            check_hand(hand[first : last + 1], objects[first : last + 1])
     except Exception as error:  # NumPy and zipfile raise many types on damaged files
         raise DataFormatError(f"{path}: not a readable motion ({error}); add the motion again") from error
     return objects, hand, (first, last) if has_hand else None

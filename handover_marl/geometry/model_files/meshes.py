@@ -91,7 +91,7 @@ def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> 
 
 
 def check_collision_meshes(urdf: Path) -> None:
-    """Check that a URDF model's collision meshes can be read, with finite vertices.
+    """Check that a URDF model's collision meshes are neither empty nor flat, with finite vertices.
 
     An unchanged model is checked once. Only the content of OBJ files is checked.
 
@@ -112,7 +112,7 @@ def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
     if not shapes:
         raise DataFormatError(f"{urdf}: the model must have a collision shape; check the file")
     for mesh in {shape.mesh for shape in shapes if shape.mesh is not None}:
-        check_mesh(mesh)
+        check_mesh(mesh, solid=True)
 
 
 def check_model(urdf: Path, n_joints: int) -> None:

@@ -1,5 +1,6 @@
 """Reader and writer of OBJ mesh files."""
 
+import codecs
 import itertools
 import re
 from collections.abc import Iterable, Iterator
@@ -15,6 +16,8 @@ from handover_marl.execution.reading import read_plain_file
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
+# Vertices count as lying in one plane if their smallest singular value is below this (m).
+_FLAT = 1e-9
 #: Largest accepted size of a material file (bytes).
 MAX_MATERIAL_BYTES = 10_000_000
 _LINE_END, _CONTINUATION, _COMMENT = (
@@ -114,13 +117,20 @@ def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
     return "".join(texts)
 
 
-def check_mesh(path: Path) -> None:
-    """Check that a mesh file in OBJ format can be read; PyBullet crashes on vertex numbers out of range.
+def check_mesh(path: Path, solid: bool = False) -> None:
+    """Check that every engine can load a mesh file; only the content of OBJ files is checked.
 
-    Files of other formats are not checked.
+    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and drops a vertex after a
+    byte order mark.
 
     Raises:
-        DataFormatError: The file cannot be read; see `read_obj`.
+        DataFormatError: An OBJ file cannot be read (`read_obj`), begins with a byte order mark, or is flat and must be
+            `solid`.
     """
-    if path.suffix.lower() == ".obj":
-        read_obj(path)
+    if path.suffix.lower() != ".obj":
+        return
+    vertices = read_obj(path).vertices
+    if read_plain_file(path).startswith(codecs.BOM_UTF8):
+        raise DataFormatError(f"{path}: must not begin with a byte order mark, which PyBullet does not read; remove it")
+    if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
+        raise DataFormatError(f"{path}: all vertices are in one plane; check the file")

@@ -1,7 +1,7 @@
 """Tests of folders of custom scenes, from recordings and meshes to results."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -284,6 +284,98 @@ def test_damaged_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> N
         CustomSceneFolder(folder).check()
     (folder / "motion" / "000001.npz").unlink()
     with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
+        CustomSceneFolder(folder).check()
+
+
+def add(key: str, place: Any, value: Any) -> Callable[[dict[str, Any]], None]:
+    """Return a function that adds a value to a part of an array."""
+
+    def change(arrays: dict[str, Any]) -> None:
+        arrays[key][place] += value
+
+    return change
+
+
+def shorten(arrays: dict[str, Any]) -> None:
+    arrays.update(object_dof=arrays["object_dof"][:100], hand_dof=arrays["hand_dof"][:100], hand_span=[0, 99])
+
+
+DRIFT = np.linspace(0.0, 1.0, 3001)
+#: Changes of a file of arrays in the folder, and the error.
+EDITS: dict[str, tuple[str, Callable[[dict[str, Any]], object], str]] = {
+    "far": ("motion/000000", add("object_dof", np.s_[1500:, 0, 0], 5.0), "object must be within 3 m of the world"),
+    "jump": (
+        "motion/000000",
+        add("object_dof", np.s_[1500:, 0, 0], 0.1),
+        "object must not jump, got 100 m/s in frame 1500",
+    ),
+    "spin": ("motion/000000", add("object_dof", np.s_[1500:, 0, 3], 1.0), "object must not jump, got 1e\\+03 rad/s"),
+    "degrees": ("motion/000000", add("object_dof", np.s_[:, 0, 3], 1e4), "angles of object must be in rad"),
+    "below": ("motion/000000", add("object_dof", np.s_[:, 0, 2], -0.5), "object must start above the table"),
+    "end below": ("motion/000000", add("object_dof", np.s_[:, 0, 2], -0.5 * DRIFT), "object must end above the table"),
+    "out of reach": ("motion/000000", add("object_dof", np.s_[:, 0, 1], 1.5 * DRIFT), r"must end within 1\.2 m"),
+    "mug below": ("motion/000000", add("object_dof", np.s_[:, 1, 2], -0.3), "025_mug must start above the table"),
+    "hand away": ("motion/000000", add("hand_dof", np.s_[:, 2], 1.3), "hand must come within 1 m of the object"),
+    "hand jumps": ("motion/000000", add("hand_dof", np.s_[1000:, 0], 0.2), "the hand must not jump"),
+    "fingers": ("motion/000000", add("hand_dof", np.s_[:, 10], 7.0), "finger angles must be at most"),
+    "no hand": ("motion/000000", lambda arrays: arrays.update(hand_span=[-1, -1]), "hand_span must be frames"),
+    "a hand": ("motion/000002", lambda arrays: arrays.update(hand_span=[0, 9]), "hand_span must be -1"),
+    "short": ("motion/000000", shorten, r"must last 0\.5 to 60 s, got 99 ms"),
+    "text": ("motion/000000", lambda arrays: arrays.update(hand_dof=arrays["hand_dof"].astype(str)), "must be numbers"),
+    "grasp away": (
+        "objects/box/grasps",
+        add("grasps", np.s_[3, 0, 3], 1.0),
+        r"within 0\.05 m of the object, .* grasp 3",
+    ),
+    "stretched": ("objects/box/grasps", add("grasps", np.s_[3, 0, 0], 0.5), "without a rotation in grasp 3"),
+    "last row": ("objects/box/grasps", add("grasps", np.s_[3, 3, 3], 1.0), "without a rotation in grasp 3"),
+}
+
+
+@pytest.mark.parametrize("kind", EDITS)
+def test_impossible_values_in_edited_files(kind: str, scenes: CustomSceneFolder, tmp_path: Path) -> None:
+    file, change, message = EDITS[kind]
+    folder = tmp_path / "copy"
+    shutil.copytree(scenes.folder, folder)
+    path = folder / f"{file}.npz"
+    arrays = dict(np.load(path))
+    change(arrays)
+    np.savez(path, **arrays)
+    with pytest.raises(DataFormatError, match=message):
+        CustomSceneFolder(folder).check()
+    dataset = CustomDataset(folder)
+    with pytest.raises(DataFormatError, match=message):
+        dataset.load_grasps("box") if "grasps" in file else dataset.load_scene(int(file[-6:]))
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "message"),
+    [
+        (
+            "model_normalized.urdf",
+            'mass value="0.2"',
+            'mass value="0.4"',
+            r"mass must be 0\.2 as in scenes\.json, got 0\.4",
+        ),
+        (
+            "model_normalized.urdf",
+            'mass value="0.2"',
+            'mass value="nan"',
+            "value of <mass> must be a number from 0 to 1000",
+        ),
+        ("model_normalized.urdf", "0.9", "1.1", r"friction must be 0\.9 as in scenes\.json, got 1\.1"),
+        ("model_normalized_convex.obj", " 0.0", " 9.0", "largest extent must be 0.005 to 0.7 m"),
+    ],
+)
+def test_impossible_models(
+    name: str, before: str, after: str, message: str, scenes: CustomSceneFolder, tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(scenes.folder, folder)
+    path = folder / "objects" / "box" / name
+    assert before in path.read_text()
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.raises(HandoverError, match=message):
         CustomSceneFolder(folder).check()
 
 
