@@ -55,14 +55,10 @@ lint: $(VENV)/.tested-with
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m tests.line_budgets
 
-# Types are checked in a folder of links, where givers/, receivers/ and assets/ have their names. Scripts are modules
-# without a package, which import each other by their names.
+# Scripts are modules without a package, which import each other by their names.
 SCRIPTS = $(shell find experiments -name '*.py')
 types: $(VENV)/.tested-with
-	rm -rf build/typed
-	mkdir -p build/typed/handover_marl
-	ln -s $(abspath $(wildcard handover_marl/*) givers receivers assets) build/typed/handover_marl
-	MYPYPATH=$$(echo build/typed $(sort $(dir $(SCRIPTS))) | tr ' ' :) $(BIN)/mypy --cache-dir build/mypy \
+	MYPYPATH=$$(echo $(sort $(dir $(SCRIPTS))) | tr ' ' :) $(BIN)/mypy --cache-dir build/mypy \
 		-p handover_marl $(patsubst %,-m %,$(basename $(notdir $(SCRIPTS))))
 
 check: lint types

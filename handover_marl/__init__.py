@@ -20,7 +20,6 @@ documentation. Other names may change at any time.
 
 import re
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,14 +88,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-def _check_installation() -> None:
-    """Check that the distribution's packages in other folders can be imported."""
-    if find_spec("handover_marl.givers") is None:
-        raise ImportError(
-            f"handover_marl must be installed, got the source folder {__file__}; leave this folder, or install it "
-            "(pip install -e .)"
-        )
-
-
-_check_installation()
 register_environments()

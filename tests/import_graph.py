@@ -7,7 +7,7 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[1]
 #: Folder of each top-level package of the import tree.
 FOLDERS = {"handover_marl": REPOSITORY / "handover_marl"} | {
-    f"handover_marl.{name}": REPOSITORY / name for name in ("givers", "receivers", "assets")
+    f"handover_marl.{name}": REPOSITORY / "handover_marl" / name for name in ("givers", "receivers", "assets")
 }
 #: Subpackages that count apart from their parents, because they import packages that import the parent.
 DRAWN_APART = ("learning.imitation", "learning.networks", "learning.training", "assets.building")

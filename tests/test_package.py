@@ -3,6 +3,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,6 +29,13 @@ def test_import_is_light() -> None:
     code = f"import sys, handover_marl; print([name for name in {heavy} if name in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_a_folder_of_the_same_name_beside_a_program_does_not_hide_the_library(tmp_path: Path) -> None:
+    (tmp_path / "handover_marl" / "docs").mkdir(parents=True)
+    program = tmp_path / "program.py"
+    program.write_text("import handover_marl; handover_marl.parallel_env")
+    subprocess.run([sys.executable, str(program)], cwd=tmp_path, check=True)
 
 
 # Options that functions that render one scene do not have. Their option `out` is the path of the picture.

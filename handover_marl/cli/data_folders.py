@@ -24,7 +24,7 @@ from handover_marl.version import __version__
 Finding = tuple[str, str, str]
 
 _FAULT, _MAX_LISTED = "fault", 20
-_PACKAGE, _DISTRIBUTION, _DEVELOPER_EXTRAS = "handover_marl", "handover-marl", ("assets", "dev", "docs")
+_DISTRIBUTION, _DEVELOPER_EXTRAS = "handover-marl", ("assets", "dev", "docs")
 _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
 
 
@@ -91,13 +91,6 @@ def check_installation() -> list[Finding]:
 
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     findings = [("ok", "library", f"handover_marl {__version__}, {machine}")]
-    clone = Path(__file__).parents[2]
-    if clone.name == _PACKAGE:
-        text = (
-            f"programs in {clone.parent} import the folder {clone.name} instead of the library, and miss its names; "
-            f"rename it, for example to {_DISTRIBUTION}, and install it again"
-        )
-        findings.append(("note", "folder", text))
     available = list_available_physics()
     text = ", ".join(available) or "none; install PyBullet (Python up to 3.13) or MuJoCo (Python from 3.11)"
     findings.append(("ok" if available else _FAULT, "physics", text))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.cli import data_folders, main
+from handover_marl.cli import main
 from handover_marl.cli.data_folders import check_data_folder, check_installation
 from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
@@ -93,13 +93,3 @@ def test_command_and_exit_status(
     assert "6 of 1000" in capsys.readouterr().out
     monkeypatch.setenv("HANDOVER_MARL_DATA", str(fake_data / "nothing"))
     assert main(["doctor"]) == 1
-
-
-def test_a_folder_that_hides_the_library_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, is_reported in (("handover_marl", True), ("handover-marl", False)):
-        monkeypatch.setattr(
-            data_folders, "__file__", str(tmp_path / name / "handover_marl" / "cli" / "data_folders.py")
-        )
-        notes = [text for level, check, text in check_installation() if (level, check) == ("note", "folder")]
-        assert len(notes) == is_reported
-        assert all("rename it, for example to handover-marl" in text for text in notes)
