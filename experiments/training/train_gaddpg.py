@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from rich.progress import track
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
@@ -37,17 +36,11 @@ from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner, GaddpgLearnerConfig
 from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig
-from handover_marl.learning.imitation.gaddpg.states import (
-    ImitationStates,
-    concatenate_states,
-    read_states,
-    write_states,
-)
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 
-# Updates between two records of losses, and between two checkpoints; held-out states per record.
-LOSS_INTERVAL, CHECKPOINT_INTERVAL, N_HELD_OUT = 50, 500, 256
 # Index of the repetition that gives held-out states, and first one of training rollouts.
 HELD_OUT_REPETITION, FIRST_REPETITION = 99, 1000
 # One of so many planned scenarios gives held-out states.
@@ -65,11 +58,8 @@ class Args(ImitationArgs):
         scenarios: Number of scenarios for which the expert plans.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
-        batch_size: Number of states per update.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate
             selects the network.
-        threads: Number of threads of PyTorch.
-        device: PyTorch device: cpu, cuda, or auto.
         scenario: Distribution of the scenarios.
         costs: Costs by which the expert ranks grasps.
         expert: Configuration of the expert's choice of goal grasps.
@@ -89,10 +79,7 @@ class Args(ImitationArgs):
     episodes: int = 2
     repeated_share: float = 0.5
     updates: int = 15_000
-    batch_size: int = 64
     waits: tuple[float, ...] = (3.0,)
-    threads: int = 2
-    device: str = "auto"
     scenario: ImitationScenarioConfig = field(default_factory=ImitationScenarioConfig)
     costs: GraspCostConfig = field(default_factory=GraspCostConfig)
     expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
@@ -103,31 +90,12 @@ class Args(ImitationArgs):
     max_steps: int = 30
 
     def __post_init__(self) -> None:
-        for name in ("scenarios", "episodes", "updates", "batch_size", "threads", "max_steps"):
+        super().__post_init__()
+        for name in ("scenarios", "episodes", "max_steps"):
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not self.waits:
             raise OptionError("waits must contain at least one waiting time, got none")
-
-
-def load_states(
-    args: Args, run: ImitationRun, generator: DataGeneratorConfig, tasks: list[RolloutTask], name: str, acts: bool
-) -> ImitationStates:
-    """Return the states of rollouts from their file; collect them if the file is missing.
-
-    Args:
-        args: Arguments of the training.
-        run: Training run.
-        generator: Configuration of the generation of states.
-        tasks: Scenarios of the rollouts.
-        name: Name of the file.
-        acts: Whether the network acts, and not the expert.
-    """
-    path = run.folder / "states" / f"{name}.npz"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_states(path, collect_states(generator, tasks, run.latest if acts else None, args.workers))
-    return read_states(path)
 
 
 def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]:
@@ -146,53 +114,33 @@ def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]
     ]
 
 
-def train(
-    args: Args, learner: GaddpgLearner, run: ImitationRun, states: ImitationStates, held_out: ImitationStates, end: int
-) -> None:
-    """Run the gradient updates of a round; log losses of the batches and on held-out states."""
-    torch.set_num_threads(args.threads)
-    batches, others = (ImitationBatches(each, args.expert.approach, args.augment) for each in (states, held_out))
-    some = np.random.default_rng(0).permutation(len(held_out))[:N_HELD_OUT]
-    for done in track(range(learner.done + 1, end + 1), description=f"updates up to {end}"):
-        # Seeded by the number of the update, so that a resumed run continues exactly.
-        rng = np.random.default_rng((args.seed, learner.done))
-        losses = learner.update(batches.select(rng.integers(len(states), size=args.batch_size), rng))
-        if done % LOSS_INTERVAL == 0 or done == end:
-            held_out_losses = learner.evaluate(others.select(some, None))
-            for name, value in losses.items():
-                run.writer.add_scalar(f"train/{name}", value, done)
-                run.writer.add_scalar(f"held_out/{name}", held_out_losses[name], done)
-        if done % CHECKPOINT_INTERVAL == 0:
-            run.save()
-
-
 def main(args: Args) -> Path:
     """Train in all rounds; return the path of the best network's weights."""
-    torch.set_num_threads(args.threads)
     data = args.open_dataset(PANDA_CAMERA)
     scenes = list_shared_scenes(data, args.setups)
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if args.device == "auto" else args.device
-    learner = GaddpgLearner(args.updates, args.seed, torch.device(device), args.learner, args.approach, args.max_steps)
-    free = ("threads", "device")
-    run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner.get_state, learner.restore, free)
+    torch.manual_seed(args.seed)
+    network = GaddpgNetwork(args.approach, args.max_steps)
+    learner = GaddpgLearner(network, args.updates, args.torch_device, args.learner)
+    run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
     generator = DataGeneratorConfig(
         scenes, data.name, args.data_dir, args.seed, args.scenario, args.costs, args.expert, args.rollout
     )
     plans = make_plans(run.folder / "plans", generator, args.scenarios, args.workers)
-    if not plans:
-        raise OptionError("the expert can reach no grasp in any scenario")
+
+    def load_states(tasks: list[RolloutTask], name: str, weights: Path | None = None) -> ImitationStates:
+        return collect_states(run.folder / "states" / name, generator, tasks, weights, args.workers)
+
+    def make_batches(states: ImitationStates) -> ImitationBatches:
+        return ImitationBatches(states, args.expert.approach, args.augment)
+
     numbers = sorted(plans)[: max(1, len(plans) // HELD_OUT_STRIDE)]
-    task = RolloutTask(numbers, [plans[number] for number in numbers], HELD_OUT_REPETITION)
-    held_out = load_states(args, run, generator, [task], "held", False)
-    states: list[ImitationStates] = []
-    for number, end in enumerate(args.update_counts):
-        tasks = make_tasks(args, plans, number)
-        states.append(load_states(args, run, generator, tasks, f"round-{number}", number > 0))
-        if learner.done < end:
-            train(args, learner, run, concatenate_states(states), held_out, end)
-            run.evaluate(learner.averaged, learner.done, [{"wait": wait} for wait in args.waits])
-    run.writer.close()
-    return run.best
+    held_out = load_states([RolloutTask(numbers, [plans[number] for number in numbers], HELD_OUT_REPETITION)], "held")
+    return run.train(
+        lambda number: load_states(make_tasks(args, plans, number), f"round_{number}", run.latest if number else None),
+        make_batches,
+        make_batches(held_out),
+        [{"wait": wait} for wait in args.waits],
+    )
 
 
 if __name__ == "__main__":

@@ -13,32 +13,25 @@ every round the receiver is evaluated on the validation split in fast physics. T
 TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 import tyro
-from rich.progress import track
 
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.imitation.vision.training import (
-    GraspTrainer,
-    GraspTrainingConfig,
-    ViewBatches,
-    compute_grasp_metrics,
-)
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views, read_views
+from handover_marl.learning.imitation.samples import join_samples
+from handover_marl.learning.imitation.vision.training import GraspLearner, GraspTrainingConfig, ViewBatches
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
 
-# Updates between two records of losses and of metrics, and number of held-out views for the metrics.
-LOSS_INTERVAL, METRICS_INTERVAL, N_HELD_OUT = 250, 1000, 1500
+# Number of held-out views for the metrics.
+N_HELD_OUT = 1500
 
 
 @dataclass(frozen=True)
@@ -77,22 +70,7 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
     seed = args.seed if args.views_seed is None or number else args.views_seed
     count, weights = (args.round_views, str(run.latest)) if number else (args.views, None)
     config = ViewDatasetConfig(dataset, data_dir, args.robot, count, seed, weights=weights)
-    generate_views(config, scenes, folder, args.workers or os.cpu_count() or 1)
-    return read_views(scenes, folder)
-
-
-def train(trainer: GraspTrainer, run: ImitationRun, views: ViewBatches, held_out: ViewBatches, end: int) -> None:
-    """Run the gradient updates of a round; log losses, and metrics on held-out views."""
-    for done in track(range(trainer.done + 1, end + 1), description=f"updates up to {end}"):
-        losses = trainer.update(views)
-        if done % LOSS_INTERVAL == 0 or done == end:
-            for name, value in losses._asdict().items():
-                run.writer.add_scalar(f"loss/{name}", float(value), done)
-        if done % METRICS_INTERVAL == 0 or done == end:
-            metrics = compute_grasp_metrics(trainer.network, held_out, trainer.config)
-            for name, value in vars(metrics).items():
-                run.writer.add_scalar(f"held out/{name}", value, done)
-            run.save()
+    return generate_views(config, scenes, folder, args.workers)
 
 
 def main(args: Args) -> Path:
@@ -104,23 +82,21 @@ def main(args: Args) -> Path:
     for name in args.extra_datasets:
         extra = open_dataset(name, robot=args.robot)
         training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     torch.manual_seed(args.seed)
-    trainer = GraspTrainer(GraspNetwork(), GraspTrainingConfig(), args.updates, args.seed, device)
-    run = ImitationRun(args, "vision", setup, args.robot, trainer.get_state, trainer.restore, ("updates",))
+    learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device, GraspTrainingConfig())
+    run = ImitationRun(args, "vision", setup, args.robot, learner, ("updates",))
     others = load_views(args, run, args.dataset, select_held_out_scenes(scenes), 0)
-    held_out = ViewBatches(GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others), device)
-    views: list[GraspViews] = []
-    for number, end in enumerate(args.update_counts):
-        for name, ids in training.items():
-            chosen = ids[number % args.round_stride :: args.round_stride] or ids if number else ids
-            views.append(load_views(args, run, name, chosen, number))
-        if trainer.done < end:
-            joined = GraspViews(*(np.concatenate(arrays) for arrays in zip(*views, strict=True)))
-            train(trainer, run, ViewBatches(joined, device), held_out, end)
-            run.evaluate(trainer.network, trainer.done)
-    run.writer.close()
-    return run.best
+    held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
+
+    def load_round(number: int) -> GraspViews:
+        """Return the views of all data sets in a round; in later ones, of a part of the scenes."""
+        first, stride = (number % args.round_stride, args.round_stride) if number else (0, 1)
+        parts = training.items()
+        return join_samples([load_views(args, run, name, ids[first::stride] or ids, number) for name, ids in parts])
+
+    return run.train(
+        load_round, lambda views: ViewBatches(views, args.torch_device), ViewBatches(held_out, args.torch_device)
+    )
 
 
 if __name__ == "__main__":

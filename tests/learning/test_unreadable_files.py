@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("torch")
 
 from handover_marl.errors import DataFormatError, HandoverError
-from handover_marl.learning.imitation.gaddpg.states import read_states
-from handover_marl.learning.imitation.vision.view_files import get_view_path, read_views
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates
+from handover_marl.learning.imitation.samples import read_samples
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, read_gaddpg_checkpoint
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.learning.policy_files import read_policy
@@ -27,8 +27,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "weights": ("weights.npz", lambda path: read_network_weights(path, GaddpgNetwork)),
     "GA-DDPG": ("DDPG_actor_PandaYCBEnv_latest", lambda path: read_gaddpg_checkpoint(path.parent)),
     "checkpoint": ("checkpoint.pt", lambda path: read_checkpoint(path, print)),
-    "states": ("states.npz", read_states),
-    "views": (get_view_path(Path(), 9).name, lambda path: read_views([9], path.parent)),
+    "samples": ("samples.npz", lambda path: read_samples(ImitationStates, path)),
 }
 
 

@@ -7,12 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from rich.progress import track
 from torch.utils.tensorboard import SummaryWriter
 
 from handover_marl.datasets.splits import select_scenes_evenly
+from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
-from handover_marl.learning.networks.weights import SavedNetwork, write_network_weights
+from handover_marl.learning.imitation.learner import Batches, ImitationLearner
+from handover_marl.learning.imitation.samples import Samples, join_samples
+from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.learning.training.run_folder import (
     CHECKPOINT,
     OUTCOMES,
@@ -25,6 +30,8 @@ from handover_marl.learning.training.run_folder import (
 from handover_marl.learning.training.scene_arguments import DatasetArgs
 
 _LATEST = "latest.npz"
+# Updates between two records of losses, and between two evaluations on held-out samples with a checkpoint.
+LOSS_INTERVAL, METRICS_INTERVAL = 50, 500
 
 
 @dataclass(frozen=True)
@@ -36,8 +43,11 @@ class ImitationArgs(DatasetArgs):
         seed: Seed of all random numbers.
         rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         updates: Total number of gradient updates.
+        batch_size: Number of samples per gradient update.
         val_scenes: Number of validation scenes, evenly chosen.
         workers: Number of worker processes; default: one per core.
+        threads: Number of threads of PyTorch.
+        device: PyTorch device: cpu, cuda, or auto.
         resume: Whether to continue the run in the folder `out`.
     """
 
@@ -45,15 +55,29 @@ class ImitationArgs(DatasetArgs):
     seed: int = 0
     rounds: int = 2
     updates: int = 12_000
+    batch_size: int = 64
     val_scenes: int = 36
     workers: int | None = None
+    threads: int = 2
+    device: str = "auto"
     resume: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "batch_size", "threads"):
+            if getattr(self, name) < 1:
+                raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
 
     @property
     def update_counts(self) -> list[int]:
         """Number of updates at the end of the first round and of each round in which the network acts."""
         counts: list[int] = np.linspace(0, self.updates, self.rounds + 2).round().astype(int)[1:].tolist()
         return counts
+
+    @property
+    def torch_device(self) -> torch.device:
+        """Device to train on."""
+        automatic = "cuda" if torch.cuda.is_available() else "cpu"
+        return torch.device(automatic if self.device == "auto" else self.device)
 
 
 class ImitationRun:
@@ -64,8 +88,7 @@ class ImitationRun:
         receiver: Name of the receiver; its script is `train_RECEIVER.py`, and the best network `RECEIVER.npz`.
         setup: Setup whose validation split selects the network.
         robot: Robot model of evaluations: panda or panda_camera.
-        get_state: Function that returns the state of the training, a dict of tensors and numbers.
-        restore: Function that restores such a state.
+        learner: Trainer of the network.
         free: Names of arguments that may change when a run is resumed.
 
     Attributes:
@@ -82,13 +105,13 @@ class ImitationRun:
         receiver: str,
         setup: str | None,
         robot: str,
-        get_state: Callable[[], dict[str, Any]],
-        restore: Callable[[dict[str, Any]], None],
+        learner: ImitationLearner[Any, Any],
         free: Sequence[str] = (),
     ) -> None:
         data = args.open_dataset(robot)
-        self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, ("workers", *free))
-        self._receiver, self._get_state, self._best = receiver, get_state, -1.0
+        free = ("workers", "threads", "device", *free)
+        self.folder = open_run_folder(Path(args.out), args, args.resume, data.name, free)
+        self._args, self._receiver, self._learner, self._best = args, receiver, learner, -1.0
         self._card = {"made by": describe_origin(f"train_{receiver}", args), "dataset": data.name}
         scenes = select_scenes_evenly(data.list_scenes(setup, "val"), args.val_scenes)
         self._config = EvaluationConfig(
@@ -98,7 +121,7 @@ class ImitationRun:
         if args.resume and (self.folder / CHECKPOINT).exists():
 
             def restore_all(state: dict[str, Any]) -> None:
-                restore(state["training"])
+                learner.restore(state["training"])
                 self._best = float(state["best"])
 
             read_checkpoint(self.folder / CHECKPOINT, restore_all)
@@ -116,17 +139,54 @@ class ImitationRun:
 
     def save(self) -> None:
         """Write a checkpoint."""
-        write_checkpoint(self.folder / CHECKPOINT, {"training": self._get_state(), "best": self._best})
+        write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), "best": self._best})
 
-    def evaluate(self, network: SavedNetwork, steps: int, options: Sequence[Mapping[str, object]] = ({},)) -> None:
-        """Evaluate the network on the validation split, keep it if it is the best so far, and write a checkpoint.
+    def train(
+        self,
+        collect: Callable[[int], Samples],
+        make_batches: Callable[[Samples], Batches],
+        held_out: Any,
+        options: Sequence[Mapping[str, object]] = ({},),
+    ) -> Path:
+        """Train in all rounds, and evaluate after each; return the path of the best network's weights.
 
         Args:
-            network: Network of the receiver.
-            steps: Number of gradient updates so far.
+            collect: Function that returns the samples of a round by its number; after round 0, the network acts.
+            make_batches: Function from the samples of all rounds so far to batches.
+            held_out: Samples on which the learner is evaluated.
             options: Further options of the receiver in each evaluation.
         """
-        write_network_weights(self.latest, network, {**self._card, "steps": steps})
+        samples: list[Samples] = []
+        for number, end in enumerate(self._args.update_counts):
+            samples.append(collect(number))
+            if self._learner.done < end:
+                self._update(make_batches(join_samples(samples)), held_out, end)
+                self._evaluate(options)
+        self.writer.close()
+        return self.best
+
+    def _update(self, batches: Batches, held_out: Any, end: int) -> None:
+        """Run the gradient updates of a round; log losses of the batches, and metrics on held-out samples."""
+        args, learner = self._args, self._learner
+        torch.set_num_threads(args.threads)
+        for done in track(range(learner.done + 1, end + 1), description=f"updates up to {end}"):
+            # Seeded by the number of the update, so that a resumed run continues exactly.
+            batch = batches.sample(args.batch_size, np.random.default_rng((args.seed, learner.done)))
+            losses = learner.update(batch)
+            if done % LOSS_INTERVAL == 0 or done == end:
+                self._log("train", losses, done)
+            if done % METRICS_INTERVAL == 0 or done == end:
+                self._log("held_out", learner.evaluate(held_out), done)
+                self.save()
+
+    def _log(self, kind: str, values: Mapping[str, float], done: int) -> None:
+        for name, value in values.items():
+            self.writer.add_scalar(f"{kind}/{name}", value, done)
+
+    def _evaluate(self, options: Sequence[Mapping[str, object]]) -> None:
+        """Evaluate the network on the validation split, keep it if it is the best so far, and write a checkpoint."""
+        steps = self._learner.done
+        write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
         successes = []
         for chosen in options:
             receiver = (self._receiver, {"weights": str(self.latest), **chosen})

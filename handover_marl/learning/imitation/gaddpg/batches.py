@@ -1,6 +1,12 @@
-"""Batches of imitation states as tensors, augmented by random changes of the hand's pose."""
+"""Batches of imitation states as tensors, augmented by random changes of the hand's pose.
+
+PointNet++ groups points around sampled centers. The groups depend on the distances between points only, so that they
+are those of the stored cloud. Each point counts once in a group; the deployed network repeats points to fill groups,
+which does not change its output.
+"""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,20 +17,18 @@ from torch import Tensor
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
+from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, sample_farthest_points
 
 
-@dataclass(frozen=True, eq=False)
-class ImitationBatch:
-    """Tensors of B imitation states; indices refer to the points and centers of the whole batch.
+class ImitationBatch(NamedTuple):
+    """Tensors of B imitation states with N points and M centers of groups.
 
     Attributes:
-        points: (P, 3) points of all states, each in the frame of its state's hand link (m).
-        centers: (C,) indices of the centers of groups, among all points.
-        neighbors: (N,) indices of the points of the groups, among all points.
-        n_neighbors: (C,) numbers of points of the groups.
-        center_neighbors: (M,) indices of the centers in groups of groups, among all centers.
-        n_center_neighbors: (C,) numbers of centers of the groups of groups.
-        n_centers: (B,) numbers of centers of the states.
+        points: (B, N, 3) points in the frames of the hand links (m).
+        centers: (B, M) indices of the centers of groups, among the points.
+        is_center: (B, M) whether a center is not the same point as an earlier one.
+        neighbors: (B, M, N) whether a point is in the group of a center.
+        center_neighbors: (B, M, M) whether a center is in the group of groups of a center.
         remaining: (B,) numbers of decisions that remain in the approach.
         steps: (B, 6) motions of the hand by the expert's next decision, in the hands' frames:
             translation (m) and extrinsic xyz Euler angles (rad).
@@ -34,18 +38,16 @@ class ImitationBatch:
 
     points: Tensor
     centers: Tensor
+    is_center: Tensor
     neighbors: Tensor
-    n_neighbors: Tensor
     center_neighbors: Tensor
-    n_center_neighbors: Tensor
-    n_centers: Tensor
     remaining: Tensor
     steps: Tensor
     goals: Tensor
 
     def to(self, device: torch.device) -> "ImitationBatch":
         """Return a copy of the batch on a device."""
-        return ImitationBatch(*(getattr(self, name).to(device) for name in self.__dataclass_fields__))
+        return ImitationBatch(*(value.to(device) for value in self))
 
 
 @dataclass(frozen=True)
@@ -70,36 +72,6 @@ class StateAugmentationConfig:
     max_neighbors: int = 32
 
 
-def _offsets(counts: npt.NDArray[np.int32]) -> npt.NDArray[np.int_]:
-    return np.concatenate([[0], np.cumsum(counts)])
-
-
-def _gather_ragged(
-    values: npt.NDArray[np.generic], firsts: npt.NDArray[np.int_], numbers: npt.NDArray[np.int_]
-) -> npt.NDArray[np.int64]:
-    """Return the concatenated rows of some states, whose rows begin at `firsts`; integers become int64."""
-    rows: npt.NDArray[np.int64] = np.concatenate([values[firsts[number] : firsts[number + 1]] for number in numbers])
-    return rows if rows.dtype == np.float16 else rows.astype(np.int64)
-
-
-def _truncate_groups(
-    values: npt.NDArray[np.int64], counts: npt.NDArray[np.int64], most: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return at most the first `most` values of each group, and their numbers."""
-    ranks = np.arange(len(values)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return values[ranks < most], np.minimum(counts, most)
-
-
-def _transform_to_hands(
-    hands: npt.NDArray[np.float64], points: npt.NDArray[np.float32], counts: npt.NDArray[np.int32]
-) -> npt.NDArray[np.float32]:
-    """Return points (P, 3), `counts` (B,) for each state, in the frames of poses (B, 7)."""
-    rotations = np.repeat(Rotation.from_quat(hands[:, 3:]).as_matrix(), counts, axis=0).astype(np.float32)
-    offsets = points - np.repeat(hands[:, :3], counts, axis=0).astype(np.float32)
-    transformed: npt.NDArray[np.float32] = np.einsum("pi,pij->pj", offsets, rotations)
-    return transformed
-
-
 class ImitationBatches:
     """Data set of imitation states from which batches are selected.
 
@@ -111,46 +83,29 @@ class ImitationBatches:
 
     def __init__(self, states: ImitationStates, approach: ApproachFieldConfig, config: StateAugmentationConfig) -> None:
         self._states, self._approach, self._config = states, approach, config
-        self._first_points, self._first_centers = _offsets(states.n_points), _offsets(states.n_centers)
-        self._first_neighbors = _offsets(states.n_neighbors)[self._first_centers]
-        self._first_center_neighbors = _offsets(states.n_center_neighbors)[self._first_centers]
+
+    def __len__(self) -> int:
+        return len(self._states.remaining)
+
+    def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
+        """Return a batch of randomly drawn and augmented states."""
+        return self.select(rng.integers(len(self), size=count), rng)
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:
         """Return a batch of the states with given indices (B,), augmented if `rng` is not None."""
-        states = self._states
-        n_points, n_centers = states.n_points[numbers], states.n_centers[numbers]
-        point_offsets = np.repeat(np.cumsum(n_points) - n_points, n_centers)
-        center_offsets = np.repeat(np.cumsum(n_centers) - n_centers, n_centers)
-        remaining = states.remaining[numbers].astype(np.float32)
-        hands = np.tile(IDENTITY, (len(numbers), 1))
+        stored, n_points, goals, counters = (array[numbers] for array in self._states)
+        remaining, hands = counters.astype(np.float32), np.tile(IDENTITY, (len(numbers), 1))
+        points = torch.from_numpy(stored.astype(np.float32))
+        groups = _group_points(points, torch.from_numpy(n_points), self._config.max_neighbors)
         if rng is not None:
             hands, remaining = self._augment(remaining, rng)
-        goals = compose(invert_pose(hands), states.goals[numbers].astype(np.float64))
-        points = _gather_ragged(states.points, self._first_points, numbers).astype(np.float32)
-        centers = _gather_ragged(states.centers, self._first_centers, numbers)
-        n_neighbors = _gather_ragged(states.n_neighbors, self._first_centers, numbers)
-        n_center_neighbors = _gather_ragged(states.n_center_neighbors, self._first_centers, numbers)
-        neighbors = _gather_ragged(states.neighbors, self._first_neighbors, numbers)
-        neighbors, n_neighbors = _truncate_groups(neighbors, n_neighbors, self._config.max_neighbors)
-        center_neighbors = _gather_ragged(states.center_neighbors, self._first_center_neighbors, numbers)
-        return ImitationBatch(
-            points=torch.from_numpy(_transform_to_hands(hands, points, n_points)),
-            centers=torch.from_numpy(centers + point_offsets),
-            neighbors=torch.from_numpy(neighbors + np.repeat(point_offsets, n_neighbors)),
-            n_neighbors=torch.from_numpy(n_neighbors.astype(np.int64)),
-            center_neighbors=torch.from_numpy(center_neighbors + np.repeat(center_offsets, n_center_neighbors)),
-            n_center_neighbors=torch.from_numpy(n_center_neighbors.astype(np.int64)),
-            n_centers=torch.from_numpy(n_centers.astype(np.int64)),
-            remaining=torch.from_numpy(remaining),
-            steps=torch.from_numpy(self._compute_steps(goals, remaining)),
-            goals=torch.from_numpy(goals.astype(np.float32)),
-        )
-
-    def _compute_steps(
-        self, goals: npt.NDArray[np.float64], remaining: npt.NDArray[np.float32]
-    ) -> npt.NDArray[np.float32]:
-        hands = np.tile(IDENTITY, (len(goals), 1))
-        return compute_approach_steps(hands, goals, remaining.astype(np.float64), self._approach).astype(np.float32)
+        rotations = torch.from_numpy(Rotation.from_quat(hands[:, 3:]).as_matrix().astype(np.float32))
+        offsets = points - torch.from_numpy(hands[:, None, :3].astype(np.float32))
+        goals = compose(invert_pose(hands), goals.astype(np.float64))
+        present = np.tile(IDENTITY, (len(numbers), 1))
+        steps = compute_approach_steps(present, goals, remaining.astype(np.float64), self._approach)
+        labels = (torch.from_numpy(array.astype(np.float32)) for array in (remaining, steps, goals))
+        return ImitationBatch(offsets @ rotations, *groups, *labels)
 
     def _augment(
         self, remaining: npt.NDArray[np.float32], rng: np.random.Generator
@@ -161,3 +116,26 @@ class ImitationBatches:
         hands = np.concatenate([rng.normal(0.0, config.position_std, (count, 3)), quaternions], axis=1)
         changed = remaining + rng.integers(-config.counter_range, config.counter_range + 1, count)
         return hands, np.clip(changed, 1, config.max_remaining).astype(np.float32)
+
+
+def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return the groups of clouds (B, N, 3) whose first points (B,) are valid, as in `ImitationBatch`."""
+    first, second = GADDPG_GROUPINGS
+    # Zeros after the valid points are never sampled.
+    centers = sample_farthest_points(points, first.centers)
+    is_center = ~(centers[:, :, None] == centers[:, None]).tril(-1).any(dim=-1)
+    positions = points.gather(1, centers[..., None].expand(-1, -1, 3))
+    is_valid = torch.arange(points.shape[1]) < n_points[:, None]
+    near, near_centers = (
+        _query_ball(positions, others, valid, grouping.radius, min(grouping.neighbors, max_neighbors))
+        & is_center[..., None]
+        for others, valid, grouping in ((points, is_valid, first), (positions, is_center, second))
+    )
+    return centers, is_center, near, near_centers
+
+
+def _query_ball(centers: Tensor, points: Tensor, is_valid: Tensor, radius: float, count: int) -> Tensor:
+    """Return whether points (B, N, 3) are among the first valid ones within a radius of centers (B, M, 3)."""
+    squared = ((centers[:, :, None] - points[:, None]) ** 2).sum(dim=-1)
+    near = (squared < points.new_tensor(radius) ** 2) & is_valid[:, None]
+    return near & (near.cumsum(dim=-1) <= count)

@@ -8,29 +8,23 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
-import numpy.typing as npt
+from typing import NamedTuple
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import SceneAssets
-from handover_marl.errors import OptionError, ResultsError
-from handover_marl.execution.files import shorten_text, write_arrays
-from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
 from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig, ImitationScenarios
-from handover_marl.learning.imitation.gaddpg.states import MAX_STATES_BYTES, ImitationStates, concatenate_states
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.policies.policy import make_policy_context
 
-#: Number of plans in a file, and of scenarios in the task of a worker.
+#: Number of scenarios in the task of a worker, and in a file of states.
 CHUNK_SIZE = 16
 
 ExpertPlans = dict[int, ExpertPlan]
@@ -99,8 +93,8 @@ class DataGenerator:
             arm, self._expert, OFFICIAL_CONFIG.physics, load_assets, config.rollouts, config.expert
         )
 
-    def plan(self, number: int) -> ExpertPlan | None:
-        """Return the expert's plan in a scenario by number; None if no grasp is reachable."""
+    def plan(self, number: int) -> ExpertPlan:
+        """Return the expert's plan in a scenario by number, without goals if no grasp is reachable."""
         return self._expert.plan(self._scenarios.sample(number))
 
     def collect_states(self, task: RolloutTask, policy: StepPolicy | None) -> ImitationStates:
@@ -146,34 +140,22 @@ def make_plans(folder: Path, config: DataGeneratorConfig, count: int, workers: i
 
     Raises:
         ResultsError: A file is damaged or cannot be written.
+        OptionError: No grasp is reachable in any scenario.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = {first: folder / f"{first:06d}.npz" for first in range(0, count, CHUNK_SIZE)}
-
-    def make_writer() -> Callable[[int], None]:
-        generator = DataGenerator(config)
-
-        def write(first: int) -> None:
-            found = {number: generator.plan(number) for number in range(first, first + CHUNK_SIZE)}
-            _write_plans(paths[first], {number: plan for number, plan in found.items() if plan is not None})
-
-        return write
-
-    missing = [first for first, path in paths.items() if not path.exists()]
-    for _ in map_with_progress(make_writer, missing, "plans", PoolConfig(workers), progress=True):
-        pass
-    found: ExpertPlans = {}
-    for path in paths.values():
-        found |= _read_plans(path)
-    return {number: plan for number, plan in found.items() if number < count}
+    found = generate_samples(ExpertPlan, folder, range(count), lambda: DataGenerator(config).plan, "plans", workers)
+    plans = {number: plan for number, plan in enumerate(found) if len(plan.goals)}
+    if not plans:
+        raise OptionError("the expert can reach no grasp in any scenario")
+    return plans
 
 
 def collect_states(
-    config: DataGeneratorConfig, tasks: Sequence[RolloutTask], weights: Path | None, workers: int | None
+    folder: Path, config: DataGeneratorConfig, tasks: Sequence[RolloutTask], weights: Path | None, workers: int | None
 ) -> ImitationStates:
-    """Return the imitation states of all rollouts, in the order of the tasks.
+    """Return the imitation states of all rollouts, in the order of the tasks; collect those that are not on disk.
 
     Args:
+        folder: Folder of the files of states, for the same configuration and tasks only.
         config: Configuration of the data generation.
         tasks: Scenarios of the rollouts, with the expert's plans.
         weights: Weight file of the network that acts; None lets the expert act.
@@ -185,8 +167,7 @@ def collect_states(
         return lambda number: generator.collect_states(tasks[number], policy)
 
     numbers = range(len(tasks))
-    found = dict(map_with_progress(make_collector, numbers, "rollouts", PoolConfig(workers), progress=True))
-    return concatenate_states([found[number] for number in numbers])
+    return join_samples(generate_samples(ImitationStates, folder, numbers, make_collector, "rollouts", workers))
 
 
 def _load_policy(weights: Path) -> StepPolicy:
@@ -203,21 +184,3 @@ def _load_policy(weights: Path) -> StepPolicy:
 def _object_name_of(scene_id: int) -> str:
     """Return the class of the handed-over object; scenes are numbered 100 subject + 5 object + trial."""
     return CLASS_NAMES[SCENE_CLASSES[scene_id % 100 // 5]]
-
-
-def _write_plans(path: Path, plans: ExpertPlans) -> None:
-    arrays: dict[str, npt.NDArray[Any]] = {"numbers": np.array(sorted(plans), dtype=np.int64)}
-    for number, plan in plans.items():
-        arrays |= {f"{name}_{number}": value for name, value in vars(plan).items()}
-    write_arrays(path, arrays)
-
-
-def _read_plans(path: Path) -> ExpertPlans:
-    try:
-        arrays = read_arrays(path, largest=MAX_STATES_BYTES)
-        return {
-            number: ExpertPlan(*(arrays[f"{name}_{number}"] for name in ("goals", "costs", "trajectory")))
-            for number in arrays["numbers"].tolist()
-        }
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise ResultsError(f"{path}: not a file of plans ({shorten_text(error)}); remove it and resume") from error

@@ -6,6 +6,7 @@ al., RSS 2020) chooses among the best ones and plans a trajectory of waypoints 0
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -105,9 +106,8 @@ class GraspExpertConfig:
     planner: PlannerConfig = field(default_factory=lambda: PlannerConfig(chomp=ChompConfig(n_waypoints=20)))
 
 
-@dataclass(frozen=True, eq=False)
-class ExpertPlan:
-    """Plan of the expert in a scenario: goal grasps, and a trajectory to one of them.
+class ExpertPlan(NamedTuple):
+    """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
 
     Attributes:
         goals: (g, 7) world poses of the hand link, the planner's goal first.
@@ -135,6 +135,9 @@ class ExpertPlan:
         return chosen
 
 
+_NO_PLAN = ExpertPlan(np.zeros((0, 7)), np.zeros(0), np.zeros((0, ARM_DOF)))
+
+
 class GraspExpert:
     """Planner of the motions that the network of the receiver `gaddpg` imitates.
 
@@ -154,14 +157,14 @@ class GraspExpert:
         start = np.array(panda.start_joints[:ARM_DOF])
         self._planner = Planner(context.panda_urdf, start, config.planner)
 
-    def plan(self, scenario: ImitationScenario) -> ExpertPlan | None:
-        """Return the expert's plan for a scenario, or None if no grasp is reachable."""
+    def plan(self, scenario: ImitationScenario) -> ExpertPlan:
+        """Return the expert's plan for a scenario, without goals if no grasp is reachable."""
         goals, costs = self.find_goals(scenario.object_name, scenario.object_pose, scenario.joints, scenario.occluder)
         if not len(goals):
-            return None
+            return _NO_PLAN
         approach = self._simulate_approach(scenario.joints, goals[0])
         if self._compute_distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > self._config.max_miss:
-            return None
+            return _NO_PLAN
         if not self._config.use_planner:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
         self._planner.set_start(scenario.joints)
@@ -171,7 +174,7 @@ class GraspExpert:
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), padding)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
         if plan is None:
-            return None
+            return _NO_PLAN
         first = int(plan.goals.grasps[plan.chosen])
         order = np.array([first, *(number for number in range(len(goals)) if number != first)])
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)

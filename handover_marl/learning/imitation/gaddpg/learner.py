@@ -4,16 +4,17 @@ As in GA-DDPG, a loss is the mean L1 distance between six points of the gripper 
 """
 
 import itertools
-import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as func
 from torch import Tensor, nn
 
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatch
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig
+from handover_marl.geometry.rotations import matrices_from_quaternions
+from handover_marl.learning.imitation.gaddpg.batches import ImitationBatch, ImitationBatches
+from handover_marl.learning.imitation.learner import ImitationLearner, LearnerConfig
 from handover_marl.learning.networks.gaddpg_network import ActorOutput, GaddpgNetwork
 from handover_marl.learning.networks.point_encoders import PointNetPlusPlus, SetAbstraction
 
@@ -30,15 +31,19 @@ def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutp
 def _encode(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
     """Encode a batch as vectors (B, 512)."""
     first, second, last = (_shared_layers(stage) for stage in encoder.stages)
-    points, centers = batch.points[batch.neighbors], batch.points[batch.centers]
+    centers = batch.points.gather(1, batch.centers[..., None].expand(-1, -1, 3))
+    cloud, center, point = batch.neighbors.nonzero(as_tuple=True)
+    points = batch.points[cloud, point]
     channels = points.new_zeros((len(points), encoder.n_channels - 3))
-    relative = points - centers.repeat_interleave(batch.n_neighbors, dim=0)
-    rows = torch.cat([relative, points, channels], dim=1)
-    groups = _max_pool_rows(_apply_layers(first, rows), batch.n_neighbors)
-    relative = centers[batch.center_neighbors] - centers.repeat_interleave(batch.n_center_neighbors, dim=0)
-    rows = torch.cat([relative, groups[batch.center_neighbors]], dim=1)
-    wide = _max_pool_rows(_apply_layers(second, rows), batch.n_center_neighbors)
-    whole = _max_pool_rows(_apply_layers(last, torch.cat([centers, wide], dim=1)), batch.n_centers)
+    rows = torch.cat([points - centers[cloud, center], points, channels], dim=1)
+    groups = _max_pool_rows(_apply_layers(first, rows), batch.neighbors.sum(dim=-1)[batch.is_center])
+    features = groups.new_zeros((*batch.centers.shape, groups.shape[1]))
+    features[batch.is_center] = groups
+    cloud, center, other = batch.center_neighbors.nonzero(as_tuple=True)
+    rows = torch.cat([centers[cloud, other] - centers[cloud, center], features[cloud, other]], dim=1)
+    wide = _max_pool_rows(_apply_layers(second, rows), batch.center_neighbors.sum(dim=-1)[batch.is_center])
+    rows = torch.cat([centers[batch.is_center], wide], dim=1)
+    whole = _max_pool_rows(_apply_layers(last, rows), batch.is_center.sum(dim=-1))
     vector: Tensor = encoder.dense(whole)
     return vector.float()
 
@@ -117,8 +122,8 @@ def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
         targets: (B, 7) target poses of the hand link: xyz (m), then quaternion xyzw.
     """
     points, turned = _GRIPPER_POINTS.to(goals.device), _HALF_TURNED_POINTS.to(goals.device)
-    found = _transform_points(points, _rotations_from_quaternions(goals[:, :4]), goals[:, 4:])
-    rotations = _rotations_from_quaternions(targets[:, [6, 3, 4, 5]])
+    found = _transform_points(points, matrices_from_quaternions(goals[:, [1, 2, 3, 0]]).float(), goals[:, 4:])
+    rotations = matrices_from_quaternions(targets[:, 3:]).float()
     distances = [
         _mean_l1_distance(found, _transform_points(either, rotations, targets[:, :3])) for either in (points, turned)
     ]
@@ -145,123 +150,52 @@ def _rotations_from_euler(angles: Tensor) -> Tensor:
     return torch.stack(rows, dim=1)
 
 
-def _rotations_from_quaternions(quaternions: Tensor) -> Tensor:
-    """Return rotation matrices (B, 3, 3) of unit quaternions (B, 4) wxyz."""
-    w, x, y, z = quaternions.unbind(dim=1)
-    rows = [
-        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
-        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], dim=1),
-        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1),
-    ]
-    return torch.stack(rows, dim=1)
-
-
 @dataclass(frozen=True)
-class GaddpgLearnerConfig:
+class GaddpgLearnerConfig(LearnerConfig):
     """Hyperparameters of the training of GA-DDPG's network.
 
     Attributes:
-        encoder_rate: Largest learning rate of the point cloud encoder.
-        head_rate: Largest learning rate of the layers after the encoder.
-        final_share: Learning rates at the end of their cosine decay, as fraction of the largest.
-        warmup: Number of updates at the start in which the learning rates rise.
-        decay: Weight decay.
+        encoder_rate: Largest learning rate of the point cloud encoder; `learning_rate` is that of the layers after it.
         action: Weight of the loss of the actions relative to the loss of the predicted grasps.
         half_distance: Distance from the hand to the target grasp at which the loss of the predicted
             grasp has half its weight (m).
-        clip: Largest norm of the gradient; longer gradients are scaled down.
-        averaging: Decay of the exponential average of the weights.
-        use_bfloat16: Whether matrix products are computed in bfloat16.
+        n_held_out: Largest number of held-out states on which losses are computed.
     """
 
-    encoder_rate: float = 1e-3
-    head_rate: float = 6e-4
+    learning_rate: float = 6e-4
     final_share: float = 0.01
     warmup: int = 100
-    decay: float = 1e-4
+    epsilon: float = 1e-5
+    max_gradient_norm: float = 1.0
+    averaging: float = 0.998
+    encoder_rate: float = 1e-3
     action: float = 0.2
     half_distance: float = 0.1
-    clip: float = 1.0
-    averaging: float = 0.998
-    use_bfloat16: bool = True
+    n_held_out: int = 256
 
 
-class GaddpgLearner:
-    """Trainer of GA-DDPG's network, with optimizer and exponentially averaged weights.
+class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
+    """Trainer of GA-DDPG's network, see `ImitationLearner`."""
 
-    Args:
-        updates: Number of updates of the whole training, over which the learning rates decay.
-        seed: Seed of the initial weights.
-        device: Device to train on.
-        config: Hyperparameters.
-        approach: Rule by which the network approaches the grasps that it predicts.
-        max_steps: Number of decisions of an approach; None leaves it to the receiver.
+    _config: GaddpgLearnerConfig
 
-    Attributes:
-        done: Number of updates so far.
-        averaged: Network with the averaged weights, for use after training.
-    """
-
-    def __init__(
-        self,
-        updates: int,
-        seed: int,
-        device: torch.device,
-        config: GaddpgLearnerConfig,
-        approach: ApproachFieldConfig,
-        max_steps: int | None = None,
-    ) -> None:
-        torch.manual_seed(seed)
-        self._config, self._updates, self._device = config, updates, device
-        self._network = GaddpgNetwork(approach, max_steps).to(device)
-        self.averaged = GaddpgNetwork(approach, max_steps).to(device).eval()
-        self.averaged.load_state_dict(self._network.state_dict())
-        groups = [
-            {"params": list(self._network.features.parameters()), "rate": config.encoder_rate},
-            {"params": list(self._network.policy.parameters()), "rate": config.head_rate},
+    def list_parameter_groups(self, network: GaddpgNetwork) -> list[tuple[Iterable[nn.Parameter], float]]:
+        """Return the parameters of encoder and head with their largest learning rates."""
+        config = self._config
+        return [
+            (network.features.parameters(), config.encoder_rate),
+            (network.policy.parameters(), config.learning_rate),
         ]
-        self._optimizer = torch.optim.AdamW(groups, lr=config.encoder_rate, weight_decay=config.decay, eps=1e-5)
-        self.done = 0
 
-    def update(self, batch: ImitationBatch) -> dict[str, float]:
-        """Update the network on a batch of states; return the losses "action" and "goal" (m)."""
-        self._network.train()
-        for group in self._optimizer.param_groups:
-            group["lr"] = group["rate"] * self._rate_share()
-        action, goal, weighted_goal = self._compute_losses(self._network, batch)
-        loss = self._config.action * action + weighted_goal
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._config.clip)
-        self._optimizer.step()
-        self.done += 1
-        self._update_average()
-        return {"action": float(action.detach()), "goal": float(goal.detach())}
-
-    def evaluate(self, batch: ImitationBatch) -> dict[str, float]:
-        """Return the losses "action" and "goal" of the averaged network on a batch of states (m)."""
+    def evaluate(self, held_out: ImitationBatches) -> dict[str, float]:
+        """Return the losses "action" and "goal" of the averaged network on held-out states (m)."""
+        some = np.random.default_rng(0).permutation(len(held_out))[: self._config.n_held_out]
         with torch.no_grad():
-            action, goal, _ = self._compute_losses(self.averaged, batch)
-        return {"action": float(action.detach()), "goal": float(goal.detach())}
+            _, losses = self.compute_losses(self.averaged, held_out.select(some, None))
+        return {name: float(value) for name, value in losses.items()}
 
-    def get_state(self) -> dict[str, Any]:
-        """Return weights, optimizer state and progress for a checkpoint."""
-        return {
-            "done": self.done,
-            "network": self._network.state_dict(),
-            "averaged": self.averaged.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore weights, optimizer state and progress from a checkpoint."""
-        self._network.load_state_dict(state["network"])
-        self.averaged.load_state_dict(state["averaged"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self.done = int(state["done"])
-
-    def _compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the mean losses of actions, of goals, and of goals weighted by their distance."""
+    def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss to minimize, and the mean losses "action" and "goal" (m)."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.use_bfloat16):
             output = evaluate_network(network, moved)
@@ -270,22 +204,4 @@ class GaddpgLearner:
         # Distant goals are predicted again from nearer by.
         distance = self._config.half_distance
         weights = distance / (distance + moved.goals[:, :3].norm(dim=1))
-        return action, goals.mean(), (weights * goals).mean()
-
-    def _rate_share(self) -> float:
-        """Return the present learning rates as fraction of the largest ones."""
-        config = self._config
-        rise = min(1.0, (self.done + 1) / max(1, config.warmup))
-        fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
-        return rise * (config.final_share + (1.0 - config.final_share) * fall)
-
-    def _update_average(self) -> None:
-        # Averages over few updates at first, so that the initial weights are soon forgotten.
-        decay = min(self._config.averaging, (1.0 + self.done) / (10.0 + self.done))
-        with torch.no_grad():
-            current, averaged = self._network.state_dict(), self.averaged.state_dict()
-            for name, value in averaged.items():
-                if value.is_floating_point():
-                    value.lerp_(current[name], 1.0 - decay)
-                else:
-                    value.copy_(current[name])
+        return self._config.action * action + (weights * goals).mean(), {"action": action, "goal": goals.mean()}

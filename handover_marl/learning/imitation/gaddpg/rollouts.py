@@ -20,7 +20,7 @@ from handover_marl.geometry.panda import OPEN
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario, find_occluded_points
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates, concatenate_states, make_state
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
@@ -108,7 +108,7 @@ class ImitationRollouts:
             self._start_rollout(scenario, plan, policy is not None, np.random.default_rng((seed, scenario.number)))
             for scenario, plan in zip(scenarios, plans, strict=True)
         ]
-        states: list[ImitationStates] = []
+        states: list[StateRow] = []
         for number in range(self._config.max_decisions):
             running = [rollout for rollout in rollouts if not rollout.is_over]
             observed = [
@@ -119,7 +119,7 @@ class ImitationRollouts:
                 rollout.joints = self._arm.move(rollout.joints, step)
                 is_caged = rollout.memory.is_object_caged(self._base_from_hand(rollout))
                 rollout.is_over = rollout.memory.remaining == 0 or is_caged
-        return concatenate_states(states)
+        return stack_states(states)
 
     def _start_rollout(
         self, scenario: ImitationScenario, plan: ExpertPlan, has_network: bool, rng: np.random.Generator
@@ -137,7 +137,7 @@ class ImitationRollouts:
         camera = RayCamera(self._load_assets(scenario.object_name), self._physics)
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
-    def _observe(self, rollout: _Rollout, states: list[ImitationStates]) -> Array | None:
+    def _observe(self, rollout: _Rollout, states: list[StateRow]) -> Array | None:
         """Return the network's cloud (4, 1024) and append a state; None if the object was never visible."""
         scenario, memory = rollout.scenario, rollout.memory
         robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
@@ -155,7 +155,7 @@ class ImitationRollouts:
         cloud = memory.make_network_input(base_from_hand)[:, GRIPPER_POINTS.shape[1] :]
         n_distinct = min(memory.cloud.shape[1], cloud.shape[1])
         goal = compose(invert_pose(hand), rollout.plan.choose_goal(hand, self._expert_config))
-        states.append(make_state(cloud[:3, :n_distinct].T, goal, memory.remaining))
+        states.append((cloud[:3, :n_distinct].T, goal, memory.remaining))
         return cloud
 
     def _compute_steps(

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from handover_marl.learning.imitation.learner import ImitationLearner, LearnerConfig
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_losses import (
     GraspLosses,
@@ -20,58 +21,28 @@ from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOut
 
 
 @dataclass(frozen=True)
-class GraspTrainingConfig:
+class GraspTrainingConfig(LearnerConfig):
     """Hyperparameters of the training of the grasp network.
 
     Attributes:
-        batch_size: Number of views per gradient update.
         n_centers: Number of points per view at which grasps are predicted.
-        learning_rate: Initial learning rate of AdamW; it decays to 0 as half a cosine.
-        weight_decay: Weight decay of AdamW.
         grasp_loss_weight: Weight of the loss of the predicted grasps (1/m).
         quality_loss_weight: Weight of the loss of the grasps' predicted quality.
         center_loss_weight: Weight of the loss of the object's predicted center (1/m).
         motion_loss_weight: Weight of the loss of the object's predicted displacement (1/m).
         roll_std: Standard deviation of the random rotation of each view about the line of sight (rad).
         point_noise_std: Standard deviation of the noise that is added to the coordinates of points (m).
-        max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
+        n_evaluated: Number of held-out views that are evaluated together.
     """
 
-    batch_size: int = 64
     n_centers: int = 48
-    learning_rate: float = 1e-3
-    weight_decay: float = 1e-4
     grasp_loss_weight: float = 10.0
     quality_loss_weight: float = 2.0
     center_loss_weight: float = 2.0
     motion_loss_weight: float = 1.0
     roll_std: float = 0.6
     point_noise_std: float = 0.001
-    max_gradient_norm: float = 5.0
-
-
-@dataclass(frozen=True)
-class GraspMetrics:
-    """Accuracy of predicted grasps on held-out views.
-
-    Distances are computed by
-    `handover_marl.learning.networks.grasp_losses.compute_grasp_distances`.
-
-    Attributes:
-        views: Number of views with at least one good grasp.
-        within_1cm: Share of these views whose best predicted grasp is within 1 cm of a good one.
-        within_2cm: Share of these views whose best predicted grasp is within 2 cm of a good one.
-        median_distance: Median distance of the best predicted grasp from a good one (m).
-        grasp_loss: Loss of the grasps (m).
-        quality_loss: Loss of the grasps' quality.
-    """
-
-    views: int
-    within_1cm: float
-    within_2cm: float
-    median_distance: float
-    grasp_loss: float
-    quality_loss: float
+    n_evaluated: int = 256
 
 
 class LabelledClouds(NamedTuple):
@@ -101,13 +72,23 @@ class ViewBatches:
     Args:
         views: Arrays of the views.
         device: Device of the tensors.
+        config: Hyperparameters, with the augmentation.
     """
 
-    def __init__(self, views: GraspViews, device: torch.device) -> None:
+    def __init__(
+        self, views: GraspViews, device: torch.device, config: GraspTrainingConfig = GraspTrainingConfig()
+    ) -> None:
         self._tensors = [torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in views]
+        self._config = config
 
     def __len__(self) -> int:
         return len(self._tensors[0])
+
+    def sample(self, count: int, rng: np.random.Generator) -> LabelledClouds:
+        """Return a batch of randomly drawn and augmented views."""
+        generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+        numbers = torch.randint(len(self), (count,), generator=generator)
+        return self._augment(self.select(numbers, self._config.n_centers, generator), generator)
 
     def select(self, numbers: Tensor, centers: int, generator: torch.Generator) -> LabelledClouds:
         """Return a batch of the views with given indices, each with random centers.
@@ -124,79 +105,16 @@ class ViewBatches:
         clouds = PointCloudBatch(objects, hands, mask, indices, velocity)
         return LabelledClouds(clouds, grasp_targets_from_poses(grasps, quality), object_center, motion)
 
-
-class GraspTrainer:
-    """Trainer of the grasp network; reproducible for a seed, a device and a number of threads.
-
-    Args:
-        network: Network to train.
-        config: Hyperparameters.
-        updates: Number of gradient updates, for the decay of the learning rate.
-        seed: Seed of all random numbers.
-        device: Device to train on.
-
-    Attributes:
-        done: Number of updates so far.
-    """
-
-    def __init__(
-        self, network: GraspNetwork, config: GraspTrainingConfig, updates: int, seed: int, device: torch.device
-    ) -> None:
-        self.network, self.config, self.device = network.to(device), config, device
-        self.done, self._updates = 0, updates
-        self._optimizer = torch.optim.AdamW(
-            network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
-        self._generator = torch.Generator().manual_seed(seed)
-
-    def update(self, views: ViewBatches) -> GraspLosses:
-        """Update the network on a random batch of views; return its losses before the update."""
-        config = self.config
-        for group in self._optimizer.param_groups:
-            group["lr"] = 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * min(1.0, self.done / self._updates)))
-        numbers = torch.randint(len(views), (config.batch_size,), generator=self._generator)
-        batch = self._augment(views.select(numbers, config.n_centers, self._generator))
-        self.network.train()
-        # Half precision suffices for training and takes a third of the time.
-        with torch.autocast(self.device.type, torch.bfloat16):
-            outputs = self.network(batch.clouds)
-        losses = batch.compute_losses(outputs)
-        total = config.grasp_loss_weight * losses.grasp + config.quality_loss_weight * losses.quality
-        total = total + config.center_loss_weight * losses.object_center
-        total = total + config.motion_loss_weight * losses.object_motion
-        self._optimizer.zero_grad()
-        torch.autograd.backward(total)
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.max_gradient_norm)
-        self._optimizer.step()
-        self.done += 1
-        return GraspLosses(*(value.detach() for value in losses))
-
-    def get_state(self) -> dict[str, Any]:
-        """Return weights, optimizer state and progress for a checkpoint."""
-        return {
-            "network": self.network.state_dict(),
-            "optimizer": self._optimizer.state_dict(),
-            "draw": self._generator.get_state(),
-            "done": self.done,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore weights, optimizer state and progress from a checkpoint."""
-        self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._generator.set_state(state["draw"])
-        self.done = int(state["done"])
-
-    def _augment(self, batch: LabelledClouds) -> LabelledClouds:
+    def _augment(self, batch: LabelledClouds, generator: torch.Generator) -> LabelledClouds:
         """Return the batch rotated randomly about the line of sight, with noise on points."""
-        config, clouds, targets = self.config, batch.clouds, batch.targets
-        angle = config.roll_std * torch.randn(len(clouds.object_points), generator=self._generator).to(self.device)
+        config, clouds, targets = self._config, batch.clouds, batch.targets
+        device = clouds.object_points.device
+        angle = config.roll_std * torch.randn(len(clouds.object_points), generator=generator).to(device)
         cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
         rows = ([cos, -sin, zero], [sin, cos, zero], [zero, zero, zero + 1.0])
         rotation = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
         objects, hands = (
-            cloud @ rotation.mT
-            + config.point_noise_std * torch.randn(cloud.shape, generator=self._generator).to(self.device)
+            cloud @ rotation.mT + config.point_noise_std * torch.randn(cloud.shape, generator=generator).to(device)
             for cloud in (clouds.object_points, clouds.hand_points)
         )
         velocity, center, motion = (
@@ -211,33 +129,49 @@ class GraspTrainer:
         )
 
 
-def compute_grasp_metrics(
-    network: GraspNetwork, views: ViewBatches, config: GraspTrainingConfig, min_quality: float = 0.3
-) -> GraspMetrics:
-    """Compute the accuracy of a grasp network's predictions on held-out views.
+class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
+    """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
-    Args:
-        network: Trained network.
-        views: Held-out views.
-        config: Hyperparameters, for the sizes of batches.
-        min_quality: Quality from which a grasp counts as good.
-    """
-    network.eval()
-    distances, losses = [], []
-    generator = torch.Generator().manual_seed(0)
-    with torch.inference_mode():
-        for numbers in torch.split(torch.arange(len(views)), 4 * config.batch_size):
-            batch = views.select(numbers, 2 * config.n_centers, generator)
+    _config: GraspTrainingConfig
+
+    def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss to minimize, and the losses in `GraspLosses` by name."""
+        config = self._config
+        # Half precision suffices for training and takes a third of the time.
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=config.use_bfloat16):
             outputs = network(batch.clouds)
-            losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
-            distances.append(_compute_best_distances(outputs, batch.targets, min_quality))
-    best = torch.cat(distances)
-    best = best[torch.isfinite(best)]
-    means = torch.stack(losses).sum(dim=0) / max(1, len(views))
-    if not len(best):
-        return GraspMetrics(0, math.nan, math.nan, math.nan, float(means[0]), float(means[1]))
-    shares = [float((best < limit).float().mean()) for limit in (0.01, 0.02)]
-    return GraspMetrics(len(best), shares[0], shares[1], float(best.median()), float(means[0]), float(means[1]))
+        losses = batch.compute_losses(outputs)
+        total = config.grasp_loss_weight * losses.grasp + config.quality_loss_weight * losses.quality
+        total = total + config.center_loss_weight * losses.object_center
+        return total + config.motion_loss_weight * losses.object_motion, losses._asdict()
+
+    def evaluate(self, held_out: ViewBatches, min_quality: float = 0.3) -> dict[str, float]:
+        """Return the accuracy of the predicted grasps on held-out views.
+
+        A grasp is good if its quality is at least `min_quality`. Distances are those of
+        `handover_marl.learning.networks.grasp_losses.compute_grasp_distances`.
+
+        Returns:
+            views: Number of views with at least one good grasp.
+            within_1cm, within_2cm: Shares of these views whose best predicted grasp is within 1 or 2 cm of a good one.
+            median_distance: Median distance of the best predicted grasp from a good one (m).
+            grasp_loss, quality_loss: Losses of the grasps (m) and of their quality.
+        """
+        distances, losses = [], []
+        generator = torch.Generator().manual_seed(0)
+        with torch.inference_mode():
+            for numbers in torch.split(torch.arange(len(held_out)), self._config.n_evaluated):
+                batch = held_out.select(numbers, 2 * self._config.n_centers, generator)
+                outputs = self.averaged(batch.clouds)
+                losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
+                distances.append(_compute_best_distances(outputs, batch.targets, min_quality))
+        best = torch.cat(distances)
+        best = best[torch.isfinite(best)]
+        means = torch.stack(losses).sum(dim=0) / max(1, len(held_out))
+        median = float(best.median()) if len(best) else math.nan
+        shares = {f"within_{n}cm": float((best < 0.01 * n).float().mean()) for n in (1, 2)}
+        found = {"views": len(best), **shares, "median_distance": median}
+        return {**found, "grasp_loss": float(means[0]), "quality_loss": float(means[1])}
 
 
 def _compute_best_distances(outputs: GraspOutputs, targets: GraspTargets, min_quality: float) -> Tensor:

@@ -13,11 +13,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
-from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.files import shorten_text, write_arrays
-from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, ViewRenderer
 from handover_marl.planning.arm_control import ArmInWorld
@@ -26,7 +22,6 @@ from handover_marl.receivers.vision.receiver import VisionReceiver
 
 Array = npt.NDArray[np.float64]
 
-_MAX_BYTES = 1_000_000_000
 # Commanded finger position below which the gripper is closing (m).
 _OPEN = 0.03
 
@@ -112,74 +107,37 @@ class _PoseRecorder(EpisodeCallback):
 class _ViewWorker:
     """Generator of rendered views in one process."""
 
-    def __init__(self, config: ViewDatasetConfig, folder: Path) -> None:
-        self._config, self._folder = config, folder
+    def __init__(self, config: ViewDatasetConfig) -> None:
+        self._config = config
         self._data = open_dataset(config.dataset, config.data_dir, config.robot)
         context = make_policy_context(self._data)
         arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.labels.receiver.limit_padding)
         self._renderer = ViewRenderer(context, arm, GraspLabeller(context, config.labels), config.config)
         self._collector = None if config.weights is None else DaggerCollector(context, config.weights)
 
-    def write_scene(self, number: int) -> None:
-        """Write the file of a scene."""
+    def render_scene(self, number: int) -> GraspViews:
+        """Return the views of a scene."""
         # Seeded by the scene, so that files do not depend on the number of processes.
         rng, scene = np.random.default_rng((self._config.seed, number)), self._data.load_scene(number)
         if self._collector is None:
-            views = self._renderer.render_random(scene, self._config.count, rng)
-        else:
-            poses = self._collector.collect_poses(scene, self._config.count, rng)
-            views = self._renderer.render_poses(scene, poses, rng)
-        write_arrays(get_view_path(self._folder, number), views._asdict())
+            return self._renderer.render_random(scene, self._config.count, rng)
+        poses = self._collector.collect_poses(scene, self._config.count, rng)
+        return self._renderer.render_poses(scene, poses, rng)
 
 
-def get_view_path(folder: Path, scene: int) -> Path:
-    """Return the path of the file with the views of a scene."""
-    return folder / f"{scene:03d}.npz"
-
-
-def generate_views(
-    config: ViewDatasetConfig, scenes: Sequence[int], folder: Path, workers: int, progress: bool = True
-) -> None:
-    """Render the views of scenes that have no file yet, and write one file per scene.
+def generate_views(config: ViewDatasetConfig, scenes: Sequence[int], folder: Path, workers: int | None) -> GraspViews:
+    """Return the views of scenes in the order of the scenes; render those of scenes that have no file yet.
 
     Args:
         config: Configuration of the views.
         scenes: Numbers of the scenes.
-        folder: Folder of the files, for one configuration only.
-        workers: Number of processes; the files do not depend on it.
-        progress: Whether to show a progress bar on stderr.
+        folder: Folder of the files, one per scene, for one configuration only.
+        workers: Number of processes, on which the views do not depend; default: one per core.
 
     Raises:
-        ResultsError: The folder cannot be written.
+        DataNotFoundError: `scenes` is empty.
+        ResultsError: The folder cannot be written, or a file is damaged.
         HandoverError: A scene cannot be read.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    missing = [number for number in scenes if not get_view_path(folder, number).exists()]
-    if missing:
-        for _ in map_with_progress(
-            lambda: _ViewWorker(config, folder).write_scene, missing, "rendering views", PoolConfig(workers), progress
-        ):
-            pass
-
-
-def read_views(scenes: Sequence[int], folder: Path) -> GraspViews:
-    """Read the rendered views of scenes, concatenated in the order of the scenes.
-
-    Raises:
-        DataNotFoundError: A file does not exist, or `scenes` is empty.
-        DataFormatError: A file is damaged.
-    """
-    if not scenes:
-        raise DataNotFoundError(f"{folder}: no views without scenes; pass at least one scene")
-    parts = [_read_scene(get_view_path(folder, number)) for number in scenes]
-    return GraspViews(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-def _read_scene(path: Path) -> GraspViews:
-    if not path.exists():
-        raise DataNotFoundError(f"{path}: no views of this scene; generate them first")
-    try:
-        arrays = read_arrays(path, GraspViews._fields, _MAX_BYTES)
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(f"{path}: not a file of views ({shorten_text(error)}); remove it") from error
-    return GraspViews(*arrays.values())
+    generator = lambda: _ViewWorker(config).render_scene  # noqa: E731
+    return join_samples(generate_samples(GraspViews, folder, scenes, generator, "rendering views", workers))

@@ -6,7 +6,7 @@ random offsets. Views are ray cast without physics. Quaternions are xyzw.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.learning.imitation.samples import stack_samples
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabeller, LabelledGrasps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres
@@ -170,16 +171,10 @@ class ViewRenderer:
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
         config, half = self.config, np.float16
-        kinds = (half, half, np.uint8, half, half, half, half, half)
-        clouds = ((config.n_object_points, 3), (config.max_hand_points, 3), ())
-        sizes = (*clouds, (config.max_grasps, 7), (config.max_grasps,), (3,), (3,), (3,))
-        columns = list(zip(*views, strict=True)) if views else [() for _ in sizes]
-        return GraspViews(
-            *(
-                np.array(column, dtype=kind).reshape(len(views), *size)
-                for column, kind, size in zip(columns, kinds, sizes, strict=True)
-            )
-        )
+        hands = [(half, (config.max_hand_points, 3)), (np.uint8, ())]
+        grasps = [(half, (config.max_grasps, 7)), (half, (config.max_grasps,))]
+        columns = [(half, (config.n_object_points, 3)), *hands, *grasps, *[(half, (3,))] * 3]
+        return stack_samples(GraspViews, views, columns)
 
     def _load_grasps(self, scene: Scene) -> LabelledGrasps:
         """Return the grasps of the object, with offset ones for its final pose in the recording."""
@@ -194,7 +189,7 @@ class ViewRenderer:
 
     def _render_view(
         self, scene: Scene, camera: RayCamera, labelled: LabelledFrame, joints: Array, rng: Rng
-    ) -> tuple[object, ...] | None:
+    ) -> tuple[Any, ...] | None:
         """Return the fields of `GraspViews` for one view, or None if too little of the object is visible."""
         config, frame, known = self.config, labelled.frame, labelled.known
         has_hand = bool(scene.is_hand_present(np.array([frame]))[0])

@@ -16,13 +16,7 @@ from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402  # n
     compute_goal_losses,
     evaluate_network,
 )
-from handover_marl.learning.imitation.gaddpg.states import (  # noqa: E402
-    ImitationStates,
-    concatenate_states,
-    make_state,
-    read_states,
-    write_states,
-)
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates, stack_states  # noqa: E402
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig  # noqa: E402
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
 
@@ -38,7 +32,7 @@ def some_states(seed: int = 0) -> tuple[ImitationStates, list[np.ndarray]]:
     rng = np.random.default_rng(seed)
     clouds = [cloud(rng, count, size) for count, size in ((3, 0.05), (40, 0.1), (700, 0.03), (1024, 0.12))]
     goals = [np.array([*rng.uniform(-0.1, 0.3, 3), *Rotation.random(random_state=seed).as_quat()]) for _ in clouds]
-    return concatenate_states([make_state(points, goal, 9) for points, goal in zip(clouds, goals, strict=True)]), clouds
+    return stack_states([(points, goal, 9) for points, goal in zip(clouds, goals, strict=True)]), clouds
 
 
 def filled(points: np.ndarray) -> np.ndarray:
@@ -68,14 +62,6 @@ def test_grouped_network_equals_the_network() -> None:
         whole, grouped = made(shown, torch.full((4,), 9.0)), evaluate_network(made, batch)
     torch.testing.assert_close(grouped.action, whole.action, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(grouped.goal, whole.goal, atol=1e-5, rtol=1e-4)
-
-
-def test_states_are_written_and_read(tmp_path) -> None:
-    states, _ = some_states()
-    write_states(tmp_path / "states.npz", states)
-    found = read_states(tmp_path / "states.npz")
-    for name in vars(states):
-        np.testing.assert_array_equal(getattr(found, name), getattr(states, name))
 
 
 def test_goals_are_equal_up_to_a_rotation_by_pi() -> None:
@@ -109,20 +95,22 @@ def test_resumed_learner_continues_exactly() -> None:
     states, _ = some_states()
     batches = ImitationBatches(states, ApproachFieldConfig(), StateAugmentationConfig())
 
+    def make_learner(seed: int) -> GaddpgLearner:
+        torch.manual_seed(seed)
+        config = GaddpgLearnerConfig(use_bfloat16=False, warmup=1)
+        return GaddpgLearner(GaddpgNetwork(ApproachFieldConfig()), 12, torch.device("cpu"), config)
+
     def learned(learner: GaddpgLearner, first: int, last: int) -> dict[str, float]:
         reported = {}
         for number in range(first, last):
-            rng = np.random.default_rng(number)
-            reported = learner.update(batches.select(rng.integers(4, size=8), rng))
+            reported = learner.update(batches.sample(8, np.random.default_rng(number)))
         return reported
 
-    config = GaddpgLearnerConfig(use_bfloat16=False, warmup=1)
-    whole = GaddpgLearner(12, 0, torch.device("cpu"), config, ApproachFieldConfig())
+    whole = make_learner(0)
     before = learned(whole, 0, 1)
     after = learned(whole, 1, 12)
     assert after["action"] < before["action"]
-    half = GaddpgLearner(12, 0, torch.device("cpu"), config, ApproachFieldConfig())
+    half, rest = make_learner(0), make_learner(5)
     learned(half, 0, 6)
-    rest = GaddpgLearner(12, 5, torch.device("cpu"), config, ApproachFieldConfig())
     rest.restore(half.get_state())
     assert learned(rest, 6, 12) == after

@@ -7,13 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataNotFoundError
+from handover_marl.learning.imitation.samples import get_samples_path
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
-from handover_marl.learning.imitation.vision.view_files import (
-    ViewDatasetConfig,
-    generate_views,
-    get_view_path,
-    read_views,
-)
+from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.imitation.vision.views import (
     GraspViewConfig,
     GraspViews,
@@ -122,14 +118,12 @@ def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
         "synthetic", count=3, config=GraspViewConfig(n_object_points=16, max_hand_points=8, max_grasps=4), labels=QUICK
     )
     scenes = (9, 14)
-    for workers in (1, 2):
-        generate_views(source, scenes, tmp_path / str(workers), workers, progress=False)
-    one, two = (read_views(scenes, tmp_path / str(workers)) for workers in (1, 2))
+    one, two = (generate_views(source, scenes, tmp_path / str(workers), workers) for workers in (1, 2))
     for first, second in zip(one, two, strict=True):
         np.testing.assert_array_equal(first, second)
-    kept = get_view_path(tmp_path / "1", 9)
+    kept = get_samples_path(tmp_path / "1", 9)
     before = kept.stat().st_mtime_ns
-    generate_views(source, scenes, tmp_path / "1", 1, progress=False)
+    generate_views(source, scenes, tmp_path / "1", 1)
     assert kept.stat().st_mtime_ns == before
-    with pytest.raises(DataNotFoundError, match="no views"):
-        read_views((), tmp_path)
+    with pytest.raises(DataNotFoundError, match="a training needs samples, got none"):
+        generate_views(source, (), tmp_path, 1)

@@ -1,0 +1,106 @@
+"""Samples of a training by imitation: arrays that are generated in parallel processes and kept in files.
+
+The samples of a training are a named tuple of arrays (n, ...). A file has the samples of one key, such as a scene. It
+does not depend on the number of processes, so that an interrupted generation can be resumed.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import DataNotFoundError, ResultsError
+from handover_marl.execution.files import shorten_text, write_arrays
+from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.reading import read_arrays
+from handover_marl.execution.tasks import map_with_progress
+
+_MAX_BYTES = 1_000_000_000
+
+#: Named tuple of arrays.
+Samples = TypeVar("Samples", bound=tuple[npt.NDArray[Any], ...])
+
+
+def generate_samples(
+    kind: type[Samples],
+    folder: Path,
+    keys: Sequence[int],
+    make_generator: Callable[[], Callable[[int], Samples]],
+    description: str,
+    workers: int | None,
+) -> list[Samples]:
+    """Return the samples of each key; generate those that have no file yet.
+
+    Args:
+        kind: Named tuple of the samples.
+        folder: Folder of the files, for one configuration only.
+        keys: Numbers of the files.
+        make_generator: Factory of a function from a key to its samples; called once in every process.
+        description: Label of the progress bar.
+        workers: Number of worker processes; default: one per core.
+
+    Raises:
+        ResultsError: A file is damaged or cannot be written.
+        HandoverError: The samples cannot be generated.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def make_writer() -> Callable[[int], None]:
+        generate: Callable[[int], Any] = make_generator()
+        return lambda key: write_arrays(get_samples_path(folder, key), generate(key)._asdict())
+
+    missing = [key for key in keys if not get_samples_path(folder, key).exists()]
+    if missing:
+        for _ in map_with_progress(make_writer, missing, description, PoolConfig(workers), progress=True):
+            pass
+    return [read_samples(kind, get_samples_path(folder, key)) for key in keys]
+
+
+def get_samples_path(folder: Path, key: int) -> Path:
+    """Return the path of the file with the samples of a key."""
+    return folder / f"{key:06d}.npz"
+
+
+def read_samples(kind: type[Samples], path: Path) -> Samples:
+    """Read the samples in a file.
+
+    Raises:
+        ResultsError: The file is damaged.
+    """
+    names: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
+    try:
+        return kind(*read_arrays(path, names, _MAX_BYTES).values())
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise ResultsError(f"{path}: not a file of samples ({shorten_text(error)}); remove it and resume") from error
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of several parts in their order.
+
+    Raises:
+        DataNotFoundError: There are no parts.
+    """
+    if not parts:
+        raise DataNotFoundError("a training needs samples, got none; pass at least two scenes")
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def stack_samples(
+    kind: type[Samples], rows: Sequence[tuple[Any, ...]], columns: Sequence[tuple[npt.DTypeLike, tuple[int, ...]]]
+) -> Samples:
+    """Return samples whose rows are given, each with one value per column; there may be no rows.
+
+    Args:
+        kind: Named tuple of the samples.
+        rows: Values of each sample.
+        columns: Type, and shape of a value, of each column.
+    """
+    values = zip(*rows, strict=True) if rows else [()] * len(columns)
+    return kind(
+        *(
+            np.array(column, dtype=dtype).reshape(len(rows), *shape)
+            for column, (dtype, shape) in zip(values, columns, strict=True)
+        )
+    )
