@@ -63,7 +63,7 @@ class HandoverTask(Task):
 def main(args: PairArgs) -> None:
     torch.set_num_threads(1)
     Path(args.out).mkdir(parents=True, exist_ok=True)
-    task = HandoverTask.HANDOVER.get_task({"args": args, "max_cycles": round(args.time_limit / args.control_period)})
+    task = HandoverTask.HANDOVER.get_task({"args": args, "max_cycles": args.max_cycles})
     algorithm, model, config = (each.get_from_yaml() for each in (MappoConfig, MlpConfig, ExperimentConfig))
     algorithm.clip_epsilon, algorithm.lmbda = args.clip_range, args.gae_lambda
     algorithm.scale_mapping = f"biased_softplus_{args.initial_std}"

@@ -1,5 +1,6 @@
 """Arguments that scripts of `experiments/` share, as dataclasses that become command-line options."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -64,3 +65,46 @@ class EvaluationArgs(SetupArgs):
         """Keyword arguments of `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
         names = ("setup", "dataset", "data_dir", "physics", "workers")
         return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class RlArgs(SetupArgs):
+    """Arguments of scripts that train policies by PPO.
+
+    Attributes:
+        seed: Seed of all random numbers.
+        physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
+        num_envs: Number of environments simulated in parallel.
+        decisions: Largest number of decisions of each agent that learns.
+        batch_size: Number of decisions in all environments together between updates.
+        epochs: Number of passes over the collected data between updates.
+        learning_rate: Learning rate of Adam.
+        discount: Discount factor; potential-based rewards use it too. With 0.97 the mean of a pair never learns to
+            close the gripper; exploration noise closes it late enough.
+        gae_lambda: Lambda of generalized advantage estimation.
+        width: Width of the two hidden layers of each network.
+        initial_std: Initial standard deviation of the network outputs, for exploration.
+        control_period: Time between two decisions (s).
+        time_limit: Time after which training episodes are truncated (s).
+        val_scenes: Number of validation scenes per evaluation, evenly chosen.
+    """
+
+    seed: int = 0
+    physics: str = "mujoco"
+    num_envs: int = 2
+    decisions: int = 49_152
+    batch_size: int = 2_048
+    epochs: int = 8
+    learning_rate: float = 1e-3
+    discount: float = 0.85
+    gae_lambda: float = 0.95
+    width: int = 128
+    initial_std: float = 0.4
+    control_period: float = 0.2
+    time_limit: float = 8.0
+    val_scenes: int = 36
+
+    @property
+    def max_cycles(self) -> int:
+        """Number of decisions after which training episodes are truncated."""
+        return math.ceil(self.time_limit / self.control_period)

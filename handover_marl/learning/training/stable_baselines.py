@@ -54,7 +54,7 @@ from handover_marl.learning.training.run_folder import (
     summarize_evaluation,
     write_checkpoint,
 )
-from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.learning.training.scene_arguments import RlArgs
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.simulation.engines import MUJOCO
 
@@ -63,55 +63,29 @@ _RECORDED_TOGETHER = 64
 
 
 @dataclass(frozen=True)
-class PpoArgs(SetupArgs):
+class PpoArgs(RlArgs):
     """Arguments of the scripts that train one agent with Stable-Baselines3's PPO.
 
     Attributes:
         out: Folder of the run.
-        seed: Seed of all random numbers.
         features: Name of the features that the learning agent observes, or module:name of user-defined features.
         actions: Name of the learning agent's action scheme, or module:name of a user-defined scheme.
         rewards: Reward: sparse, shaped, or module:name of a user-defined reward.
-        control_period: Time between two decisions (s).
-        time_limit: Time after which training episodes are truncated (s).
-        physics: Simulation: fast, exact, or mujoco, which simulates environments in batches.
         num_envs: Number of environments simulated in parallel; 0 means 64 with mujoco, else 8.
-        decisions: Largest number of decisions of the agent.
         minutes: Largest wall-clock time (min).
-        batch_size: Number of decisions in all environments together between updates.
-        epochs: Number of passes over the collected data between updates.
-        learning_rate: Learning rate of Adam.
-        discount: Discount factor; potential-based rewards use it too.
-        gae_lambda: Lambda of generalized advantage estimation.
-        width: Width of the two hidden layers of each network.
-        initial_std: Initial standard deviation of the network outputs, for exploration.
         eval_interval: Number of decisions between evaluations.
         eval_start: Whether to evaluate before the training, too.
-        val_scenes: Number of validation scenes per evaluation, evenly chosen.
         resume: Whether to continue the run in the folder `out`.
     """
 
     out: str = "runs/training"
-    seed: int = 0
     features: str = "close"
     actions: str = "grasp_servo"
     rewards: str = "sparse"
-    control_period: float = 0.2
-    time_limit: float = 8.0
-    physics: str = "mujoco"
     num_envs: int = 0
-    decisions: int = 49_152
     minutes: float = 30.0
-    batch_size: int = 2_048
-    epochs: int = 8
-    learning_rate: float = 1e-3
-    discount: float = 0.85
-    gae_lambda: float = 0.95
-    width: int = 128
-    initial_std: float = 0.4
     eval_interval: int = 8_192
     eval_start: bool = True
-    val_scenes: int = 36
     resume: bool = False
 
     def __post_init__(self) -> None:
@@ -141,7 +115,7 @@ class PpoArgs(SetupArgs):
             control_period=self.control_period,
             rewards=set_discount(self.rewards, self.discount),
             scenes=select_training_scenes(self.open_dataset().list_scenes(self.setup, "train")),
-            max_cycles=math.ceil(self.time_limit / self.control_period),
+            max_cycles=self.max_cycles,
         )
 
 

@@ -1,5 +1,7 @@
 """Tests of weights in the library's own format: small files without pickled objects, read by default."""
 
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +9,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
+from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights  # noqa: E402
+from handover_marl.datasets.splits import SETUPS, get_prescribed_side, list_split_scenes  # noqa: E402
 from handover_marl.datasets.synthetic import SyntheticDataset  # noqa: E402
 from handover_marl.errors import DataFormatError, DataNotFoundError  # noqa: E402
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
@@ -64,3 +68,22 @@ def test_others_are_refused(file: Path, tmp_path: Path) -> None:
     np.savez(damaged, **(arrays | {"policy.mean.bias": np.array([object()])}), allow_pickle=True)
     with pytest.raises(DataFormatError):
         read_network_weights(damaged, GaddpgNetwork)
+
+
+@pytest.mark.parametrize(
+    ("path", "setups"),
+    [(GADDPG_WEIGHTS, SETUPS), *((find_vision_weights(setup), (setup,)) for setup in SETUPS)],
+    ids=["gaddpg", *SETUPS],
+)
+def test_shipped_weights_were_not_trained_on_test_scenes(path: Path, setups: tuple[str, ...]) -> None:
+    """Trainings use the scenes that are in the train splits of all setups that the card of a file names."""
+    with np.load(path) as content:
+        command = json.loads(str(content["about"]))["made_by"]["made by"]
+    named = re.search(r"\bsetups?=(\([^)]*\)|'[^']*')", command)
+    assert named is not None
+    assert "dataset='dexycb'" in command
+    assert tuple(re.findall(r"s\d", named[1])) == setups
+    used = set.intersection(*(set(list_split_scenes(setup, "train", get_prescribed_side)) for setup in setups))
+    assert used
+    for setup in setups:
+        assert used.isdisjoint(list_split_scenes(setup, "test", get_prescribed_side))
