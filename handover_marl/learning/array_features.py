@@ -5,9 +5,7 @@ components are of order one and independent of the world frame. Features do not 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 
-import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
@@ -18,7 +16,6 @@ from handover_marl.geometry.arrays import (
     ArrayFactory,
     get_namespace,
     stack_last,
-    to_numpy,
     widen,
 )
 from handover_marl.geometry.poses import (
@@ -31,7 +28,6 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.geometry.rotations import matrices_from_quaternions, rotation_vectors_from_quaternions
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
-from handover_marl.learning.encodings.custom_features import AgentFeatures
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
@@ -300,33 +296,6 @@ class FlatFeatures(ArrayFeatures):
         """Return the complete observations as vectors (r, n)."""
         parts = [observation[key].reshape(len(rows), -1) for key in self._keys]
         return get_namespace(*parts).concat(parts, axis=1)
-
-
-class SequentialFeatures(ArrayFeatures):
-    """User-defined features, one for each episode, that are called one after another with NumPy arrays.
-
-    Args:
-        features: Features of each episode.
-        arrays: Creator of the feature vectors.
-    """
-
-    uses_camera = True
-
-    def __init__(self, features: Sequence[AgentFeatures], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._features, self._arrays = features, arrays
-
-    def reset(self, row: int) -> None:
-        """Clear the values that the features store from the previous episode."""
-        self._features[row].reset()
-
-    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, m); see `ArrayFeatures`."""
-        own = {key: to_numpy(values) for key, values in observation.items()}
-        vectors = [
-            self._features[row]({key: values[number].copy() for key, values in own.items()})
-            for number, row in enumerate(rows.tolist())
-        ]
-        return self._arrays.asarray(np.stack(vectors))
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:

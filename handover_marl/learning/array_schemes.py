@@ -4,13 +4,12 @@ Actions do not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from handover_marl.episode.observations import Observation, add_episode_axis
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory
 from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
@@ -91,43 +90,6 @@ class RawScheme(ArrayScheme):
         """Return the current outputs as the actions, float32."""
         xp = self._arrays.xp
         return xp.astype(self._outputs[rows], xp.float32)
-
-
-class SequentialScheme(ArrayScheme):
-    """User-defined schemes, one for each episode, that are called one after another with NumPy arrays.
-
-    Args:
-        schemes: Scheme of each episode.
-        arrays: Creator of the actions.
-    """
-
-    def __init__(self, schemes: Sequence[ActionScheme], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self.size = schemes[0].size
-        self._schemes, self._arrays = schemes, arrays
-
-    def reset(self, row: int) -> None:
-        """Clear the state of the previous episode."""
-        self._schemes[row].reset()
-
-    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether the network must be evaluated now, in each of r episodes."""
-        needs = [scheme.needs_outputs(one) for scheme, one in self._pair(rows, observation)]
-        return self._arrays.asarray(needs, "bool")
-
-    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store new network outputs (r, size)."""
-        for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
-            self._schemes[row].set_outputs(own)
-
-    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the agent's actions (r, ...) for the current outputs."""
-        actions = [scheme.compute_action(one) for scheme, one in self._pair(rows, observation)]
-        return self._arrays.asarray(np.stack(actions))
-
-    def _pair(self, rows: AnyArray, observation: Observation) -> Iterator[tuple[ActionScheme, Observation]]:
-        own = {key: to_numpy(values) for key, values in observation.items()}
-        for number, row in enumerate(rows.tolist()):
-            yield self._schemes[row], {key: values[number].copy() for key, values in own.items()}
 
 
 class SingleScheme(ActionScheme):

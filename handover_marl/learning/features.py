@@ -18,13 +18,12 @@ from handover_marl.learning.array_features import (
     GraspFeatures,
     GraspProximityFeatures,
     ReceiverFeatures,
-    SequentialFeatures,
     StackedFeatures,
 )
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import (
     KIND,
-    AgentFeatures,
+    CustomFeatures,
     FeaturesLike,
     Vector,
     make_custom_features,
@@ -67,22 +66,37 @@ _FEATURES: dict[str, dict[str, tuple[_Make, int]]] = {
 }
 
 
-class SingleFeatures:
-    """Features of one observation, without the axis of episodes.
+class AgentFeatures:
+    """Features of one agent in one episode, without the axis of episodes; made by `make_features`.
 
     Args:
+        name: Name of the features.
+        space: Space of the feature vectors.
         features: Features of n = 1 episode.
+
+    Attributes:
+        name: Name of the features.
+        space: Space of the feature vectors, one-dimensional, float32.
     """
 
-    def __init__(self, features: ArrayFeatures) -> None:
-        self._features = features
+    def __init__(self, name: str, space: spaces.Box, features: ArrayFeatures) -> None:
+        self.name, self.space, self._features = name, space, features
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        return int(self.space.shape[0])
 
     def reset(self) -> None:
         """Clear the values that are stored from the previous episode."""
         self._features.reset(0)
 
     def __call__(self, observation: Observation) -> Vector:
-        """Return the features (size,) of an observation."""
+        """Return the features (size,) of an observation.
+
+        Raises:
+            EncodingError: User-defined features fail, or return anything but an element of their space.
+        """
         vector: Vector = self._features(ONLY_ROW, add_episode_axis(observation))[0]
         return vector
 
@@ -121,15 +135,11 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> A
         OptionError: User-defined features declare no size, or are for the other agent.
         EncodingError: The constructor of user-defined features fails.
     """
-    list_features(agent)
-    own: Any = choice
-    if is_reference(choice):
-        own = import_reference(KIND, str(choice))
-    if not isinstance(own, str):
-        return make_custom_features(agent, own, context, str(choice) if is_reference(choice) else "")
-    space = spaces.Box(-np.inf, np.inf, (count_features(agent, own),), np.float32)
-    selector = LowestCostGraspSelector(context, 1)
-    return AgentFeatures(own, space, SingleFeatures(make_array_features(agent, own, context, selector, 1)))
+    found = make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1)
+    if isinstance(found, CustomFeatures):
+        return AgentFeatures(found.name, found.space, found)
+    size = count_features(agent, str(choice))
+    return AgentFeatures(str(choice), spaces.Box(-np.inf, np.inf, (size,), np.float32), found)
 
 
 def make_array_features(
@@ -150,6 +160,9 @@ def make_array_features(
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
-    if isinstance(choice, str) and choice in list_features(agent):
+    list_features(agent)
+    if isinstance(choice, str) and not is_reference(choice):
+        check_name(f"{KIND} of the {agent}", choice, list_features(agent))
         return _FEATURES[agent][choice][0](context, selector, count, arrays)
-    return SequentialFeatures([make_features(agent, choice, context) for _ in range(count)], arrays)
+    own: Any = import_reference(KIND, choice) if isinstance(choice, str) else choice
+    return make_custom_features(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")

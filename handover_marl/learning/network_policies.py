@@ -12,7 +12,8 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
+from handover_marl.learning.array_schemes import ArrayScheme
+from handover_marl.learning.encodings.custom_schemes import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import DenseNetwork
@@ -140,7 +141,7 @@ def make_network_policy_batch(
     if not isinstance(policy.function, DenseNetwork):
         return None
     agent, context = policy.scheme.agent, policy.scheme.context
-    if not isinstance(policy.scheme, SingleScheme) or policy.features not in list_features(agent):
+    if isinstance(policy.scheme.scheme, CustomScheme) or policy.features not in list_features(agent):
         return None
     selector = LowestCostGraspSelector(context, count, arrays)
     features = make_array_features(agent, policy.features, context, selector, count, arrays)

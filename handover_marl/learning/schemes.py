@@ -9,7 +9,7 @@ from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import Action, ActionScheme
-from handover_marl.learning.array_schemes import ArrayScheme, SequentialScheme, SingleScheme
+from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
@@ -48,7 +48,7 @@ def count_outputs(agent: str, name: str) -> int:
     return _SCHEMES[name].size
 
 
-def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> ActionScheme:
+def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> SingleScheme:
     """Make an agent's action scheme.
 
     Args:
@@ -63,13 +63,7 @@ def make_scheme(agent: str, choice: SchemeLike, context: PolicyContext) -> Actio
         OptionError: A user-defined scheme declares no size, or is for the other agent.
         EncodingError: The constructor of a user-defined scheme fails.
     """
-    own: Any = choice
-    if is_reference(choice):
-        own = import_reference(KIND, str(choice))
-    if not isinstance(own, str):
-        return make_custom_scheme(agent, own, context, str(choice) if is_reference(choice) else "")
-    count_outputs(agent, own)
-    return SingleScheme(_SCHEMES[own](context, LowestCostGraspSelector(context, 1), 1), context)
+    return SingleScheme(make_array_scheme(agent, choice, context, LowestCostGraspSelector(context, 1), 1), context)
 
 
 def make_array_scheme(
@@ -90,9 +84,11 @@ def make_array_scheme(
         count: Number n of episodes.
         arrays: Creator of the arrays.
     """
-    if isinstance(choice, str) and choice in list_schemes(agent):
+    if isinstance(choice, str) and not is_reference(choice):
+        count_outputs(agent, choice)
         return _SCHEMES[choice](context, selector, count, arrays)
-    return SequentialScheme([make_scheme(agent, choice, context) for _ in range(count)], arrays)
+    own: Any = import_reference(KIND, choice) if isinstance(choice, str) else choice
+    return make_custom_scheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:

@@ -16,10 +16,10 @@ from handover_marl.episode.observations import Observation, giver_observation_sp
 from handover_marl.episode.spaces import STATE, check_vector
 from handover_marl.errors import ActionError, HandoverError, OptionError
 from handover_marl.execution.files import shorten_text
-from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.encodings.custom_features import AgentFeatures, FeaturesLike
+from handover_marl.learning.array_schemes import SingleScheme
+from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
-from handover_marl.learning.features import make_features
+from handover_marl.learning.features import AgentFeatures, make_features
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_scheme
@@ -92,7 +92,7 @@ class FunctionPolicy(Policy):
             self._try_zeros(context)
 
     @property
-    def scheme(self) -> ActionScheme:
+    def scheme(self) -> SingleScheme:
         """Action scheme that decodes the outputs."""
         return self._scheme
 

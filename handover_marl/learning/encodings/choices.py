@@ -1,13 +1,15 @@
 """Checks of user-defined features and action schemes: classes, functions, or text `module:name`."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import EncodingError, OptionError
+from handover_marl.episode.observations import Observation
+from handover_marl.errors import EncodingError, HandoverError, OptionError
+from handover_marl.geometry.arrays import AnyArray, to_numpy
 from handover_marl.policies.policy import PolicyContext
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -118,3 +120,24 @@ def construct_encoding(kind: str, choice: type, context: PolicyContext) -> Any:
         return choice(context) if takes_context else choice()
     except Exception as error:  # code of the user
         raise EncodingError(f"{kind} {name!r} cannot be made ({type(error).__name__}: {error})") from error
+
+
+def run_custom_code(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of a user-defined function.
+
+    Raises:
+        EncodingError: The function fails.
+    """
+    try:
+        return function(*arguments)
+    except HandoverError:
+        raise
+    except Exception as error:  # code of the user
+        raise EncodingError(f"{what} failed ({type(error).__name__}: {error})") from error
+
+
+def split_episodes(rows: AnyArray, observation: Observation) -> Iterator[tuple[int, Observation]]:
+    """Yield the indices (r,) of episodes with a copy of the observation of each as NumPy arrays."""
+    own = {key: to_numpy(values) for key, values in observation.items()}
+    for number, row in enumerate(rows.tolist()):
+        yield row, {key: values[number].copy() for key, values in own.items()}

@@ -1,8 +1,8 @@
-"""User-defined features: base class, and checks of the returned vectors."""
+"""User-defined features: base class, features of many episodes, and checks of the returned vectors."""
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import EncodingError, HandoverError, OptionError
+from handover_marl.errors import EncodingError, OptionError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.encodings.choices import (
     MAX_SIZE,
     check_agent,
@@ -18,6 +20,8 @@ from handover_marl.learning.encodings.choices import (
     check_size,
     construct_encoding,
     get_choice_name,
+    run_custom_code,
+    split_episodes,
 )
 from handover_marl.policies.policy import PolicyContext
 
@@ -62,72 +66,68 @@ class FeatureExtractor(ABC):
 FeaturesLike: TypeAlias = str | type[FeatureExtractor] | Callable[[Observation], Any]
 
 
-class AgentFeatures:
-    """Features of one agent with their name and space; made by `features.make_features`.
+class CustomFeatures(ArrayFeatures):
+    """User-defined features, one function for each episode; called one after another with NumPy arrays, and checked.
 
     Args:
         name: Name of the features.
-        space: Space of the feature vectors.
-        function: Function from an observation to a feature vector.
-        is_checked: Whether each vector is checked against the space.
+        functions: Function of each episode from an observation to a feature vector.
+        arrays: Creator of the feature vectors.
 
     Attributes:
         name: Name of the features.
         space: Space of the feature vectors, one-dimensional, float32.
-        function: Function from an observation to a feature vector.
+
+    Raises:
+        OptionError: The size is missing or malformed.
     """
 
-    def __init__(self, name: str, space: spaces.Box, function: FeatureFunction, is_checked: bool = False) -> None:
-        self.name, self.space, self.function = name, space, function
-        self._is_checked = is_checked
-        self._is_bounded = bool(np.isfinite(space.low).any() or np.isfinite(space.high).any())
+    uses_camera = True
 
-    @property
-    def size(self) -> int:
-        """Number of features."""
-        return int(self.space.shape[0])
+    def __init__(self, name: str, functions: Sequence[FeatureFunction], arrays: ArrayFactory) -> None:
+        self.name, self.space = name, _read_space(name, functions[0])
+        self._functions, self._arrays = functions, arrays
+        self._is_bounded = bool(np.isfinite(self.space.low).any() or np.isfinite(self.space.high).any())
 
-    def reset(self) -> None:
+    def reset(self, row: int) -> None:
         """Clear the values that the features store from the previous episode, if there are any."""
-        reset = getattr(self.function, "reset", None)
+        reset = getattr(self._functions[row], "reset", None)
         if callable(reset):
             reset()
 
-    def __call__(self, observation: Observation) -> Vector:
-        """Return the features (size,) of an observation.
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the feature vectors (r, m).
 
         Raises:
-            EncodingError: User-defined features fail, or return anything but an element of their space.
+            EncodingError: The features fail, or return anything but an element of their space.
         """
-        if not self._is_checked:
-            return self.function(observation)
-        try:
-            values = self.function(observation)
-        except HandoverError:
-            raise
-        except Exception as error:  # code of the user
-            raise EncodingError(f"{KIND} {self.name!r} failed ({type(error).__name__}: {error})") from error
-        self._check(values)
-        return values
+        own = split_episodes(rows, observation)
+        return self._arrays.asarray(np.stack([self._compute(self._functions[row], one) for row, one in own]))
 
-    def _check(self, values: Any) -> None:
+    def _compute(self, function: FeatureFunction, observation: Observation) -> Vector:
+        values = run_custom_code(f"{KIND} {self.name!r}", function, observation)
         advice = "convert with numpy.asarray(values, dtype=numpy.float32), or declare another size"
-        check_returned_vector(f"{KIND} {self.name!r}", values, self.space.shape, advice)
+        checked = check_returned_vector(f"{KIND} {self.name!r}", values, self.space.shape, advice)
         if self._is_bounded and ((values < self.space.low) | (values > self.space.high)).any():
             bad = int(np.flatnonzero((values < self.space.low) | (values > self.space.high))[0])
             raise EncodingError(
                 f"{KIND} {self.name!r} must be within their space, got {values[bad]} in component {bad}, whose bounds "
                 f"are {self.space.low[bad]} and {self.space.high[bad]}"
             )
+        return checked
 
 
-def make_custom_features(agent: str, choice: Any, context: PolicyContext, name: str = "") -> AgentFeatures:
-    """Make checked features from a class, an instance or a function that declares its size or space.
+def make_custom_features(
+    agent: str, choice: Any, context: PolicyContext, count: int, arrays: ArrayFactory, name: str = ""
+) -> CustomFeatures:
+    """Make features of n episodes from a class, an instance or a function that declares its size or space.
 
     Args:
         agent: "giver" or "receiver".
         choice: Class, instance or function.
         context: Robot, task and known grasps of the objects.
+        count: Number n of episodes.
+        arrays: Creator of the feature vectors.
         name: Name of the features; default: the name of the class or function.
 
     Raises:
@@ -138,13 +138,17 @@ def make_custom_features(agent: str, choice: Any, context: PolicyContext, name: 
         raise OptionError(f"{KIND} must be a name, a class or a function, got {choice!r}")
     name = name or get_choice_name(choice)
     check_agent(KIND, choice, agent)
-    function = construct_encoding(KIND, choice, context) if isinstance(choice, type) else choice
-    if function is choice and hasattr(choice, "reset"):
-        # Environments must not share the memory of an instance.
-        function = copy.deepcopy(choice)
-    if not callable(function):
+    functions = [_make_function(choice, context) for _ in range(count)]
+    if not callable(functions[0]):
         raise OptionError(f"{KIND} {name!r} must be callable with an observation; add the method __call__")
-    return AgentFeatures(name, _read_space(name, function), function, is_checked=True)
+    return CustomFeatures(name, functions, arrays)
+
+
+def _make_function(choice: Any, context: PolicyContext) -> Any:
+    if isinstance(choice, type):
+        return construct_encoding(KIND, choice, context)
+    # Environments must not share the memory of an instance.
+    return copy.deepcopy(choice) if hasattr(choice, "reset") else choice
 
 
 def _read_space(name: str, function: object) -> spaces.Box:
