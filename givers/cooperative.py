@@ -2,9 +2,9 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
@@ -72,21 +72,12 @@ class CooperativeConfig(CheckedConfig):
         withdrawal: Distance by which the hand withdraws after the release (m).
     """
 
-    limits: ClassVar[Limits] = {
-        "approach_share": (0.0, 1.0),
-        "min_distance": (0.0, 2.0),
-        "max_displacement": (0.0, 0.3),
-        "max_rotation": (0.0, 1.0),
-        "rate": (-0.8, 1.0),
-        "withdrawal": (0.0, 0.3),
-    }
-
-    approach_share: float = 0.3
-    min_distance: float = 0.45
-    max_displacement: float = 0.25
-    max_rotation: float = 0.8
-    rate: float = 0.0
-    withdrawal: float = 0.15
+    approach_share: float = bounded(0.3, 0.0, 1.0)
+    min_distance: float = bounded(0.45, 0.0, 2.0)
+    max_displacement: float = bounded(0.25, 0.0, 0.3)
+    max_rotation: float = bounded(0.8, 0.0, 1.0)
+    rate: float = bounded(0.0, -0.8, 1.0)
+    withdrawal: float = bounded(0.15, 0.0, 0.3)
 
 
 class CooperativeGiver(ArrayGiver):

@@ -1,13 +1,12 @@
 """Giver that displaces and rotates the recorded motion at random."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory
 from handover_marl.givers.array_giver import ArrayGiver
@@ -23,10 +22,8 @@ class DisplacedConfig(CheckedConfig):
         angle: Largest rotation of hand and object from their recorded orientation (rad).
     """
 
-    limits: ClassVar[Limits] = {"distance": (0.0, 0.3), "angle": (0.0, 1.0)}
-
-    distance: float = 0.15
-    angle: float = 0.5
+    distance: float = bounded(0.15, 0.0, 0.3)
+    angle: float = bounded(0.5, 0.0, 1.0)
 
 
 class DisplacedGiver(ArrayGiver):

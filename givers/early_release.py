@@ -2,11 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.panda import FINGERTIPS
@@ -25,10 +24,8 @@ class EarlyReleaseConfig(CheckedConfig):
         max_delay: Largest time from the arrival of the gripper to the release (s).
     """
 
-    limits: ClassVar[Limits] = {"distance": (0.0, 0.5), "max_delay": (0.0, 13.0)}
-
-    distance: float = 0.1
-    max_delay: float = 0.5
+    distance: float = bounded(0.1, 0.0, 0.5)
+    max_delay: float = bounded(0.5, 0.0, 13.0)
 
 
 class EarlyReleaseGiver(ArrayGiver):

@@ -1,11 +1,10 @@
 """Giver with random deviations from the recording."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory
 from handover_marl.givers.array_giver import ArrayGiver
@@ -23,17 +22,10 @@ class NoisyConfig(CheckedConfig):
         time_constant: Correlation time of the noise (s).
     """
 
-    limits: ClassVar[Limits] = {
-        "displacement": (0.0, 0.1),
-        "rotation": (0.0, 0.5),
-        "rate": (0.0, 0.5),
-        "time_constant": (0.05, 13.0),
-    }
-
-    displacement: float = 0.02
-    rotation: float = 0.1
-    rate: float = 0.15
-    time_constant: float = 0.5
+    displacement: float = bounded(0.02, 0.0, 0.1)
+    rotation: float = bounded(0.1, 0.0, 0.5)
+    rate: float = bounded(0.15, 0.0, 0.5)
+    time_constant: float = bounded(0.5, 0.05, 13.0)
 
 
 class NoisyGiver(ArrayGiver):

@@ -1,11 +1,10 @@
 """Givers that replay the recorded motion at another speed, or with pauses."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits, check_order
+from handover_marl.config import CheckedConfig, bounded, check_order
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy
 from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
@@ -24,15 +23,9 @@ class HesitantConfig(CheckedConfig):
         longest_pause: Largest duration of a pause (s).
     """
 
-    limits: ClassVar[Limits] = {
-        "pauses_per_second": (0.0, 5.0),
-        "shortest_pause": (0.0, _MAX_PAUSE),
-        "longest_pause": (0.0, _MAX_PAUSE),
-    }
-
-    pauses_per_second: float = 0.6
-    shortest_pause: float = 0.3
-    longest_pause: float = 1.0
+    pauses_per_second: float = bounded(0.6, 0.0, 5.0)
+    shortest_pause: float = bounded(0.3, 0.0, _MAX_PAUSE)
+    longest_pause: float = bounded(1.0, 0.0, _MAX_PAUSE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,10 +67,8 @@ class HurriedConfig(CheckedConfig):
         max_rate: Largest playback rate minus 1.
     """
 
-    limits: ClassVar[Limits] = {"min_rate": (-0.8, 1.0), "max_rate": (-0.8, 1.0)}
-
-    min_rate: float = 0.4
-    max_rate: float = 1.0
+    min_rate: float = bounded(0.4, -0.8, 1.0)
+    max_rate: float = bounded(1.0, -0.8, 1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -112,9 +103,7 @@ class StopWhenNearConfig(CheckedConfig):
         distance: Distance from the Panda's hand link to the object's origin below which the recording pauses (m).
     """
 
-    limits: ClassVar[Limits] = {"distance": (0.0, 1.5)}
-
-    distance: float = 0.35
+    distance: float = bounded(0.35, 0.0, 1.5)
 
 
 class StopWhenNearGiver(ArrayGiver):

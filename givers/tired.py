@@ -2,11 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, widen
 from handover_marl.givers.array_giver import ArrayGiver
@@ -24,17 +23,10 @@ class TiredConfig(CheckedConfig):
         max_sinking: Largest distance by which the hand sinks (m).
     """
 
-    limits: ClassVar[Limits] = {
-        "amplitude": (0.0, 0.02),
-        "frequency": (0.5, 8.0),
-        "sinking": (0.0, 0.5),
-        "max_sinking": (0.0, 0.3),
-    }
-
-    amplitude: float = 0.003
-    frequency: float = 5.0
-    sinking: float = 0.02
-    max_sinking: float = 0.1
+    amplitude: float = bounded(0.003, 0.0, 0.02)
+    frequency: float = bounded(5.0, 0.5, 8.0)
+    sinking: float = bounded(0.02, 0.0, 0.5)
+    max_sinking: float = bounded(0.1, 0.0, 0.3)
 
 
 class TiredGiver(ArrayGiver):

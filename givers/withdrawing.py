@@ -2,11 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits, check_order
+from handover_marl.config import CheckedConfig, bounded, check_order
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
@@ -27,17 +26,10 @@ class WithdrawingConfig(CheckedConfig):
         return_after: Time after which the hand returns, unless the gripper approaches fast (s).
     """
 
-    limits: ClassVar[Limits] = {
-        "max_speed": (0.0, 2.0),
-        "max_distance": (0.0, 1.5),
-        "withdrawal": (0.0, _MAX_WITHDRAWAL),
-        "return_after": (0.0, _MAX_TIME),
-    }
-
-    max_speed: float = 0.25
-    max_distance: float = 0.45
-    withdrawal: float = 0.15
-    return_after: float = 0.8
+    max_speed: float = bounded(0.25, 0.0, 2.0)
+    max_distance: float = bounded(0.45, 0.0, 1.5)
+    withdrawal: float = bounded(0.15, 0.0, _MAX_WITHDRAWAL)
+    return_after: float = bounded(0.8, 0.0, _MAX_TIME)
 
 
 class WithdrawingGiver(ArrayGiver):
@@ -84,17 +76,10 @@ class InterruptingConfig(CheckedConfig):
         longest: Largest duration of an interruption (s).
     """
 
-    limits: ClassVar[Limits] = {
-        "interruptions_per_second": (0.0, 5.0),
-        "withdrawal": (0.0, _MAX_WITHDRAWAL),
-        "shortest": (0.0, _MAX_TIME),
-        "longest": (0.0, _MAX_TIME),
-    }
-
-    interruptions_per_second: float = 0.6
-    withdrawal: float = 0.15
-    shortest: float = 0.5
-    longest: float = 1.5
+    interruptions_per_second: float = bounded(0.6, 0.0, 5.0)
+    withdrawal: float = bounded(0.15, 0.0, _MAX_WITHDRAWAL)
+    shortest: float = bounded(0.5, 0.0, _MAX_TIME)
+    longest: float = bounded(1.5, 0.0, _MAX_TIME)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -6,7 +6,7 @@ results exist for these values only. Constants in capitals are fixed by the data
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields, is_dataclass
 from numbers import Integral, Real
 from typing import Any, ClassVar
 
@@ -49,7 +49,7 @@ class CheckedConfig:
         OptionError: A field has another type, or a number is out of range.
     """
 
-    #: Smallest and largest value of fields, ends included; for tuples of every number.
+    #: Smallest and largest value of fields that are not `bounded`, ends included; for tuples of every number.
     limits: ClassVar[Limits] = {}
     #: Smallest and largest value of the fields that `limits` does not name.
     default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
@@ -68,14 +68,18 @@ class CheckedConfig:
             elif is_dataclass(default):
                 check_config(name, value, type(default))
             elif isinstance(default, tuple):
-                object.__setattr__(
-                    self, part.name, _check_tuple(name, value, len(default), self._get_limits(part.name))
-                )
+                object.__setattr__(self, part.name, _check_tuple(name, value, len(default), self._get_limits(part)))
             else:
-                _check_number(name, value, isinstance(default, int), self._get_limits(part.name))
+                _check_number(name, value, isinstance(default, int), self._get_limits(part))
 
-    def _get_limits(self, name: str) -> tuple[float, float]:
-        return self.limits.get(name, self.default_limits)
+    def _get_limits(self, part: Field[Any]) -> tuple[float, float]:
+        limits: tuple[float, float] = part.metadata.get("limits", self.limits.get(part.name, self.default_limits))
+        return limits
+
+
+def bounded(default: float, low: float, high: float) -> Any:
+    """Return the field of a `CheckedConfig` with a default, whose values must be from `low` to `high`."""
+    return field(default=default, metadata={"limits": (low, high)})
 
 
 def check_config(name: str, value: object, config_class: type) -> None:

@@ -8,12 +8,11 @@ fingers and carries the object to the goal. It uses the object's true pose and i
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF, CheckedConfig, Limits, check_config
+from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
@@ -58,33 +57,19 @@ class YangConfig(CheckedConfig):
         grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
     """
 
-    limits: ClassVar[Limits] = {
-        "wait": (0.0, 60.0),
-        "decision_period": (0.001, 60.0),
-        "close_time": (0.0, 60.0),
-        "rotation_weight": (0.0, np.inf),
-        "max_candidates": (1, np.inf),
-        "region_width": (0.0, np.inf),
-        "region_slope": (0.0, np.inf),
-        "region_max_width": (0.0, np.inf),
-        "angle_tolerance": (0.0, np.pi),
-        "step_length": (0.001, np.inf),
-        "grasp_tolerance": (0.0, np.inf),
-    }
-
-    wait: float = 3.0
-    decision_period: float = 0.1
-    close_time: float = 0.5
+    wait: float = bounded(3.0, 0.0, 60.0)
+    decision_period: float = bounded(0.1, 0.001, 60.0)
+    close_time: float = bounded(0.5, 0.0, 60.0)
     standoff: tuple[float, ...] = panda.RANKING_STANDOFF
     preferred_pose: tuple[float, ...] = panda.PREFERRED_HAND_POSE
-    rotation_weight: float = panda.RANKING_ROTATION_WEIGHT
-    max_candidates: int = panda.MAX_RANKED_GRASPS
-    region_width: float = 0.015
-    region_slope: float = 50.0
-    region_max_width: float = 0.04
-    angle_tolerance: float = float(np.radians(15.0))
-    step_length: float = 0.05
-    grasp_tolerance: float = 0.005
+    rotation_weight: float = bounded(panda.RANKING_ROTATION_WEIGHT, 0.0, np.inf)
+    max_candidates: int = bounded(panda.MAX_RANKED_GRASPS, 1, np.inf)
+    region_width: float = bounded(0.015, 0.0, np.inf)
+    region_slope: float = bounded(50.0, 0.0, np.inf)
+    region_max_width: float = bounded(0.04, 0.0, np.inf)
+    angle_tolerance: float = bounded(float(np.radians(15.0)), 0.0, np.pi)
+    step_length: float = bounded(0.05, 0.001, np.inf)
+    grasp_tolerance: float = bounded(0.005, 0.0, np.inf)
 
 
 class YangPhase(IntEnum):
