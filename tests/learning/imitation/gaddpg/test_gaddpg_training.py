@@ -18,7 +18,9 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     DataGenerator,
     DataGeneratorConfig,
     RolloutTask,
+    collect_states,
     list_shared_scenes,
+    make_plans,
 )
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
 from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
@@ -90,6 +92,19 @@ def test_states_depend_on_the_seed_only() -> None:
     np.testing.assert_array_equal(np.sort(both.remaining), np.sort(np.concatenate([one.remaining for one in single])))
     assert set(both.remaining.tolist()) <= set(range(1, 21))
     assert len(other.remaining) != len(both.remaining) or not np.array_equal(other.goals, both.goals)
+
+
+def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
+    scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:1]
+    config = DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"])
+    made = []
+    for workers in (1, 2):
+        plans = make_plans(tmp_path / f"plans {workers}", config, 2, workers)
+        tasks = [RolloutTask([number], [plan], 0) for number, plan in plans.items()]
+        states = collect_states(tmp_path / f"states {workers}", config, tasks, None, workers)
+        made.append([*(array for plan in plans.values() for array in plan), *states])
+    for first, second in zip(*made, strict=True):
+        np.testing.assert_array_equal(first, second)
 
 
 def test_numbers_out_of_range_are_refused(tmp_path: Path, train: ModuleType) -> None:
