@@ -9,7 +9,7 @@ import numpy.typing as npt
 from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.episode.wrist_offset import apply_wrist_offsets, track_set_points
+from handover_marl.episode.wrist_offset import apply_wrist_offsets, delay_steps, track_set_points
 from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices, get_namespace, make_constant
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
@@ -128,16 +128,16 @@ class GiverMotion:
         # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
         frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
         references = [self._read_frames(row, own) for row, own in zip(rows.tolist(), frames, strict=True)]
-        # An object that is picked up during these steps must not move early.
-        set_points = np.where(self.holding[rows, None], actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
+        # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
+        delays = count_steps_before(self._pick_up[rows], self.frame[rows], frames)
+        set_points = np.where(delays[:, None] < steps, actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
         moving = np.flatnonzero(self._has_deviated[rows] | set_points.any(axis=(1, 2)))
         offsets, velocities = np.zeros((steps, 0, 2, 3)), np.zeros((steps, 0, 2, 3))
         if len(moving):
             who, config = rows[moving], self._config
             limits = np.array([[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]])
-            offsets, velocities = track_set_points(
-                self.offset[who], self._velocity[who], set_points[moving], steps, limits
-            )
+            track = track_set_points(self.offset[who], self._velocity[who], set_points[moving], steps, limits)
+            offsets, velocities = (delay_steps(part, delays[moving]) for part in track)
             self._apply_offsets(who, moving, references, offsets, released[moving])
         progress = np.repeat(self.opening_progress[rows, None], steps, axis=1)
         if is_opening.any():
@@ -219,6 +219,18 @@ class GiverMotion:
         is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
         part = slice(first, last + 1) if is_consecutive else frames
         return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._hand_present[row][part])
+
+
+def count_steps_before(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
+    """Return in how many of the next k steps (r,) each object has not been picked up at the start of the step.
+
+    Args:
+        pick_up: Frames (r,) in which the objects are picked up.
+        now: Current frames (r,).
+        frames: Frames (r, k) after each step.
+    """
+    xp = get_namespace(frames)
+    return xp.sum(xp.concat([now[:, None], frames[:, :-1]], axis=1) < pick_up[:, None], axis=1)
 
 
 def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int) -> AnyArray:

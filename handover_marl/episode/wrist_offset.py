@@ -82,6 +82,14 @@ def track_set_points(
     return path.reshape(shape), speeds.reshape(shape)
 
 
+def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
+    """Return values (k, d, 2, 3) of k steps that start after delays (d,) (steps), with zeros before."""
+    xp, (steps, count) = get_namespace(values), values.shape[:2]
+    source = xp.arange(steps, device=values.device)[:, None] - delays
+    delayed = values[xp.clip(source, min=0), xp.arange(count, device=values.device)]
+    return xp.where((source >= 0)[..., None, None], delayed, 0.0)
+
+
 def _track_moving_vectors(
     now: Array, velocity: Array, goal: Array, limits: _MotionLimits, steps: int
 ) -> tuple[Array, Array]:

@@ -33,7 +33,7 @@ SCENES, PERIODS = (9, 14, 19), (0.1, 0.05, 0.01)
 #: Policies that need a file, or only choose one of the others.
 LEFT_OUT = ("gaddpg", "learned", "population")
 #: Policies that decide much more often than an environment, in several scenes; the others are played in one scene.
-OFTEN = ("yang2021", "tired")
+OFTEN = ("yang2021", "tired", "noisy")
 #: Physics steps; within them the givers deviate, and most of the receivers hand over.
 HORIZONS = {"receiver": 5000, "giver": 2500}
 
@@ -114,8 +114,7 @@ def test_receivers_act_as_in_pair(partner: str, scene: int, period: float) -> No
 @pytest.mark.parametrize(("partner", "scene", "period"), list_cases(givers.list_available()))
 def test_givers_act_as_in_pair(partner: str, scene: int, period: float) -> None:
     expected = play_pair("giver", partner, scene)
-    # The times at which the giver's motion is planned change its last bits.
-    assert_equal_ends(play_frozen("giver", partner, scene, period), expected, 1e-4)
+    assert_equal_ends(play_frozen("giver", partner, scene, period), expected, 0.0)
 
 
 def test_a_recorded_scene_ends_as_in_pair(real_data: Path) -> None:

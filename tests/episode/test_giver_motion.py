@@ -126,14 +126,18 @@ def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
     assert apply_wrist_offset.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
 
 
-def test_a_stretch_with_the_pick_up_in_it_is_as_recorded() -> None:
-    played = playback()
-    lift = find_pick_up_frame(SCENE)
+def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> None:
+    lift, displaced = find_pick_up_frame(SCENE), action(shift=(0.2, 0, 0))
     assert lift is not None
-    advance(played, lift - 50)
-    around = advance(played, 100, action(shift=(0.2, 0, 0)))
-    np.testing.assert_array_equal(around.objects, SCENE.object_dof[lift - 49 : lift + 51])
-    assert played.holding
+    at_once, in_parts = playback(), playback()
+    for played in (at_once, in_parts):
+        advance(played, lift - 50)
+    around = advance(at_once, 100, displaced)
+    np.testing.assert_allclose(around.objects[:50], SCENE.object_dof[lift - 49 : lift + 1], atol=1e-6)
+    assert around.objects[-1, 0, 0] > SCENE.object_dof[lift + 50, 0, 0] + 0.001
+    parts = [advance(in_parts, steps, displaced) for steps in (30, 1, 25, 44)]
+    np.testing.assert_allclose(np.concatenate([part.objects for part in parts]), around.objects, atol=1e-6)
+    assert at_once.holding
 
 
 def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:

@@ -11,8 +11,14 @@ import numpy as np
 
 from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import NEVER, find_pick_up_frame, find_wrist_in_base, ramp_rates
-from handover_marl.episode.wrist_offset import track_set_points
+from handover_marl.episode.giver_motion import (
+    NEVER,
+    count_steps_before,
+    find_pick_up_frame,
+    find_wrist_in_base,
+    ramp_rates,
+)
+from handover_marl.episode.wrist_offset import delay_steps, track_set_points
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, expand_mask
 from handover_marl.geometry.poses import (
     find_nearest_euler,
@@ -196,14 +202,15 @@ class TensorGiverMotion:
         frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
         frames = xp.minimum(frames, self._bank.get_last_frames(recordings)[:, None])
         recorded = self._bank.read_frames(recordings, frames)
-        # An object that is picked up during these steps must not move early.
-        set_points = xp.where(self.holding[rows, None], actions[:, 1:7], 0.0).reshape(-1, 2, 3)
+        # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
+        delays = count_steps_before(self._bank.get_pick_up_frames(recordings), self.frame[rows], frames)
+        set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
         moving = self._has_deviated[rows] | xp.any(set_points != 0.0, axis=(1, 2))
         # The only value that is read from the device here; most givers follow their recordings.
         offsets, wrist_states = None, dict[str, AnyArray]()
         if bool(xp.any(moving)):
             track = track_set_points(self.offset[rows], self._velocity[rows], set_points, steps, self._limits)
-            offsets, velocities = (part.swapaxes(0, 1) for part in track)
+            offsets, velocities = (delay_steps(part, delays).swapaxes(0, 1) for part in track)
             wrist_states = {"offset": offsets, "_velocity": velocities}
         ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * is_opening[:, None]
         pace = TIME_STEP / self._config.opening_time
