@@ -17,7 +17,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -28,8 +28,7 @@ import handover_marl
 from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
-from handover_marl.evaluation import benchmark
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
+from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
@@ -246,13 +245,16 @@ def measure(
         chosen = {"setup": setup, "split": "test", "dataset": "dexycb", "physics": "exact"} | config
         whole = EvaluationConfig(**chosen, data_dir=data_dir, receiver=receiver, robot=robot)  # type: ignore[arg-type]
         folder = out / re.sub(r"\W+", "-", f"{receiver}-{whole.dataset}-{setup}")
-        evaluation = benchmark.Evaluation(whole, ExecutionConfig(out=str(folder)))
-        for index, scene in enumerate(whole.open_dataset().list_scenes(setup, "test")):
+        split = whole.open_dataset().list_scenes(setup, "test")
+        new = tuple(scene for scene in split if scene not in paths)
+        # The folder exists after the first evaluation, which has at least one scene.
+        handover_marl.benchmark(replace(whole, scenes=new or split[:1]), out=str(folder))
+        for index, scene in enumerate(split):
             path = get_result_path(folder, index)
-            if scene in paths and not path.exists():
+            if not path.exists():
                 shutil.copyfile(paths[scene], path)
             paths.setdefault(scene, path)
-        yield evaluation.run()
+        yield handover_marl.benchmark(whole, out=str(folder))
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:

@@ -5,7 +5,8 @@ import hashlib
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -31,9 +32,12 @@ from handover_marl.evaluation.results.metadata import ResultMetadata
 from handover_marl.evaluation.results.result_folder import ResultFolder
 from handover_marl.execution.options import PoolConfig, check_pool, forward_signature
 from handover_marl.execution.pool import Pool
-from handover_marl.execution.tasks import open_pool
+from handover_marl.execution.tasks import open_pool, share_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.visualization.replay_scene import require_replay_extra
+
+#: Function from result folder and resolved configuration to the writer of recordings beside the results.
+MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
 # Widths of the columns of the progress display; the sum fits a terminal of 80 columns.
@@ -74,7 +78,8 @@ def benchmark(
         raise OptionError("the official benchmark requires the official world and rules; use evaluate_pair for others")
     if config.giver != REPLAY:
         raise OptionError(f"the official giver is {REPLAY!r}; use evaluate_pair for others")
-    return Evaluation(config, execution).run()
+    (report,) = run_evaluations([("", config)], execution)
+    return report
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
@@ -104,27 +109,38 @@ def evaluate_pair(
         config, execution = build_configs(giver, options, execution)
     else:
         config, execution = build_configs(setup, options, execution, split=split, giver=giver, receiver=receiver)
-    return Evaluation(config, execution).run()
+    (report,) = run_evaluations([("", config)], execution)
+    return report
 
 
-class Evaluation:
-    """Evaluation of one giver with one receiver on the scenes of a split.
+def run_evaluations(
+    parts: Sequence[tuple[str, EvaluationConfig]],
+    execution: ExecutionConfig,
+    recorded: str = "",
+    make_writer: MakeWriter | None = None,
+) -> list[Report]:
+    """Evaluate several configurations in the same worker processes.
+
+    Everything is checked, and all folders are prepared, before the first scene. Scenes with a result are not simulated.
 
     Args:
-        config: Scenes, policies and simulation.
+        parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
         execution: Workers, output folder and replays.
-        recorded: Description of recordings kept beside the results, which identifies the result
-            folder together with the configuration.
-
-    Attributes:
-        config: Resolved configuration, with the scenes of the selected shard.
-        folder: Result folder, or None without `execution.out`.
+        recorded: Description of further recordings, part of the identity of a result folder.
+        make_writer: Function from result folder and resolved configuration to the writer of these recordings.
 
     Raises:
         HandoverError: The same errors as `benchmark`.
     """
+    evaluations = [_Evaluation(config, execution.for_subfolder(name), recorded) for name, config in parts]
+    with share_pool(execution) as open_workers:
+        return [evaluation.run(open_workers, make_writer) for evaluation in evaluations]
 
-    def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str = "") -> None:
+
+class _Evaluation:
+    """Evaluation of one giver with one receiver on the scenes of a split; see `run_evaluations`."""
+
+    def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str) -> None:
         check_name("replays", execution.replays, REPLAY_CHOICES)
         if execution.replays != REPLAYS_NONE:
             if execution.folder is None:
@@ -148,23 +164,15 @@ class Evaluation:
             SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in self.config.scenes or ()
         ]
 
-    def run(self, writers: Sequence[EpisodeWriter] = (), open_workers: Callable[[], Pool] | None = None) -> Report:
-        """Simulate the scenes that have no result yet, write the report and return it.
-
-        Args:
-            writers: Writers of further files for each episode; they require an output folder.
-            open_workers: Function that returns the worker pool, called if a scene has no result yet; default: a new
-                pool with the execution settings.
-
-        Raises:
-            HandoverError: The same errors as `benchmark`.
-        """
+    def run(self, open_workers: Callable[[], Pool], make_writer: MakeWriter | None) -> Report:
+        """Simulate the scenes that have no result yet, write the report and return it."""
         folder, replays = self.folder, self._execution.replays
-        all_writers = tuple(writers)
+        all_writers: tuple[EpisodeWriter, ...] = ()
         if folder is not None:
-            # The result folder is the last: its files mark scenes as finished.
+            recorders = [] if make_writer is None else [make_writer(folder.path, self.config)]
             replay_writers = [] if replays == REPLAYS_NONE else [ReplayWriter(folder.path, replays)]
-            all_writers = (*writers, *replay_writers, folder)
+            # The result folder is the last: its files mark scenes as finished.
+            all_writers = (*recorders, *replay_writers, folder)
         found = [folder.read(task.index, task.fingerprint) if folder else None for task in self._tasks]
         stored = {task: result for task, result in zip(self._tasks, found, strict=True) if result is not None}
         results = {
@@ -172,7 +180,7 @@ class Evaluation:
         }
         remaining = [task for task in self._tasks if task not in results]
         # Without tasks there is no need to connect to a cluster.
-        pool = (open_workers or self._open_pool)() if remaining else open_pool(PoolConfig(workers=1))
+        pool = open_workers() if remaining else open_pool(PoolConfig(workers=1))
         with (
             _show_progress(len(self._tasks), results.values(), self._execution.progress) as show,
             contextlib.closing(run_episodes(self.config, remaining, pool, all_writers)) as finished,
@@ -189,9 +197,6 @@ class Evaluation:
         if folder is not None:
             write_report(folder.path, report)
         return report
-
-    def _open_pool(self) -> Pool:
-        return open_pool(self._execution)
 
 
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from handover_marl.errors import ResultsError, check_name
-from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
     build_difference_table,
@@ -232,11 +232,8 @@ def compare_physics(
     check_name("physics to compare with exact", against, [physics for physics in PHYSICS if physics != EXACT])
     check_physics(against)
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
-    exact, other = (
-        Evaluation(replace(config, physics=physics), execution.for_subfolder(physics)).run()
-        for physics in (EXACT, against)
-    )
-    result = Agreement(exact, other)
+    parts = [(physics, replace(config, physics=physics)) for physics in (EXACT, against)]
+    result = Agreement(*run_evaluations(parts, execution))
     if execution.folder is not None:
         result.write(execution.folder)
     return result

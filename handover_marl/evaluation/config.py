@@ -4,24 +4,20 @@ Public functions and the command line take `EvaluationConfig` and `ExecutionConf
 objects or as keyword arguments.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from handover_marl.config import OFFICIAL_CONFIG, WorldConfig, check_config
+from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import SPLITS, choose_scenes
-from handover_marl.episode.camera_observations import WristCameraConfig
+from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.episode.spaces import get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_boolean, check_path
-from handover_marl.geometry.panda import PANDA
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
-from handover_marl.simulation.camera.noise import CameraNoise
-from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL
 from handover_marl.simulation.camera.renderers import resolve_renderer
 from handover_marl.simulation.engines import check_physics
 
@@ -37,54 +33,28 @@ _SEED_LIMIT = 2**63
 
 
 @dataclass(frozen=True)
-class EvaluationConfig:
+class EvaluationConfig(SceneConfig):
     """Configuration of an evaluation: scenes, policies and simulation.
 
     Attributes:
-        setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects; or a
-            setup of other data. Default: the first of the dataset, s0 of the official ones.
-        split: Split of the setup: train, val or test.
-        scenes: Scene numbers of the split to evaluate, e.g. 209,214; default: all. Reports say if they are partial.
-        dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
-            or auto (dexycb if a data folder is found, else synthetic).
-        data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
-        physics: Physics: exact (official results), fast, or mujoco (another engine).
         giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
         receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
-        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on its hand, which collides too.
-        renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
-        camera_model: Projection of the wrist camera's point clouds: handoversim (as in the original) or pinhole.
-        camera_noise: Noise and latency of the wrist camera: default none, or realsense.
         seed: Seed of the random draws of policies, camera and initial joint positions.
-        world_config: World and rules; published results exist only for the default.
 
     Raises:
         OptionError: The seed is not an integer, or the data folder not a path.
     """
 
-    setup: str | None = None
-    split: str = "test"
-    scenes: tuple[int, ...] | None = None
-    dataset: str = "auto"
-    data_dir: str | None = None
-    physics: str = "exact"
     giver: PolicyLike = REPLAY
     receiver: PolicyLike = "yang2021"
-    robot: str = PANDA
-    renderer: str = "auto"
-    camera_model: str = HANDOVERSIM_MODEL
-    camera_noise: str | CameraNoise | None = None
     seed: int = 0
-    world_config: WorldConfig = OFFICIAL_CONFIG
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         # Plain values, so that configurations compare, hash and pickle.
         object.__setattr__(self, "seed", _check_seed(self.seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
-        if isinstance(self.scenes, Iterable):
-            # Other types are reported by choose_scenes, where the split is known.
-            object.__setattr__(self, "scenes", tuple(self.scenes))
 
     def open_dataset(self) -> Dataset:
         """Open the dataset of the evaluated scenes.
@@ -95,24 +65,12 @@ class EvaluationConfig:
         """
         return open_dataset(self.dataset, self.data_dir, self.robot)
 
-    @property
-    def camera(self) -> WristCameraConfig:
-        """Configuration of the wrist camera.
-
-        Raises:
-            UnknownNameError, OptionError: Unknown camera model or noise.
-        """
-        return WristCameraConfig(self.renderer, self.camera_model, self.camera_noise)
-
 
 @dataclass(frozen=True)
 class ExecutionConfig(PoolConfig):
     """Configuration of the execution: workers and output; outcomes do not depend on it.
 
     Attributes:
-        workers: Number of worker processes; default: one per core. Stored with planning times, which are wall clock.
-        backend: Location of the workers: local (this machine) or ray (nodes of a Ray cluster).
-        ray_address: Address of the Ray cluster; default: RAY_ADDRESS, else a local Ray instance, started if needed.
         shard: Part of the scenes to evaluate, e.g. 3/16 for the third of 16; `merge` combines the parts' folders.
         out: Folder for results and reports; an interrupted evaluation resumes there.
         progress: Show a progress bar on stderr.
@@ -202,7 +160,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
     giver = giver.resolve(dataset, config.world_config, setup)
     receiver = receiver.resolve(dataset, config.world_config, setup)
-    camera = config.camera
+    camera = config.wrist_camera
     if get_camera_data_kind(receiver.obs_mode) is not None:
         resolve_renderer(camera.renderer, config.physics)
     dataset.check_scenes(scenes)

@@ -10,7 +10,7 @@ from typing import Any
 from handover_marl.datasets import Dataset
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
     FLUENCY_NOTE,
@@ -39,7 +39,6 @@ from handover_marl.evaluation.reports.tables import (
 )
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
-from handover_marl.execution.tasks import share_pool
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
@@ -56,14 +55,20 @@ class CrossPlay(TabularResult):
     """Reports of all pairs of giver and receiver on the same scenes. `str` returns Markdown tables.
 
     Attributes:
-        givers: Labels of the givers, the rows of the matrix.
-        receivers: Labels of the receivers, the columns of the matrix.
-        reports: Report of every (giver, receiver).
+        reports: Report of every (giver, receiver), by their labels.
     """
 
-    givers: tuple[str, ...]
-    receivers: tuple[str, ...]
     reports: dict[PolicyPair, Report]
+
+    @property
+    def givers(self) -> tuple[str, ...]:
+        """Labels of the givers, the rows of the matrix."""
+        return tuple(dict.fromkeys(giver for giver, _ in self.reports))
+
+    @property
+    def receivers(self) -> tuple[str, ...]:
+        """Labels of the receivers, the columns of the matrix."""
+        return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
     @property
     def title(self) -> str:
@@ -216,20 +221,13 @@ def crossplay(
     # All names are resolved before the first scene, so that misspelled ones are reported at once.
     resolved_givers = resolve_policies("giver", givers, dataset, config, execution.trust)
     resolved_receivers = resolve_policies("receiver", receivers, dataset, config, execution.trust)
-    # All folders are checked before the first scene, too.
-    evaluations: dict[PolicyPair, Evaluation] = {}
-    for giver in resolved_givers:
-        for receiver in resolved_receivers:
-            pair = giver.label, receiver.label
-            pair_config = replace(config, giver=giver, receiver=receiver)
-            evaluations[pair] = Evaluation(pair_config, execution.for_subfolder(format_pair_folder(pair)))
-    with share_pool(execution) as open_workers:
-        reports = {pair: evaluation.run(open_workers=open_workers) for pair, evaluation in evaluations.items()}
-    result = CrossPlay(
-        tuple(giver.label for giver in resolved_givers),
-        tuple(receiver.label for receiver in resolved_receivers),
-        reports,
-    )
+    configs = {
+        (giver.label, receiver.label): replace(config, giver=giver, receiver=receiver)
+        for giver in resolved_givers
+        for receiver in resolved_receivers
+    }
+    reports = run_evaluations([(format_pair_folder(pair), each) for pair, each in configs.items()], execution)
+    result = CrossPlay(dict(zip(configs, reports, strict=True)))
     if execution.folder is not None:
         result.write(execution.folder)
     return result

@@ -64,8 +64,7 @@ def merge(
     if any((path / CROSSPLAY_CSV).exists() for path in paths):
         pairs = _read_pairs(paths)
         reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
-        givers, receivers = (tuple(dict.fromkeys(pair[position] for pair in pairs)) for position in (0, 1))
-        crossplay = CrossPlay(givers, receivers, dict(zip(pairs, reports, strict=True)))
+        crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
         return crossplay
     if any((path / AGREEMENT_FILE).exists() for path in paths):

@@ -87,9 +87,9 @@ class PoolConfig:
     """Configuration of a worker pool.
 
     Attributes:
-        workers: Number of worker processes; None for one per core of this machine or of the cluster.
-        backend: "local" for processes of this machine, or "ray".
-        ray_address: Address of the Ray cluster, as `ray.init` takes it; None lets Ray find or start one.
+        workers: Number of worker processes; default: one per core. Stored with planning times, which are wall clock.
+        backend: Location of the workers: local (this machine) or ray (nodes of a Ray cluster).
+        ray_address: Address of the Ray cluster; default: RAY_ADDRESS, else a local Ray instance, started if needed.
     """
 
     workers: int | None = None

@@ -190,7 +190,7 @@ def sample_report(physics: str = "exact", *statuses: int) -> Report:
 
 def sample_crossplay() -> CrossPlay:
     givers, receivers = ("one", "two"), ("RECEIVER", "OTHER")
-    return CrossPlay(givers, receivers, {(g, r): sample_report() for g in givers for r in receivers})
+    return CrossPlay({(g, r): sample_report() for g in givers for r in receivers})
 
 
 @pytest.mark.parametrize(

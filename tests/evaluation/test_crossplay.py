@@ -8,7 +8,7 @@ from PIL import Image
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation import benchmark
 from handover_marl.evaluation.crossplay import format_pair_folder
 
 SCENES = "9"
@@ -48,7 +48,7 @@ def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_
 def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Evaluation, "run", lambda *_: pytest.fail("a scene was simulated"))
+    monkeypatch.setattr(benchmark, "run_episodes", lambda *_: pytest.fail("a scene was simulated"))
     (tmp_path / "replay-random").write_text("")
     with pytest.raises(ResultsError, match=r"cannot use .*replay-random as result folder"):
         handover_marl.crossplay(["replay"], ["hold", "random"], dataset="synthetic", out=tmp_path)

@@ -1,5 +1,6 @@
 """Recording of demonstrations: evaluation on a train split that keeps one file per episode."""
 
+import functools
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from handover_marl.episode.observations import Observation, select_receiver_obse
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
-from handover_marl.evaluation.benchmark import Evaluation
+from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.demonstrations.demonstration import (
     Demonstration,
@@ -97,12 +98,14 @@ def demonstrate(
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
     if get_camera_data_kind(obs_mode) is not None:
-        resolve_renderer(config.camera.renderer, config.physics)
+        resolve_renderer(config.wrist_camera.renderer, config.physics)
     recording = RecordingConfig(obs_mode, keep == SUCCESS, fps)
-    evaluation = Evaluation(config, execution, recording.describe(config))
-    writer = DemonstrationWriter(execution.folder, evaluation.config, recording)
-    evaluation.run([writer])
-    writer.delete_excluded()
+    make_writer = functools.partial(DemonstrationWriter, recording=recording)
+    run_evaluations([("", config)], execution, recording.describe(config), make_writer)
+    for result in read_results(execution.folder):
+        # An earlier run may have recorded it.
+        if not recording.includes(result.status):
+            get_demonstration_path(execution.folder, result.index).unlink(missing_ok=True)
     return Demonstrations(execution.folder)
 
 
@@ -127,7 +130,7 @@ class RecordingConfig:
 
     def describe(self, config: EvaluationConfig) -> str:
         """Describe the recording in text that is part of the identity of the result folder."""
-        camera = config.camera.describe(self.obs_mode, config.physics)
+        camera = config.wrist_camera.describe(self.obs_mode, config.physics)
         parts = ["demonstrations", *([f"{self.fps} fps"] if self.fps else [])]
         return ", ".join([*parts, f"obs_mode {self.obs_mode}", *([camera] if camera else [])])
 
@@ -242,16 +245,6 @@ class DemonstrationWriter(EpisodeWriter):
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the file of an episode."""
         return get_demonstration_path(self._folder, result.index)
-
-    def delete_excluded(self) -> None:
-        """Delete the files of episodes that an earlier run recorded and this one excludes.
-
-        Raises:
-            ResultsError: A result in the folder is damaged.
-        """
-        for result in read_results(self._folder):
-            if not self._recording.includes(result.status):
-                self.get_path(result).unlink(missing_ok=True)
 
 
 def compute_frame_step(number: int, fps: int) -> int:

@@ -58,7 +58,7 @@ def results() -> list[TabularResult]:
         first,
         Comparison(first, other, pairs),
         Agreement(first, other),
-        CrossPlay(("replay",), ("hold", "yang2021"), both),
+        CrossPlay(both),
     ]
 
 
