@@ -17,7 +17,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -28,14 +28,14 @@ import handover_marl
 from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
-from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import append_interval, format_csv, format_percent_rate
 from handover_marl.evaluation.results.episode_file import format_episode_file
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
-from handover_marl.evaluation.results.result_folder import get_result_path
+from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.results.result_folder import ResultFolder, get_result_path
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.reference import parse_policy
 
@@ -245,13 +245,11 @@ def measure(
         chosen = {"setup": setup, "split": "test", "dataset": "dexycb", "physics": "exact"} | config
         whole = EvaluationConfig(**chosen, data_dir=data_dir, receiver=receiver, robot=robot)  # type: ignore[arg-type]
         folder = out / re.sub(r"\W+", "-", f"{receiver}-{whole.dataset}-{setup}")
-        split = whole.open_dataset().list_scenes(setup, "test")
-        new = tuple(scene for scene in split if scene not in paths)
-        # The folder exists after the first evaluation, which has at least one scene.
-        handover_marl.benchmark(replace(whole, scenes=new or split[:1]), out=str(folder))
-        for index, scene in enumerate(split):
+        resolved, dataset = resolve_config(whole)
+        ResultFolder(folder, ResultMetadata.from_config(resolved))
+        for index, scene in enumerate(dataset.list_scenes(setup, "test")):
             path = get_result_path(folder, index)
-            if not path.exists():
+            if scene in paths and not path.exists():
                 shutil.copyfile(paths[scene], path)
             paths.setdefault(scene, path)
         yield handover_marl.benchmark(whole, out=str(folder))

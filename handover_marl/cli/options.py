@@ -8,13 +8,15 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
+from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 
 _Value = TypeVar("_Value")
 # Field of a configuration without an option.
 _Hidden: TypeAlias = tyro.conf.Suppress[tyro.conf.Fixed[_Value]]
-_Policy: TypeAlias = Annotated[str, tyro.conf.arg(metavar="POLICY")]
+#: Policy of an agent.
+PolicyName: TypeAlias = Annotated[str, tyro.conf.arg(metavar="POLICY")]
 _Folder: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
 #: Format of printed tables.
 TableFormat = Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format")]
@@ -49,10 +51,11 @@ SceneNumbers = Annotated[
 
 
 @dataclass(frozen=True)
-class EvaluationArguments(EvaluationConfig):
-    """Options that configure scenes, policies and simulation; other fields can be set only in Python.
+class SceneArguments(SceneConfig):
+    """Options that configure scenes and simulation; other fields can be set only in Python.
 
     Attributes:
+        seed: Seed of the random draws of policies, camera and initial joint positions.
         initial_joint_noise: Largest deviation of each of the robot's seven initial arm joint positions (rad), drawn
             from the seed.
     """
@@ -60,54 +63,29 @@ class EvaluationArguments(EvaluationConfig):
     setup: Annotated[str | None, tyro.conf.arg(metavar="SETUP")] = None
     scenes: SceneNumbers = None
     data_dir: _Folder = None
-    giver: _Policy = REPLAY
-    receiver: _Policy = "yang2021"
     camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
+    seed: int = 0
     initial_joint_noise: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.0
 
     def __post_init__(self) -> None:
         """Do nothing: `make_config` checks the values, so that errors are printed without tyro's help text."""
 
-    def make_config(self) -> EvaluationConfig:
-        """Make the configuration with these options."""
-        values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(EvaluationConfig)}
+    def make_config(self, **policies: Any) -> EvaluationConfig:
+        """Make the configuration with these options and with policies by agent."""
+        values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(SceneConfig)}
         if self.initial_joint_noise:
             values["world_config"] = WorldConfig(initial_joint_noise=self.initial_joint_noise)
-        return EvaluationConfig(**values)
+        return EvaluationConfig(**values, **policies, seed=self.seed)
 
 
 @dataclass(frozen=True)
-class BenchmarkArguments(EvaluationArguments):
-    """Options of `benchmark`, whose giver is fixed."""
-
-    giver: _Hidden[str] = REPLAY
-    initial_joint_noise: _Hidden[float] = 0.0
-
-
-@dataclass(frozen=True)
-class CrossPlayArguments(EvaluationArguments):
-    """Options of `crossplay`, which takes lists of policies."""
-
-    giver: _Hidden[str] = REPLAY
-    receiver: _Hidden[str] = "yang2021"
-
-
-@dataclass(frozen=True)
-class StrangersArguments(CrossPlayArguments):
-    """Options of `strangers`, which takes its policies as options of its own."""
-
-    initial_joint_noise: _Hidden[float] = 0.0
-
-
-@dataclass(frozen=True)
-class RenderArguments(EvaluationArguments):
+class RenderArguments(SceneArguments):
     """Options of `render` that configure the scene."""
 
     setup: _Hidden[str | None] = None
     split: _Hidden[str] = "test"
     scenes: _Hidden[tuple[int, ...] | None] = None
-    receiver: _Hidden[str] = "yang2021"
     initial_joint_noise: _Hidden[float] = 0.0
 
 

@@ -175,7 +175,7 @@ class DataLocation:
     environment: str = ""
 
     @classmethod
-    def from_data_dir(cls, data_dir: str | None, dataset: str = "dexycb") -> "DataLocation":
+    def from_data_dir(cls, data_dir: str | os.PathLike[str] | None, dataset: str = "dexycb") -> "DataLocation":
         """Return the location for the arguments `data_dir` and `dataset` on this machine."""
         # The variable names the folder of DexYCB only.
         environment = os.environ.get(DATA_DIR_VARIABLE) if dataset == "dexycb" else None
@@ -210,5 +210,5 @@ def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
         )
 
 
-def _resolve_path(folder: str | None) -> str:
+def _resolve_path(folder: str | os.PathLike[str] | None) -> str:
     return str(Path(folder).expanduser().resolve()) if folder else ""

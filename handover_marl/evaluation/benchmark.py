@@ -149,7 +149,7 @@ class _Evaluation:
         check_pool(execution)
         self.config, dataset = resolve_config(config, execution.trust)
         split_ids = dataset.list_scenes(self.config.setup, self.config.split)
-        scenes, shard = self.config.scenes or (), execution.shard or ""
+        scenes, shard = tuple(self.config.scenes or ()), execution.shard or ""
         if shard:
             self.config = replace(self.config, scenes=select_shard(shard, scenes))
             shard += "" if scenes == split_ids else f" of {','.join(map(str, scenes))}"

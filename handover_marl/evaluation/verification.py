@@ -212,7 +212,7 @@ def verify(
         *check_reports(path),
         *(each for check in checks for each in check),
     ]
-    return Verification(metadata, config.scenes or (), tuple(differences), len(split))
+    return Verification(metadata, tuple(config.scenes or ()), tuple(differences), len(split))
 
 
 @contextlib.contextmanager
