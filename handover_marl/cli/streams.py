@@ -11,9 +11,16 @@ if TYPE_CHECKING:
 
 
 def prepare_streams() -> None:
-    """Set the streams to print characters that they cannot encode as escape sequences."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
+    """Set the streams to print characters that they cannot encode as escape sequences; open those that are closed."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:  # as in `>&-`; libraries flush the streams, also in worker processes
+            handle = os.open(os.devnull, os.O_WRONLY)
+            if handle != number:
+                os.dup2(handle, number)
+            os.set_inheritable(number, True)
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
+        elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 

@@ -1,5 +1,6 @@
 import importlib
 import io
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +103,16 @@ def test_closed_output(fake_data: Path) -> None:
     process.stdout.close()
     assert "Traceback" not in process.communicate()[1]
     assert process.returncode == 141
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", [">&-", "2>&-"])
+def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, closed: str) -> None:
+    command = [sys.executable, "-m", "handover_marl.cli", "pair", "--receiver", "hold", "--scenes", "9", "14"]
+    command += ["--physics", "fast", "--workers", "2", "--data-dir", str(fake_data), "--out", str(tmp_path)]
+    finished = subprocess.run(f"{shlex.join(command)} {closed}", shell=True, capture_output=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    assert len(list(tmp_path.glob("0*.npz"))) == 2
 
 
 def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
@@ -16,7 +17,7 @@ from handover_marl.evaluation.reports.statistics import compute_wilson_interval
 from handover_marl.evaluation.reports.tables import REPORTED_STATUSES, format_interval
 from handover_marl.evaluation.results.episode_file import read_episode_file
 from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
+from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import REPORT_FILES, find_replays, read_results
 from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
@@ -48,6 +49,14 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     size = metadata.split_size
     if results[-1].index >= size:
         raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
+    # HandoverSim's code may count the step in which the time is up.
+    longest = OFFICIAL_CONFIG.protocol.horizon_steps + 1
+    for result in results if metadata.world == OFFICIAL_WORLD else ():
+        if result.steps > longest:
+            raise ResultsError(
+                f"{path}: {result.index:03d}.npz must have at most {longest} steps by the official rules, got "
+                f"{result.steps}; delete it and run the scene again"
+            )
     return Report(metadata, tuple(_add_scene_info(path, metadata, results)), size)
 
 

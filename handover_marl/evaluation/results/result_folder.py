@@ -342,6 +342,8 @@ def parse_result(values: Mapping[str, Any], index: int) -> EpisodeResult:
 
 
 def _make_read_error(path: Path, error: Exception) -> ResultsError:
+    if isinstance(error, PermissionError):
+        return ResultsError(f"{path} cannot be read ({error.strerror or error}); check its rights")
     return ResultsError(
         f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
     )

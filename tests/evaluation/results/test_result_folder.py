@@ -9,6 +9,7 @@ import pytest
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.results import result_folder
 from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
 from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
@@ -148,4 +149,20 @@ def test_fresh_leaves_foreign_folders_unchanged(tmp_path: Path, content: str) ->
 def test_a_copied_result_is_not_counted_twice(folder: ResultFolder) -> None:
     (folder.path / "001.npz").write_bytes((folder.path / "000.npz").read_bytes())
     with pytest.raises(ResultsError, match=r"000\.npz and 001\.npz are both of scene 209"):
+        read_results(folder.path)
+
+
+def test_more_steps_than_the_official_horizon(folder: ResultFolder) -> None:
+    result = replace(RESULT, status=EpisodeStatus.SUCCESS, steps=10**7)
+    folder.write(result, encode_result(result, np.zeros((1, 9), np.float32), np.zeros(1)))
+    with pytest.raises(ResultsError, match=r"000\.npz must have at most 13001 steps .*, got 10000000"):
+        evaluate(folder.path)
+
+
+def test_a_file_without_permission_is_not_to_be_deleted(folder: ResultFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(result_folder, "read_arrays", refuse)
+    with pytest.raises(ResultsError, match=r"000\.npz cannot be read \(Permission denied\); check its rights"):
         read_results(folder.path)
