@@ -11,7 +11,13 @@ from handover_marl.assets.hand_model import find_hand_urdf
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
-from handover_marl.datasets.generated.config import GENERATED, GeneratedConfig, parse_generated_config
+from handover_marl.datasets.generated.config import (
+    GENERATED,
+    VERSION,
+    GeneratedConfig,
+    list_split,
+    parse_generated_config,
+)
 from handover_marl.datasets.generated.model_files import write_hand_model, write_object_model
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
 from handover_marl.datasets.generated.scenes import (
@@ -23,7 +29,6 @@ from handover_marl.datasets.generated.scenes import (
     generate_handover,
 )
 from handover_marl.datasets.generated.shapes import Solid
-from handover_marl.datasets.generated.streams import VERSION, list_split
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.datasets.synthetic.resampling import compute_trajectories
 from handover_marl.errors import UnknownNameError, check_name

@@ -10,23 +10,22 @@ import numpy.typing as npt
 from handover_marl.assets.hand_model import SUBJECTS, HandGeometry, Side, make_hand_geometry, scale_hand
 from handover_marl.assets.human_grasps import LEVELS
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
-from handover_marl.datasets.generated.config import HARD, GeneratedConfig
+from handover_marl.datasets.generated.config import HARD, GeneratedConfig, find_splits, list_split, make_seed
 from handover_marl.datasets.generated.hands import Person, draw_person
 from handover_marl.datasets.generated.human_grasps import draw_human_grasps
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.robot_grasps import SKETCH, RobotGraspConfig, draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Solid
-from handover_marl.datasets.generated.streams import find_splits, list_split, make_seed
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.datasets.synthetic.clutter import ClutterItem, ClutterObject, draw_clutter, make_ycb_clutter_item
 from handover_marl.datasets.synthetic.dataset import load_held_object
-from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
 from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion, draw_motion
 from handover_marl.datasets.synthetic.object_placement import (
     HeldObject,
     draw_calibrated_positions,
     draw_placement,
+    hand_poses_from_grasps,
     make_held_object,
 )
 from handover_marl.datasets.synthetic.random_stream import RandomStream, Seed, open_stream

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import HandGeometry
-from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion
 from handover_marl.datasets.synthetic.object_placement import OBJECT_CLEARANCE, compute_hull_corners, resting_rotation
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.synthetic.random_stream import UP_AXES, RandomStream
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
@@ -42,7 +41,7 @@ class ClutterItem:
 
 def make_ycb_clutter_item(class_id: int) -> ClutterItem:
     """Return an object of a YCB class to be placed on the table."""
-    return ClutterItem(class_id, compute_hull_corners(CLASS_NAMES[class_id]), calibration.UP_AXES[class_id])
+    return ClutterItem(class_id, compute_hull_corners(CLASS_NAMES[class_id]), UP_AXES[class_id])
 
 
 @dataclass(frozen=True, eq=False)

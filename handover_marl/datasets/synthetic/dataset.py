@@ -13,12 +13,12 @@ from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, get_prescribed_side
 from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
-from handover_marl.datasets.synthetic.grasp_clearance import hand_poses_from_grasps
 from handover_marl.datasets.synthetic.handover_motion import draw_motion
 from handover_marl.datasets.synthetic.object_placement import (
     HeldObject,
     compute_hull_corners,
     draw_placement,
+    hand_poses_from_grasps,
     make_ycb_held_object,
 )
 from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_stream

@@ -12,14 +12,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.hand_model import HandGeometry
-from handover_marl.datasets.synthetic import calibration
 from handover_marl.datasets.synthetic.object_placement import (
     JOINT_CLEARANCE,
     OBJECT_CLEARANCE,
     HeldObject,
     ObjectPlacement,
 )
-from handover_marl.datasets.synthetic.random_stream import RandomStream, Seed, open_stream
+from handover_marl.datasets.synthetic.random_stream import FRAME_COUNTS, MIRROR_X, RandomStream, Seed, open_stream
 from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
@@ -89,7 +88,7 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, held: HeldObject, model:
     speed = random.draw_quantile("peak_speed")
     handover_path = _HandoverPath(placement, held)
     entry = np.array([random.draw_quantile(name) for name in ("entry_x", "entry_y", "entry_z")])
-    entry[0] = calibration.MIRROR_X + side_sign * (entry[0] - calibration.MIRROR_X)
+    entry[0] = MIRROR_X + side_sign * (entry[0] - MIRROR_X)
     wrist = placement.start[0] + placement.start[1] @ held.keypoints[placement.grasp, 0]
     timing = _draw_timing(
         open_stream(seed, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
@@ -107,7 +106,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
     """Draw the timing so that the wrist has the given peak speed (m/s) in the reach."""
-    counts = calibration.FRAME_COUNTS
+    counts = FRAME_COUNTS
     n_frames = list(counts)[random.weighted_index(list(counts.values()))]
     onset = round(random.draw_quantile("hand_onset"))
     onset_share = random.uniform(0.05, 0.40)

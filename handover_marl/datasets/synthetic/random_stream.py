@@ -1,18 +1,49 @@
-"""Random numbers that do not depend on the machine or on the version of NumPy.
+"""Random numbers that do not depend on the machine or on the version of NumPy, and the statistics of DexYCB.
 
 NumPy guarantees the raw output of its bit generators, but not the numbers that `Generator` makes of
-it, so all numbers are derived from raw 64-bit words.
+it, so all numbers are derived from raw 64-bit words. `dexycb_statistics.json` has the source, the units and a
+description of every table. For the statistics, scenes with left hands are mirrored to right hands (positions
+x -> 2 * MIRROR_X - x, directions x -> -x).
 """
 
+import json
 import math
 from collections.abc import Sequence
+from importlib.resources import files
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
-from handover_marl.datasets.synthetic.calibration import LEVELS, QUANTILES
+_STATISTICS = json.loads((files(__package__) / "dexycb_statistics.json").read_text())
+
+#: Levels of the quantile tables.
+LEVELS: tuple[float, ...] = tuple(_STATISTICS["levels"])
+
+#: Quantile tables by name.
+QUANTILES: MappingProxyType[str, tuple[float, ...]] = MappingProxyType(
+    {name: tuple(table["values"]) for name, table in _STATISTICS["quantiles"].items()}
+)
+
+#: Rank correlations of quantities of the tables.
+START_HANDOVER_X, START_HANDOVER_Y, ELEVATION_ROLL = (
+    float(_STATISTICS["rank_correlations"][name]) for name in ("start_handover_x", "start_handover_y", "elevation_roll")
+)
+
+#: Number of recordings by their length in frames.
+FRAME_COUNTS: MappingProxyType[int, int] = MappingProxyType(
+    {int(length): count for length, count in _STATISTICS["recordings_by_length"].items()}
+)
+
+#: Number of recordings by YCB class and by the object axis that points up on the table: +x, -x, +y, -y, +z, -z.
+UP_AXES: MappingProxyType[int, tuple[int, ...]] = MappingProxyType(
+    {int(number): tuple(counts) for number, counts in _STATISTICS["recordings_by_class_and_up_axis"].items()}
+)
+
+#: Position x (m) of the plane that mirrors left-handed to right-handed givers.
+MIRROR_X: float = _STATISTICS["mirror_x"]
 
 #: Numbers of at least 0 that identify a scene.
 Seed = tuple[int, ...]
@@ -80,11 +111,11 @@ class RandomStream:
         return order
 
     def draw_quantile(self, name: str) -> float:
-        """Draw a number from the distribution of a table in `calibration.QUANTILES`."""
+        """Draw a number from the distribution of a table in `QUANTILES`."""
         return _interpolate_quantile(name, self.uniform())
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:
-        """Draw two numbers from tables in `calibration.QUANTILES`, correlated by a Gaussian copula."""
+        """Draw two numbers from tables in `QUANTILES`, correlated by a Gaussian copula."""
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
         return [_interpolate_quantile(first, float(ndtr(one))), _interpolate_quantile(second, float(ndtr(correlated)))]
