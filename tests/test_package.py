@@ -1,4 +1,5 @@
 import inspect
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -101,3 +102,9 @@ def test_a_configuration_stands_alone() -> None:
         handover_marl.parallel_env(config, split="val")
     with pytest.raises(OptionError, match="prescribes physics"):
         handover_marl.benchmark_env(physics="fast")
+
+
+def test_the_stub_has_the_public_names() -> None:
+    stub = Path(handover_marl.__file__).with_suffix(".pyi").read_text()
+    found = {name: module for module, name in re.findall(r"^from (\S+) import (\w+) as \2$", stub, re.MULTILINE)}
+    assert found == {**handover_marl._MODULES, "__version__": "handover_marl.version"}
