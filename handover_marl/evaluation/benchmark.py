@@ -133,8 +133,11 @@ def run_evaluations(
         HandoverError: The same errors as `benchmark`.
     """
     evaluations = [_Evaluation(config, execution.for_subfolder(name), recorded) for name, config in parts]
+    reports = []
     with share_pool(execution) as open_workers:
-        return [evaluation.run(open_workers, make_writer) for evaluation in evaluations]
+        for evaluation in evaluations:
+            reports.append(evaluation.run(open_workers, make_writer))
+    return reports
 
 
 class _Evaluation:

@@ -30,9 +30,8 @@ from handover_marl.policies.reference import PolicyLike, parse_policy
 from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.visualization.figures import draw_plan_figure, draw_wrist_view
-from handover_marl.visualization.replay_page import build_replay_page
 from handover_marl.visualization.replay_recorder import ReplayRecorder
-from handover_marl.visualization.replay_scene import require_replay_extra
+from handover_marl.visualization.replay_scene import build_replay_page, require_replay_extra
 from handover_marl.visualization.video import (
     FRAME_PERIOD_MS,
     SUFFIXES,

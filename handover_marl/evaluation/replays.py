@@ -11,8 +11,8 @@ from handover_marl.evaluation.results.result_folder import get_replay_path, prep
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.version import __version__
-from handover_marl.visualization.replay_page import build_replay_page, format_episode_caption
 from handover_marl.visualization.replay_recorder import ReplayRecorder
+from handover_marl.visualization.replay_scene import build_replay_page, format_episode_caption
 
 _HEAD_BYTES = 1000  # The caption of a page lies within its first bytes.
 

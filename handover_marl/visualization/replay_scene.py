@@ -1,4 +1,7 @@
-"""Animated 3D scene of an episode in the viewer viser; needs the extra `replay`."""
+"""Web page that replays an episode in 3D, in the viewer viser, beside its outcome, events and settings.
+
+Needs the extra `replay`.
+"""
 
 import contextlib
 import io
@@ -9,17 +12,20 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, CameraConfig
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
+from handover_marl.version import __version__
 from handover_marl.visualization.replay_bodies import (
     LinkTrajectory,
     compute_link_trajectories,
     compute_robot_link_poses,
     find_nearest_point,
 )
-from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame
+from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame, list_events
+from handover_marl.visualization.web_page import render_page
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -40,6 +46,8 @@ _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat s
 _SHOW_AT_ONCE = "<style>canvas{opacity:1!important;animation:appear .3s}@keyframes appear{from{opacity:0}}</style>"
 #: Duration for which the end is shown before the animation starts again (s).
 END_PAUSE_S = 1.5
+# As the camera of images, but a little nearer.
+_CAMERA = CameraConfig(vertical_fov=42.0, target=(0.5, -0.15, 1.15))
 
 
 def require_replay_extra() -> None:
@@ -49,6 +57,37 @@ def require_replay_extra() -> None:
         OptionError: A package is missing.
     """
     require_modules("a replay (.html)", "replay", *_REQUIRED_MODULES)
+
+
+def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None = None) -> str:
+    """Return a self-contained HTML page with the replay of an episode.
+
+    Args:
+        log: Recorded episode.
+        facts: Description of data, policies and simulation.
+        camera: Initial camera; default: in front of the robot.
+
+    Raises:
+        OptionError: The extra `replay` is not installed.
+        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
+    """
+    info, steps = log.scene.info, log.frames[-1].step
+    outcome = f"{log.status.label} after {steps * TIME_STEP:.2f} s" if log.status else "the recording alone"
+    return render_page(
+        "replay.html",
+        version=__version__,
+        title=f"Scene {info.scene_id}, {info.target_name}: {outcome}",
+        mark=format_episode_caption(info.scene_id, log.status, steps),
+        facts=facts,
+        events=list_events(log),
+        key=build_color_legend(log),
+        stage=build_viser_page(log, camera or _CAMERA),
+    )
+
+
+def format_episode_caption(scene_id: int, status: EpisodeStatus, steps: int) -> str:
+    """Return the caption near the start of a replay page, which identifies the episode."""
+    return f"scene {scene_id}, {status.label}, {steps} steps"
 
 
 def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:

@@ -28,7 +28,6 @@ from handover_marl.visualization.replay_bodies import (
     find_nearest_point,
     load_simplified_meshes,
 )
-from handover_marl.visualization.replay_page import build_replay_page
 from handover_marl.visualization.replay_recorder import (
     FRAME_STEPS,
     EpisodeLog,
@@ -36,7 +35,7 @@ from handover_marl.visualization.replay_recorder import (
     describe_frame,
     list_events,
 )
-from handover_marl.visualization.replay_scene import END_PAUSE_S
+from handover_marl.visualization.replay_scene import END_PAUSE_S, build_replay_page
 from tests.evaluation.quick import QuickReceiver
 from tests.visualization.outside import outside
 
