@@ -1,5 +1,7 @@
 """Framebuffer of the ray-casting camera: depth, segmentation labels and colours."""
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 
@@ -20,15 +22,20 @@ from handover_marl.simulation.camera.optics import (
     SPECULAR,
 )
 from handover_marl.simulation.camera.ray_body import PosedMeshes
-from handover_marl.simulation.camera.screen_bounds import Pixels, find_candidate_pixels, split_pixels_by_part
 
 Array = npt.NDArray[np.float32]
+#: Numbers of pixels in image order.
+Pixels = npt.NDArray[np.int64]
 
 _NO_PIXELS = np.zeros(0, dtype=np.int64)
-# View frustum: inward normals of its planes near, far and four sides, and their offsets. The sides are moved outwards,
-# since pixels are sampled up to one pixel off their centre.
-_FRUSTUM = np.array([[0, 0, 1], [0, 0, -1], [-1, 0, 1], [1, 0, 1], [0, -1, 1], [0, 1, 1]], dtype=np.float32)
-_FRUSTUM_OFFSETS = np.array([NEAR, -FAR, -0.02, -0.02, -0.02, -0.02], dtype=np.float32)
+# Numbers of the pixels by row and column.
+_PIXELS = np.arange(N_PIXELS).reshape(IMAGE_SIZE, IMAGE_SIZE)
+# Whether each of a box's eight corners is on its higher side, by axis.
+_IS_HIGH = np.array(list(itertools.product((False, True), repeat=3)))
+# Added around rectangles (pixels), larger than the rounding error of the projection.
+_MARGIN = 0.01
+# Principal point, in pixel numbers.
+_PRINCIPAL_POINT = HALF_SIZE_PX - np.array(SAMPLE_OFFSET_PX, dtype=np.float32)
 
 
 def _compute_ray_directions() -> Array:
@@ -80,19 +87,15 @@ class Framebuffer:
         """
         body = meshes.body
         rotations, origins = self._compute_link_frames(meshes)
-        sides = _FRUSTUM @ rotations
-        reach = np.maximum(sides * body.lowest[:, None], sides * body.highest[:, None]).sum(axis=-1)
-        visible = np.flatnonzero((reach + origins @ _FRUSTUM.T > _FRUSTUM_OFFSETS).all(axis=1)).tolist()
-        if not visible:
-            return _NO_PIXELS
-        points = [body.meshes[link].vertices @ rotations[link].T + origins[link] for link in visible]
-        # All links at once, since a hand has many small ones.
-        pixels = find_candidate_pixels(np.concatenate(points), body.concatenate_faces(tuple(visible)))
-        shares = [pixels] if len(visible) == 1 else split_pixels_by_part(pixels, points)
-        drawn = [
-            self._draw_link(meshes, link, (rotations[link], origins[link]), share)
-            for link, share in zip(visible, shares, strict=True)
-        ]
+        boxes = np.where(_IS_HIGH, body.highest[:, None], body.lowest[:, None]) @ rotations.swapaxes(1, 2)
+        columns, rows, is_cut = _bound_boxes(boxes + origins[:, None])
+        drawn = [_NO_PIXELS]
+        for link in np.flatnonzero((columns[:, 0] < columns[:, 1]) & (rows[:, 0] < rows[:, 1])).tolist():
+            pixels, frame = _PIXELS[slice(*rows[link]), slice(*columns[link])].ravel(), (rotations[link], origins[link])
+            if is_cut[link]:
+                # The rectangle is the whole image.
+                pixels = pixels[self._is_box_hit(pixels, frame, body.lowest[link], body.highest[link])]
+            drawn.append(self._draw_link(meshes, link, frame, pixels))
         return np.concatenate(drawn)
 
     def remove_occluded_by(self, meshes: PosedMeshes, pixels: Pixels, corners: Array) -> Pixels:
@@ -186,6 +189,23 @@ class Framebuffer:
 
     def _clear(self, pixels: Pixels) -> None:
         self._depth[pixels], self._labels[pixels] = EMPTY_DEPTH, SegmentationLabel.BACKGROUND
+
+
+def _bound_boxes(corners: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the rectangles of pixels that contain boxes with corners (n, 8, 3) in the camera's frame (m).
+
+    Returns:
+        First columns and those after the last (n, 2); first rows and those after the last (n, 2), empty outside the
+        depth range; and whether boxes reach the near plane (n,), whose rectangles are the whole image.
+    """
+    nearest, farthest = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
+    is_cut = nearest < NEAR
+    places = _PRINCIPAL_POINT + np.float32(HALF_SIZE_PX) * corners[..., :2] / np.maximum(corners[..., 2:], NEAR)
+    first = np.where(is_cut[:, None], 0.0, np.ceil(places.min(axis=1) - _MARGIN))
+    after = np.where(is_cut[:, None], IMAGE_SIZE, np.floor(places.max(axis=1) + _MARGIN) + 1.0)
+    after *= ((farthest > NEAR) & (nearest < FAR))[:, None]
+    bounds = np.clip(np.stack([first, after], axis=-1), 0, IMAGE_SIZE).astype(np.int64)
+    return bounds[:, 0], bounds[:, 1], is_cut
 
 
 def _shade(colors: npt.NDArray[np.integer], normals: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:

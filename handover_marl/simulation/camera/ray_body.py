@@ -141,7 +141,6 @@ class RayBody:
         self.meshes = [RayMesh(mesh.vertices, mesh.faces) for mesh in visual_meshes]
         self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
         self.highest = np.array([mesh.vertices.max(axis=0) for mesh in self.meshes]).reshape(-1, 3)
-        self._faces: dict[tuple[int, ...], npt.NDArray[np.int32]] = {}
         self._last_frames: tuple[Array, Float64Array, Float64Array] | None = None
 
     @functools.cached_property
@@ -153,19 +152,6 @@ class RayBody:
         """Return the body's meshes posed at joint positions (d,) (m, rad)."""
         rotations, origins = self._compute_frames(joints)
         return PosedMeshes(self, rotations[self._links], origins[self._links])
-
-    def concatenate_faces(self, numbers: tuple[int, ...]) -> npt.NDArray[np.int32]:
-        """Return the faces (f, 3) of several meshes of the body as one mesh.
-
-        Its vertices are the vertices of these meshes, concatenated in order.
-        """
-        if numbers not in self._faces:
-            meshes = [self.meshes[number] for number in numbers]
-            firsts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-            parts = [mesh.faces + first for mesh, first in zip(meshes, firsts, strict=False)]
-            # Usually all meshes are visible; one entry is enough.
-            self._faces = {numbers: np.concatenate(parts)}
-        return self._faces[numbers]
 
     def compute_link_frame(self, link: int, joints: Array) -> tuple[Float64Array, Float64Array]:
         """Return the rotation matrix (3, 3) and origin (3,) of a link in the world frame.

@@ -1,6 +1,6 @@
 """Renderer of the wrist camera by ray casting.
 
-Rays are cast only through pixels in the screen bounds of a triangle. If only object and hand are rendered, the other
+Rays are cast only through the pixels of a rectangle around each link. If only object and hand are rendered, the other
 bodies are tested only against rays that hit the object or the hand.
 """
 

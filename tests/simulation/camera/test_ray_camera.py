@@ -22,8 +22,9 @@ from handover_marl.errors import DataFormatError, HandoverError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGERTIPS, HAND_LINK, LOWER_LIMITS, PANDA, PANDA_CAMERA, UPPER_LIMITS
 from handover_marl.simulation.bullet.rendering import SceneRenderer
+from handover_marl.simulation.camera import framebuffer
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
-from handover_marl.simulation.camera.optics import EMPTY_DEPTH, NEAR, PINHOLE_MODEL, deproject
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, IMAGE_SIZE, NEAR, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.world import JointSnapshot
 
@@ -266,6 +267,24 @@ def test_targets_equal_those_of_the_whole_image(
 ) -> None:
     now = stands[scene_id].thrown(np.random.default_rng(seed), *depths)
     assert_targets_equal_the_whole_image(stands[scene_id].rays, now)
+
+
+@pytest.mark.parametrize("scene_id", SCENES)
+def test_no_pixel_outside_of_the_rectangles_is_visible(
+    stands: dict[int, Stand], scene_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rays through all pixels give the same images as rays through the rectangles around links."""
+    stand, rng = stands[scene_id], np.random.default_rng(scene_id)
+    snapshots = [stand.thrown(rng, near=-0.3) for _ in range(8)]
+    images = [stand.rays.render_wrist_camera(now, False) for now in snapshots]
+
+    def cover_image(corners: npt.NDArray[np.float32]) -> tuple[npt.NDArray[Any], ...]:
+        whole = np.tile([0, IMAGE_SIZE], (len(corners), 1))
+        return whole, whole, np.zeros(len(corners), dtype=bool)
+
+    monkeypatch.setattr(framebuffer, "_bound_boxes", cover_image)
+    for now, image in zip(snapshots, images, strict=True):
+        assert_same_bits(stand.rays.render_wrist_camera(now, False), image)
 
 
 @settings(max_examples=10)
