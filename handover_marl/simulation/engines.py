@@ -10,11 +10,12 @@ from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.clearance import DistanceQuery
-from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.world import BatchWorld, World
 
 if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
+    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
@@ -38,11 +39,7 @@ def check_physics(physics: str) -> None:
     """
     check_name("physics", physics, PHYSICS)
     if physics == MUJOCO:
-        if not _is_mujoco_installed():
-            raise OptionError(
-                "physics='mujoco' needs MuJoCo, which is not installed (it has wheels for Python 3.11 and later); "
-                "take physics='fast'"
-            )
+        _require_mujoco("physics='mujoco'", "take physics='fast'")
         return
     require_pybullet(f"physics={physics!r}", "take physics='mujoco' (--physics mujoco)")
 
@@ -176,15 +173,10 @@ def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
     return MujocoDistanceQuery(panda_urdf, config)
 
 
-def select_validation_engine() -> str:
-    """Return the engine for grasp validation: "bullet" if PyBullet is installed, else "mujoco"."""
-    return "bullet" if is_pybullet_installed() else "mujoco"
-
-
 def make_grasp_validator(
     object_urdf: Path, config: GraspValidationConfig | None = None, panda_urdf: Path = PANDA_URDF
-) -> GraspValidator:
-    """Create a validator of grasps of one object in the installed physics engine.
+) -> "GraspValidator":
+    """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
 
     Args:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
@@ -192,16 +184,21 @@ def make_grasp_validator(
         panda_urdf: Panda that the hand is taken from.
 
     Raises:
+        OptionError: MuJoCo is not installed.
         SimulationError, DataFormatError: A model cannot be read.
     """
-    if select_validation_engine() == "bullet":
-        from handover_marl.simulation.bullet.grasp_validation import BulletGraspValidator
+    _require_mujoco("the validation of grasps", "take another Python, or grasps=0 (--grasps 0) for a new object")
+    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
-        return BulletGraspValidator(object_urdf, config, panda_urdf)
-    from handover_marl.simulation.mujoco.grasp_validation import MujocoGraspValidator
-
-    return MujocoGraspValidator(object_urdf, config, panda_urdf)
+    return GraspValidator(object_urdf, config, panda_urdf)
 
 
 def _is_mujoco_installed() -> bool:
     return is_installed("mujoco")
+
+
+def _require_mujoco(feature: str, advice: str) -> None:
+    if not _is_mujoco_installed():
+        raise OptionError(
+            f"{feature} needs MuJoCo, which is not installed (it has wheels for Python 3.11 and later); {advice}"
+        )

@@ -3,15 +3,16 @@
 A validation has three steps. The gripper closes at the grasp and shakes the object. The grasp is moved along its
 approach axis towards the object, as far as the open gripper does not collide. The gripper closes there on an object
 that a person holds, and the person releases the object. Validation records of DexYCB's objects and of the library's
-objects ship with the library. Records of other objects are stored in the user's cache folder. A hash of the object's
-files, its known grasps, the robot's model and the physics engine (if it is not PyBullet) identifies a record. Poses are
-position (m) and quaternion xyzw.
+objects ship with the library; they were made in PyBullet. MuJoCo makes the records of other objects, which are stored
+in the user's cache folder. A hash of the object's files, its known grasps and the robot's model identifies a record.
+Poses are position (m) and quaternion xyzw.
 """
 
 import contextlib
 import logging
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -32,14 +33,17 @@ from handover_marl.receivers.reactive.grasps import (
     grasps_from_record,
     tilt_grasps,
 )
-from handover_marl.simulation.engines import make_grasp_validator, select_validation_engine
-from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
+from handover_marl.simulation.engines import make_grasp_validator
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
+
+if TYPE_CHECKING:
+    from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 Array = npt.NDArray[np.float64]
 
 # Increased whenever the same files lead to other grasps.
 _VERSION = 3
-_KIND, _DESCRIPTION = "grasps", "record of validated grasps"
+_KIND, _DESCRIPTION = "grasp_validations", "record of validated grasps"
 _HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -135,9 +139,8 @@ def _shaking_key(config: GraspPreparationConfig) -> str:
 
 
 def _record_path(object_urdf: Path, key: str, known: Array, *more: bytes) -> Path:
-    engine = "" if select_validation_engine() == "bullet" else f" {select_validation_engine()}"
     rounded = np.round(known, 6).astype(np.float32).tobytes()
-    return get_cache_path(_KIND, object_urdf, f"{_VERSION}{engine} {key}".encode(), rounded, *more)
+    return get_cache_path(_KIND, object_urdf, f"{_VERSION} {key}".encode(), rounded, *more)
 
 
 def _lock_record(path: Path, object_urdf: Path) -> contextlib.AbstractContextManager[None]:
@@ -166,21 +169,18 @@ def _load_record(path: Path, known: Array, config: GraspPreparationConfig) -> Va
 def _shake_grasps(object_urdf: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord:
     """Simulate which grasps and copies are stable; the last two columns of the record stay 0."""
     validator = make_grasp_validator(object_urdf, config.validation)
-    try:
-        rows = [(-1, _count_stable(validator, pose, config), 0, 0) for pose in known]
-        poses = known
-        for number, pose in enumerate(tilt_grasps(known, config)):
-            if len(poses) == len(known) + config.max_copies:
-                break
-            is_known = (compute_grasp_distances(pose, poses, config.rotation_weight) < config.min_distance).any()
-            if is_known or not validator.is_collision_free(_gripper_matrix(pose)):
-                continue
-            n_stable = _count_stable(validator, pose, config)
-            if n_stable:
-                poses = np.concatenate([poses, pose[None]])
-                rows.append((number, n_stable, 0, 0))
-    finally:
-        validator.close()
+    rows = [(-1, _count_stable(validator, pose, config), 0, 0) for pose in known]
+    poses = known
+    for number, pose in enumerate(tilt_grasps(known, config)):
+        if len(poses) == len(known) + config.max_copies:
+            break
+        is_known = (compute_grasp_distances(pose, poses, config.rotation_weight) < config.min_distance).any()
+        if is_known or not validator.is_collision_free(_gripper_matrix(pose)):
+            continue
+        n_stable = _count_stable(validator, pose, config)
+        if n_stable:
+            poses = np.concatenate([poses, pose[None]])
+            rows.append((number, n_stable, 0, 0))
     record: ValidationRecord = np.array(rows, dtype=np.int16).reshape(-1, 4)
     return record
 
@@ -192,18 +192,15 @@ def _release_grasps(
     record: ValidationRecord = shaken.copy()
     poses = grasps_from_record(shaken, known, config).poses
     validator = make_grasp_validator(object_urdf, config.validation, panda_urdf)
-    try:
-        for row, pose in zip(record, poses, strict=True):
-            row[2] = _find_advance(validator, pose, config)
-            if row[1]:
-                deepest = advance_grasp(pose, config.advances[row[2] - 1]) if row[2] else pose
-                row[3] = _count_kept(validator, deepest, config)
-    finally:
-        validator.close()
+    for row, pose in zip(record, poses, strict=True):
+        row[2] = _find_advance(validator, pose, config)
+        if row[1]:
+            deepest = advance_grasp(pose, config.advances[row[2] - 1]) if row[2] else pose
+            row[3] = _count_kept(validator, deepest, config)
     return record
 
 
-def _count_stable(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
     """Return the number of shaken poses, in and around a grasp, that hold; 0 if the grasp itself fails."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
@@ -211,7 +208,7 @@ def _count_stable(validator: GraspValidator, pose: Array, config: GraspPreparati
     return 1 + sum(validator.is_stable(_gripper_matrix(other)) for other in moved)
 
 
-def _find_advance(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
     """Return the index from 1 of the first advance without collision, 0 if all collide."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + config.min_advance_clearance)
@@ -220,7 +217,7 @@ def _find_advance(validator: GraspValidator, pose: Array, config: GraspPreparati
     return 0
 
 
-def _count_kept(validator: GraspValidator, pose: Array, config: GraspPreparationConfig) -> int:
+def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
     """Return the number of poses, in and around a grasp, that keep a released object; 0 if the grasp fails."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))

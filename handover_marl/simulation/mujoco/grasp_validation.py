@@ -1,19 +1,33 @@
-"""Validation of grasps in MuJoCo, with the same shapes, actuators and friction as in scenes."""
+"""Validation of grasps in simulation: a Panda hand without arm closes on an object and shakes it.
 
+Shapes, actuators and friction are the same as in scenes. The hand stays fixed and the direction of gravity changes
+instead. In the frame of a hand that is shaken without rotation this is equivalent. At the start the frame of the object
+is the world frame. Grasps are 4x4 matrices of the gripper in the object's frame.
+"""
+
+import itertools
+import math
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.robot_model import PANDA_URDF
-from handover_marl.config import OBJECT_DOF, OFFICIAL_CONFIG, TIME_STEP, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, OFFICIAL_CONFIG, TIME_STEP, PhysicsConfig, ProtocolConfig
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
-from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
-from handover_marl.geometry.poses import inverse_transform_points, quaternion_from_matrix
-from handover_marl.simulation.grasp_validation import GraspValidationConfig, GraspValidator
+from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN, PAD_DISTANCE
+from handover_marl.geometry.poses import (
+    compute_rotation_angle,
+    inverse_transform_points,
+    quaternion_from_matrix,
+    transform_points,
+)
+from handover_marl.simulation.contacts import find_points_in_grasp_region
+from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.models.scene_spec import (
     SceneModelBuilder,
@@ -27,6 +41,9 @@ from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_xyzw
 Array = npt.NDArray[np.float64]
 
 _OBJECT = format_object_name(0)
+# Grasp files rotate the hand by 90 degrees about its approach axis: the fingers close along the
+# gripper frame's x.
+_GRIPPER_FROM_HAND = np.rint(Rotation.from_quat(GRIPPER_FROM_HAND[3:]).as_matrix())
 
 
 class GripperModelBuilder(SceneModelBuilder):
@@ -66,13 +83,13 @@ class GripperModelBuilder(SceneModelBuilder):
                 self._add_robot_joint(body, tree, number, link)
                 set_inertia(body, link, parts)
             self._add_robot_link(body, link, parts, is_finger)
-        # Hand and fingers do not collide with each other in Bullet's validation either.
+        # Hand and fingers do not collide with each other.
         for first, second in ((HAND_LINK, FINGER_LINKS[0]), (HAND_LINK, FINGER_LINKS[1]), FINGER_LINKS):
             self.spec.add_exclude(bodyname1=first, bodyname2=second)
 
 
-class MujocoGraspValidator(GraspValidator):
-    """Grasp validator with an object and a Panda hand in a separate MuJoCo model.
+class GraspValidator:
+    """Validator of grasps of one object, in a MuJoCo model of the object and a Panda hand without an arm.
 
     Args:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
@@ -86,7 +103,7 @@ class MujocoGraspValidator(GraspValidator):
     def __init__(
         self, object_urdf: Path, config: GraspValidationConfig | None = None, panda_urdf: Path = PANDA_URDF
     ) -> None:
-        super().__init__(config)
+        self._config = config or GraspValidationConfig()
         built = GripperModelBuilder(object_urdf, panda_urdf, OFFICIAL_CONFIG.physics, TUNING)
         self._model = model = built.spec.compile()
         self._data = mujoco.MjData(model)
@@ -94,60 +111,119 @@ class MujocoGraspValidator(GraspValidator):
         self._fingers = [model.body(name).id for name in FINGER_LINKS]
         self._finger_qpos = [model.joint(name).qposadr[0] for name in FINGER_LINKS]
         self._free_qpos = model.joint(_OBJECT).qposadr[0]
-        self._mocap = [model.body(name).mocapid[0] for name in (HAND_LINK, format_rotation_reference_name(0))]
+        self._hand, self._reference = (
+            model.body(name).mocapid[0] for name in (HAND_LINK, format_rotation_reference_name(0))
+        )
         self._actuators = [model.actuator(f"{_OBJECT}/{axis}").id for axis in range(OBJECT_DOF)]
         self._finger_actuators = [model.actuator(name).id for name in FINGER_LINKS]
         self._force_ranges = model.actuator_forcerange[self._actuators].copy()
-        own = [model.body(HAND_LINK).id, *self._fingers]
-        self._hand_geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in own]
-        self._geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == self._body]
+        hand = np.flatnonzero(np.isin(model.geom_bodyid, [model.body(HAND_LINK).id, *self._fingers]))
+        self._pairs = list(itertools.product(hand.tolist(), np.flatnonzero(model.geom_bodyid == self._body).tolist()))
 
-    def close(self) -> None:
-        """Do nothing: MuJoCo frees its memory itself."""
+    def is_collision_free(self, object_from_gripper: npt.ArrayLike) -> bool:
+        """Return whether the open hand reaches a grasp pose in a straight line without contact.
 
-    def _reset_bodies(self) -> None:
+        Args:
+            object_from_gripper: Grasp (4, 4).
+        """
+        grasp = np.asarray(object_from_gripper, dtype=np.float64)
+        self._reset(grasp)
+        for distance in self._config.standoff_distances:
+            self._set_hand_before(grasp, distance)
+            if self._has_contact():
+                return False
+        return True
+
+    def is_stable(self, object_from_gripper: npt.ArrayLike) -> bool:
+        """Return whether the Panda hand holds the object at a grasp pose while shaking it.
+
+        Args:
+            object_from_gripper: Grasp (4, 4).
+        """
+        grasp = np.asarray(object_from_gripper, dtype=np.float64)
+        self._reset(grasp)
+        self._close_fingers()
+        start = self._read_gripped_pose(grasp)
+        self._simulate(self._config.close_time, np.zeros(3))
+        held = self._read_gripped_pose(grasp)
+        if not self._is_gripped() or self._has_moved(start, held):
+            return False
+        for direction in np.concatenate([np.eye(3), -np.eye(3)]):
+            self._simulate(self._config.shake_time, self._config.acceleration * direction)
+            if not self._is_gripped() or self._has_moved(held, self._read_gripped_pose(grasp)):
+                return False
+        return True
+
+    def measure_release_slip(self, object_from_gripper: npt.ArrayLike, held_time: float, free_time: float) -> float:
+        """Measure the object's displacement relative to the fingers (m) after a person releases it.
+
+        In a scene a person holds the object while the fingers close and releases it 0.1 s later. An
+        object that only the edge of a finger touches slips away then.
+
+        Args:
+            object_from_gripper: Grasp (4, 4).
+            held_time: Time for which the object is held while the fingers close (s).
+            free_time: Time after the release (s).
+
+        Returns:
+            Displacement (m); infinity if a finger does not touch the object in the end.
+        """
+        grasp = np.asarray(object_from_gripper, dtype=np.float64)
+        self._reset(grasp)
+        self._hold_object(True)
+        self._close_fingers()
+        self._simulate(held_time, np.zeros(3))
+        self._hold_object(False)
+        before = self._read_gripped_pose(grasp)
+        self._simulate(free_time, np.array([0.0, 0.0, -self._config.acceleration]))
+        if not self._is_gripped():
+            return math.inf
+        return float(np.linalg.norm(self._read_gripped_pose(grasp)[:3] - before[:3]))
+
+    def _reset(self, grasp: Array) -> None:
+        """Reset the object to its initial pose, free and at rest, and the open hand to a grasp pose."""
         mujoco.mj_resetData(self._model, self._data)
-        self._free_object()
-        self._data.mocap_pos[self._mocap[1]] = 0.0
-        self._data.mocap_quat[self._mocap[1]] = (1.0, 0.0, 0.0, 0.0)
+        self._hold_object(False)
+        self._data.mocap_pos[self._reference], self._data.mocap_quat[self._reference] = 0.0, (1.0, 0.0, 0.0, 0.0)
         self._data.qpos[self._finger_qpos] = self._data.ctrl[self._finger_actuators] = OPEN
+        self._set_hand_before(grasp, 0.0)
 
-    def _set_hand_pose(self, position: Array, orientation: Array) -> None:
-        self._data.mocap_pos[self._mocap[0]], self._data.mocap_quat[self._mocap[0]] = (
-            position,
-            wxyz_from_xyzw(orientation),
-        )
+    def _set_hand_before(self, grasp: Array, distance: float) -> None:
+        """Set the hand to a grasp pose, or to the pose at a distance (m) back along the approach direction."""
+        self._data.mocap_pos[self._hand] = grasp[:3, 3] - distance * grasp[:3, 2]
+        self._data.mocap_quat[self._hand] = wxyz_from_xyzw(quaternion_from_matrix(grasp[:3, :3] @ _GRIPPER_FROM_HAND))
 
     def _has_contact(self) -> bool:
+        """Return whether Panda hand and object touch in their current poses."""
         model, data = self._model, self._data
         mujoco.mj_kinematics(model, data)
-        for first in self._hand_geoms:
-            for second in self._geoms:
-                margins = float(model.geom_margin[first] + model.geom_margin[second])
-                if mujoco.mj_geomDistance(model, data, first, second, 2.0 * margins + 1e-3, None) < margins:
-                    return True
+        for pair in self._pairs:
+            margins = float(model.geom_margin[list(pair)].sum())
+            if mujoco.mj_geomDistance(model, data, *pair, 2.0 * margins + 1e-3, None) < margins:
+                return True
         return False
 
-    def _hold_object(self) -> None:
-        self._model.actuator_forcerange[self._actuators] = self._force_ranges
-
-    def _free_object(self) -> None:
-        self._model.actuator_forcerange[self._actuators] = 0.0
+    def _hold_object(self, is_held: bool) -> None:
+        """Turn the motors that hold the object on or off."""
+        self._model.actuator_forcerange[self._actuators] = self._force_ranges if is_held else 0.0
 
     def _close_fingers(self) -> None:
         self._data.ctrl[self._finger_actuators] = 0.0
 
     def _simulate(self, duration: float, gravity: Array) -> None:
+        """Simulate object and hand for a duration (s) under a gravity vector (3,) (m/s^2)."""
         self._data.xfrc_applied[self._body, :3] = self._model.body_mass[self._body] * gravity
         for _ in range(round(duration / TIME_STEP)):
             mujoco.mj_step(self._model, self._data)
         mujoco.mj_forward(self._model, self._data)
 
-    def _read_finger_points(self) -> tuple[Array, Array]:
-        left, right = (self._read_points_on(finger) for finger in self._fingers)
-        return left, right
+    def _is_gripped(self) -> bool:
+        """Return whether both fingers press on the object inside HandoverSim's grasp region."""
+        rule = ProtocolConfig()
+        return all(find_points_in_grasp_region(self._read_points_on(finger), rule).any() for finger in self._fingers)
 
     def _read_points_on(self, finger: int) -> Array:
+        """Return a finger's contact points (n, 3) with the object, in the finger's frame (m)."""
         model, data, found = self._model, self._data, []
         for number in range(data.ncon):
             contact, force = data.contact[number], np.zeros(6)
@@ -162,10 +238,21 @@ class MujocoGraspValidator(GraspValidator):
         pose = np.concatenate([data.xpos[finger], data.xquat[finger][XYZW]])
         return inverse_transform_points(pose, np.array(found)) if found else np.zeros((0, 3))
 
-    def _read_object_pose(self) -> Array:
-        free = self._data.qpos[self._free_qpos : self._free_qpos + 7]
-        return np.concatenate([free[:3], free[3:][XYZW]])
+    def _read_gripped_pose(self, grasp: Array) -> Array:
+        """Return the pose (7,) of the gripped object point relative to the fingers.
 
-    def _read_finger_joints(self) -> tuple[float, float]:
+        At the start that point is in the middle between the finger pads.
+
+        The finger motors are independent, as in HandoverSim: closed fingers may drift sideways
+        together and take the object along, which is no slip.
+        """
+        free = self._data.qpos[self._free_qpos : self._free_qpos + 7]
+        pose = np.concatenate([free[:3], free[3:][XYZW]])
+        gripped = transform_points(pose, grasp[:3, 3] + PAD_DISTANCE * grasp[:3, 2])
         left, right = self._data.qpos[self._finger_qpos].tolist()
-        return left, right
+        return np.concatenate([gripped - 0.5 * (left - right) * grasp[:3, 0], pose[3:]])
+
+    def _has_moved(self, before: Array, after: Array) -> bool:
+        shift = float(np.linalg.norm(after[:3] - before[:3]))
+        rotation = compute_rotation_angle(before[3:], after[3:])
+        return shift > self._config.max_translation or rotation > self._config.max_rotation

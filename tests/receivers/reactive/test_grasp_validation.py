@@ -27,13 +27,11 @@ from handover_marl.receivers.reactive.grasp_validation import (
     validate_grasps,
 )
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, grasps_from_record, tilt_grasps
-from handover_marl.simulation.engines import select_validation_engine
 from tests.receivers.quick import QUICK_PREPARATION
 
 DATA = SyntheticDataset()
 BRICK = "061_foam_brick"
 QUICK = replace(QUICK_PREPARATION, tilts=(0.4,))
-needs_bullet = pytest.mark.skipif(select_validation_engine() != "bullet", reason="what ships was tried in PyBullet")
 
 
 @pytest.fixture(autouse=True)
@@ -110,7 +108,6 @@ def test_damaged_cache_is_replaced(tmp_path: Path, damaged: object) -> None:
     np.testing.assert_array_equal(again.success_rates, first.success_rates)
 
 
-@needs_bullet
 @pytest.mark.parametrize("robot", [PANDA, PANDA_CAMERA])
 @pytest.mark.parametrize("dataset", ["synthetic", "dexycb"])
 def test_shipped_records_are_found(
@@ -132,15 +129,15 @@ def test_shipped_records_are_found(
     assert not (tmp_path / "cache").exists()
 
 
-@needs_bullet
 @pytest.mark.slow
-def test_shipped_record_equals_a_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulation_selects_the_grasps_of_the_shipped_record(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo accepts and rejects the known grasps as PyBullet did, which made the shipped record."""
     known, urdf, config = known_grasps(BRICK), DATA.find_object_urdf(BRICK), GraspPreparationConfig()
-    shipped = get_validation_record(urdf, DATA.panda_urdf, known, config)
+    shipped = get_validation_record(urdf, DATA.panda_urdf, known, config)[: len(known)]
     monkeypatch.setattr(validation_module, "load_validation_record", lambda name: None)
-    # The limit ends the simulation after the first copies; the records of earlier grasps do not depend on it.
-    few = replace(config, max_copies=5)
-    np.testing.assert_array_equal(get_validation_record(urdf, DATA.panda_urdf, known, few), shipped[: len(known) + 5])
+    made = get_validation_record(urdf, DATA.panda_urdf, known, replace(config, max_copies=5))[: len(known)]
+    good, found = (record[:, 1] * record[:, 3] > 0 for record in (shipped, made))
+    assert (good == found).mean() > 0.9
 
 
 def test_damaged_records_file(tmp_path: Path) -> None:
