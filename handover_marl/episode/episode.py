@@ -9,7 +9,7 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, World
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
+from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.observations import (
     MotionPreview,
     Observation,
@@ -24,7 +24,7 @@ from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
-from handover_marl.simulation.world import BatchWorld, World
+from handover_marl.simulation.world import World
 
 
 class Episode:
@@ -117,16 +117,17 @@ class Episode:
             )
             world.set_reference(plan.references[0])
             steps -= planned
-            if isinstance(world, BatchWorld) and not on_step and camera is None:
+            if world.has_rollouts and not on_step and camera is None:
                 simulated = self._simulate_rollout(world, target, planned)
             else:
                 simulated = self._simulate_single_steps(world, target, planned, camera, on_step)
             motion.commit(plan, np.array([simulated]))
 
-    def _simulate_rollout(self, world: BatchWorld, target: list[float], steps: int) -> int:
+    def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int:
         """Simulate up to `steps` physics steps at once; return their number."""
         states = RefereeStateBatch.from_states([self._referee.get_state()])
-        simulated = simulate_worlds([world], [target], states, steps, self.config.protocol)
+        rules = self.config.protocol
+        simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
         self._referee.restore(states.select(0))
         self._contacts = None
         return int(simulated[0])

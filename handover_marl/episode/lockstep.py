@@ -1,6 +1,5 @@
-"""Simulation of many episodes in lockstep: batched physics, protocol rules on arrays."""
+"""Rules of release and end for many episodes in lockstep, on arrays."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,17 +7,12 @@ import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, RefereeState, ReleaseReason
-from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor, make_constant
-from handover_marl.simulation.contacts import ContactBatch
-from handover_marl.simulation.world import BatchWorld
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, is_tensor, make_constant
+from handover_marl.simulation.contacts import ContactBatch, JudgeFunction, RolloutEnd
 
 Counts = npt.NDArray[np.int_]
 
 _ACTIVE, _PASSIVE = RELEASE_REASONS.index(ReleaseReason.ACTIVE), RELEASE_REASONS.index(ReleaseReason.PASSIVE)
-# The sensor readings of more worlds do not fit into the processor's cache.
-_ROLLOUT_WORLDS = 32
-# Steps of one rollout. Steps after a release or an episode's end are simulated in vain.
-_ROLLOUT_STEPS = 100
 
 
 class RefereeStateBatch(NamedTuple):
@@ -51,73 +45,27 @@ class RefereeStateBatch(NamedTuple):
             array[rows] = values
 
 
-def simulate_worlds(
-    worlds: Sequence[BatchWorld],
-    robot_targets: Sequence[list[float]],
-    referees: RefereeStateBatch,
-    steps: int,
-    rules: ProtocolConfig,
-) -> Counts:
-    """Simulate the worlds of n episodes for some steps, or to the episodes' ends.
-
-    The outcome of an episode does not depend on the other episodes.
+def make_judge(referees: RefereeStateBatch, rules: ProtocolConfig) -> JudgeFunction:
+    """Return the function by which worlds in a rollout apply the rules of release and end to their steps.
 
     Args:
-        worlds: Worlds of one simulation, with the reference motions of these steps set.
-        robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
-        referees: Referee states of the episodes, which are updated.
-        steps: Number of physics steps, at most the rows left in each reference motion.
+        referees: Referee states of the n episodes in the rollout, which the function updates.
         rules: Rules of release and end.
-
-    Returns:
-        Number (n,) of simulated steps of each episode.
-
-    Raises:
-        SimulationError: The engine failed; the states of all worlds are invalid.
     """
-    simulated = np.zeros(len(worlds), dtype=np.int_)
 
-    while running := np.flatnonzero((referees.status == 0) & (simulated < steps)).tolist():
-        # Preparing a sleeping world may wake it, which changes its key.
-        for chunk in _split([number for number in running if worlds[number].is_asleep]):
-            own_worlds, targets = [worlds[number] for number in chunk], [robot_targets[number] for number in chunk]
-            own_worlds[0].prepare_rollout(own_worlds, targets)
-        groups: dict[object, list[int]] = {}
-        for number in running:
-            groups.setdefault(worlds[number].rollout_key, []).append(number)
-        for group in groups.values():
-            for chunk in _split(group):
-                own_worlds, targets = [worlds[number] for number in chunk], [robot_targets[number] for number in chunk]
-                rows = np.array(chunk)
-                limit = steps - int(simulated[rows].max())
-                simulated[rows] += _simulate_rollout(own_worlds, targets, referees, rows, limit, rules)
-    return simulated
+    def judge(rows: AnyIndices, contacts: ContactBatch) -> RolloutEnd:
+        before = referees.select_rows(rows)
+        last, after = judge_steps(before, contacts, rules)
+        taken, released = last + 1, (after.release_reason >= 0) & (before.release_reason < 0)
+        if is_tensor(last):
+            # Worlds on a device are simulated after their ends, too.
+            xp, running = get_namespace(last), before.status == 0
+            taken, released = xp.where(running, taken, 0), running & released
+            after = RefereeStateBatch(*(xp.where(running, new, old) for new, old in zip(after, before, strict=True)))
+        referees.assign_rows(rows, after)
+        return RolloutEnd(taken, released, after.status != 0)
 
-
-def _split(numbers: list[int]) -> list[list[int]]:
-    """Split the numbers of worlds into those of single rollouts."""
-    return [numbers[first : first + _ROLLOUT_WORLDS] for first in range(0, len(numbers), _ROLLOUT_WORLDS)]
-
-
-def _simulate_rollout(
-    worlds: list[BatchWorld],
-    robot_targets: list[list[float]],
-    referees: RefereeStateBatch,
-    rows: Counts,
-    limit: int,
-    rules: ProtocolConfig,
-) -> Counts:
-    """Simulate one rollout of the worlds of the episodes `rows`, and return the steps taken by each."""
-    steps = min(_ROLLOUT_STEPS, limit, *(world.max_rollout_steps for world in worlds))
-    rollout = worlds[0].simulate_rollout(worlds, robot_targets, steps, rules)
-    before = referees.select_rows(rows)
-    last, after = judge_steps(before, rollout.contacts, rules)
-    for number in np.flatnonzero(last + 1 < steps).tolist():
-        rollout.truncate(number, int(last[number]) + 1)
-    for number in np.flatnonzero((after.release_reason >= 0) & (before.release_reason < 0)).tolist():
-        worlds[number].release_target()
-    referees.assign_rows(rows, after)
-    return np.asarray(last + 1)
+    return judge
 
 
 def judge_steps(

@@ -1,13 +1,13 @@
 """Contacts of robot, hand and objects after physics steps, for the rules of the handover task."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, make_constant
 
 Points = npt.NDArray[np.float32]
 NO_POINTS: Points = np.zeros((0, 3), dtype=np.float32)
@@ -105,6 +105,24 @@ class ContactBatch(NamedTuple):
         flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
         height, position = np.full(shape, default.object_height), np.full((*shape, 3), default.gripper_position)
         return cls(flags, flags, fingers, fingers, flags, height, position)
+
+
+class RolloutEnd(NamedTuple):
+    """Part of a rollout of n worlds that counts, by the rules of the task.
+
+    Attributes:
+        steps: Number (n,) of steps up to the first release or end of each world; 0 for worlds that had ended before.
+        released: Whether the object is released in the last of these steps, (n,).
+        ended: Whether each world has ended, (n,).
+    """
+
+    steps: AnyArray
+    released: AnyArray
+    ended: AnyArray
+
+
+#: Function that applies the rules to the contacts (k, n) of k steps of the worlds with n indices in a rollout.
+JudgeFunction = Callable[[AnyIndices, ContactBatch], RolloutEnd]
 
 
 def find_points_in_grasp_region(points: AnyArray, config: ProtocolConfig) -> AnyArray:

@@ -11,11 +11,12 @@ from handover_marl.execution.options import is_installed, is_pybullet_installed,
 from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
-from handover_marl.simulation.world import BatchWorld, World
+from handover_marl.simulation.world import World
 
 if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
+    from handover_marl.simulation.mujoco.world import MujocoWorld
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
@@ -116,7 +117,7 @@ def check_backend(backend: BatchBackend) -> None:
         )
 
 
-def make_batch_worlds(config: PhysicsConfig, count: int) -> list[BatchWorld]:
+def make_batch_worlds(config: PhysicsConfig, count: int) -> "list[MujocoWorld]":
     """Create simulated worlds of MuJoCo without scenes, which are simulated in batches.
 
     Args:

@@ -1,9 +1,9 @@
 """Interface of the simulated worlds: robot, hand and objects, without protocol rules."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.simulation.camera.images import CameraImage
-from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 if TYPE_CHECKING:
@@ -69,7 +69,13 @@ class JointSnapshot(NamedTuple):
 
 
 class World(ABC):
-    """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms."""
+    """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms.
+
+    Attributes:
+        has_rollouts: Whether worlds of this engine simulate many steps at once, by `rollout`.
+    """
+
+    has_rollouts: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
@@ -94,6 +100,32 @@ class World(ABC):
         Args:
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
         """
+
+    @classmethod
+    def rollout(
+        cls,
+        worlds: "Sequence[Self]",
+        robot_targets: Sequence[list[float]],
+        steps: int,
+        judge: JudgeFunction,
+        rules: ProtocolConfig,
+    ) -> npt.NDArray[np.int_]:
+        """Simulate n worlds together for some steps, or to their ends. Results do not depend on the other worlds.
+
+        Args:
+            worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
+            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
+            steps: Number of physics steps, at most the rows left in each reference motion.
+            judge: Function that applies the rules.
+            rules: Bounds of the grasp region of the fingers.
+
+        Returns:
+            Number (n,) of simulated steps of each world.
+
+        Raises:
+            SimulationError: The engine failed; the states of all worlds are invalid.
+        """
+        raise NotImplementedError(f"{cls.__name__} simulates single steps")
 
     @abstractmethod
     def read_contacts(self, released: bool) -> Contacts:
@@ -144,64 +176,3 @@ class World(ABC):
     @abstractmethod
     def close(self) -> None:
         """Free the memory of the simulation."""
-
-
-class RolloutResult(NamedTuple):
-    """Contacts of k physics steps of n worlds that were simulated together.
-
-    Attributes:
-        contacts: Contacts of all steps and worlds.
-        truncate: Function `truncate(number, steps)` that sets the world with index `number` back to
-            its state after `steps` of the k steps (1 to k - 1).
-    """
-
-    contacts: ContactBatch
-    truncate: Callable[[int, int], None]
-
-
-class BatchWorld(World):
-    """World that can simulate many steps at once, together with other worlds.
-
-    A world sleeps while no body can touch the robot for some steps. Sleeping and awake worlds are
-    not simulated together.
-    """
-
-    @property
-    def is_asleep(self) -> bool:
-        """Whether the world sleeps: no body can touch the robot. Preparing rollouts may wake it."""
-        return False
-
-    @property
-    @abstractmethod
-    def max_rollout_steps(self) -> int:
-        """Largest number of steps of the next rollout, valid for a sleeping world after `prepare_rollout`."""
-
-    @property
-    @abstractmethod
-    def rollout_key(self) -> object:
-        """Key that is equal for worlds that can be simulated in one rollout."""
-
-    @classmethod
-    def prepare_rollout(cls, worlds: "Sequence[Self]", robot_targets: Sequence[list[float]]) -> None:
-        """Prepare the coming steps of several sleeping worlds, which may wake them.
-
-        One call for many worlds is faster than many calls.
-
-        Args:
-            worlds: The worlds.
-            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
-        """
-
-    @classmethod
-    @abstractmethod
-    def simulate_rollout(
-        cls, worlds: "Sequence[Self]", robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> RolloutResult:
-        """Simulate several steps of worlds with the same rollout key.
-
-        Args:
-            worlds: The worlds.
-            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
-            steps: Number of steps, at most `max_rollout_steps` of any of the worlds.
-            rules: Bounds of the grasp region of the fingers.
-        """

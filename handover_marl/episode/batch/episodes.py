@@ -6,7 +6,7 @@ import numpy.typing as npt
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion, PlannedMotion
-from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
+from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.observations import MotionPreview, Observation, giver_observation_space, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIntegers, Indices
@@ -178,7 +178,8 @@ class EpisodeBatch:
         for world, reference in zip(worlds, motion.references, strict=True):
             world.set_reference(reference)
         states = self.referees.select_rows(motion.rows)
-        simulated = simulate_worlds(worlds, robot_targets.tolist(), states, steps, self.config.protocol)
+        rules = self.config.protocol
+        simulated = worlds[0].rollout(worlds, robot_targets.tolist(), steps, make_judge(states, rules), rules)
         self.referees.assign_rows(motion.rows, states)
         self.motion.commit(motion, simulated)
 

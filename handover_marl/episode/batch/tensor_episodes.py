@@ -6,12 +6,12 @@ from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
 from handover_marl.episode.giver_motion import PLANNED_STEPS
-from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
+from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.observations import Observation, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
 from handover_marl.geometry.arrays import AnyArray, expand_mask, make_tensor_factory, to_numpy
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
-from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_device_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
@@ -164,20 +164,10 @@ class TensorEpisodeBatch:
         self._worlds.release_targets(rows)
 
     def _advance_planned(self, rows: AnyArray, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
-        xp, reasons = self.arrays.xp, self.referees.release_reason[rows]
+        reasons = self.referees.release_reason[rows]
         plan = self.motion.plan(rows, steps, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
         states = self.referees.select_rows(rows)
-
-        def judge(contacts: ContactBatch) -> tuple[AnyArray, AnyArray]:
-            nonlocal states
-            was_running = states.status == 0
-            _, after = judge_steps(states, contacts, self.config.protocol)
-            released = was_running & (after.release_reason >= 0) & (states.release_reason < 0)
-            states = RefereeStateBatch(
-                *(xp.where(was_running, new, old) for new, old in zip(after, states, strict=True))
-            )
-            return was_running, released
-
-        simulated = self._worlds.simulate(to_numpy(rows), plan.reference, robot_targets, judge, self.config.protocol)
+        judge, rules = make_judge(states, self.config.protocol), self.config.protocol
+        simulated = self._worlds.rollout(to_numpy(rows), plan.reference, robot_targets, judge, rules)
         self.referees.assign_rows(rows, states)
         self.motion.commit(plan, simulated)

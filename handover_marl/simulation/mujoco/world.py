@@ -1,6 +1,6 @@
 """World simulated by MuJoCo, with the same bodies, motors and collision masks as in PyBullet."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,24 +11,24 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.camera.renderers import SceneRendererCache
-from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import (
-    AgentJoints,
-    BatchWorld,
-    JointSnapshot,
-    RolloutResult,
-    WorldState,
-)
+from handover_marl.simulation.world import AgentJoints, JointSnapshot, World, WorldState
 
 Array = npt.NDArray[np.float64]
+TruncateFunction = Callable[[int, int], None]
+
+# The sensor readings of more worlds do not fit into the processor's cache.
+_ROLLOUT_WORLDS = 32
+# Steps of one rollout. Steps after a release or an episode's end are simulated in vain.
+_ROLLOUT_STEPS = 100
 
 
-class MujocoWorld(BatchWorld):
+class MujocoWorld(World):
     """World simulated by MuJoCo, alone or in a batch with other worlds.
 
     The robot is always simulated; objects are simulated once the robot is near them or near the
@@ -43,6 +43,8 @@ class MujocoWorld(BatchWorld):
     Raises:
         OptionError: A window was requested.
     """
+
+    has_rollouts = True
 
     def __init__(self, config: PhysicsConfig, window: bool = False, simulation: BatchSimulation | None = None) -> None:
         if window:
@@ -95,15 +97,53 @@ class MujocoWorld(BatchWorld):
         controller.set_row(controller.row + 1)
 
     @classmethod
-    def prepare_rollout(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
-        """Compute the controls of worlds for the coming steps; see `BatchWorld.prepare_rollout`."""
+    def rollout(
+        cls,
+        worlds: Sequence["MujocoWorld"],
+        robot_targets: Sequence[list[float]],
+        steps: int,
+        judge: JudgeFunction,
+        rules: ProtocolConfig,
+    ) -> npt.NDArray[np.int_]:
+        """Simulate n worlds together for some steps, or to their ends; see `World.rollout`."""
+        simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
+        while rows := np.flatnonzero(running & (simulated < steps)).tolist():
+            # Preparing a sleeping world may wake it, which changes its key.
+            for chunk in _split([row for row in rows if worlds[row].is_asleep]):
+                cls.prepare([worlds[row] for row in chunk], [robot_targets[row] for row in chunk])
+            groups: dict[object, list[int]] = {}
+            for row in rows:
+                groups.setdefault(worlds[row].rollout_key, []).append(row)
+            for chunk in (part for group in groups.values() for part in _split(group)):
+                own, indices = [worlds[row] for row in chunk], np.array(chunk)
+                limit = min(
+                    _ROLLOUT_STEPS, steps - int(simulated[indices].max()), *(one.remaining_steps for one in own)
+                )
+                contacts, truncate = cls.simulate(own, [robot_targets[row] for row in chunk], limit, rules)
+                end = judge(indices, contacts)
+                for number in np.flatnonzero(end.steps < limit).tolist():
+                    truncate(number, int(end.steps[number]))
+                for number in np.flatnonzero(end.released).tolist():
+                    own[number].release_target()
+                simulated[indices] += end.steps
+                running[indices] = ~end.ended
+        return simulated
+
+    @classmethod
+    def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
+        """Compute the controls of worlds for the coming steps; sleeping worlds may wake."""
         prepare_controls([world.controller for world in worlds], robot_targets)
 
     @classmethod
-    def simulate_rollout(
+    def simulate(
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> RolloutResult:
-        """Simulate several steps of worlds; see `BatchWorld.simulate_rollout`."""
+    ) -> tuple[ContactBatch, TruncateFunction]:
+        """Simulate several steps of worlds with the same `rollout_key`, at most the `remaining_steps` of any.
+
+        Returns:
+            The contacts, and a function `truncate(number, steps)` that sets the world with index `number` back to its
+            state after `steps` of these steps (1 or more).
+        """
         controllers = [world.controller for world in worlds]
         prepare_controls(controllers, robot_targets)
         if controllers[0].sleep is not None:
@@ -120,11 +160,11 @@ class MujocoWorld(BatchWorld):
             rollout.set_world(number, taken)
             controllers[number].row += taken - steps
 
-        return RolloutResult(rollout.make_readings().compute_contact_batch(rules), truncate)
+        return rollout.make_readings().compute_contact_batch(rules), truncate
 
     @property
     def rollout_key(self) -> tuple[int, ...]:
-        """Key of the worlds that can be simulated in one rollout; see `BatchWorld.rollout_key`."""
+        """Key that is equal for worlds that can be simulated together; sleeping and awake ones cannot."""
         if self.is_asleep:
             return ()  # Sleeping worlds of all sizes are advanced together.
         model = self.controller.data.scene.model
@@ -132,12 +172,12 @@ class MujocoWorld(BatchWorld):
 
     @property
     def is_asleep(self) -> bool:
-        """Whether the world sleeps: no body can touch the robot. Preparing rollouts may wake it."""
+        """Whether the world sleeps: no body can touch the robot. Preparing it may wake it."""
         return self._controller is not None and self._controller.sleep is not None
 
     @property
-    def max_rollout_steps(self) -> int:
-        """Largest number of steps of the next rollout, valid after `prepare_rollout`."""
+    def remaining_steps(self) -> int:
+        """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare`."""
         return self.controller.remaining_steps
 
     def release_target(self) -> None:
@@ -207,7 +247,12 @@ class MujocoWorld(BatchWorld):
         self._scene = self._controller = None
 
 
-def _skip_sleeping_steps(controllers: Sequence[WorldController], steps: int) -> RolloutResult:
+def _split(numbers: list[int]) -> list[list[int]]:
+    """Split the numbers of worlds into those of single rollouts."""
+    return [numbers[first : first + _ROLLOUT_WORLDS] for first in range(0, len(numbers), _ROLLOUT_WORLDS)]
+
+
+def _skip_sleeping_steps(controllers: Sequence[WorldController], steps: int) -> tuple[ContactBatch, TruncateFunction]:
     """Advance sleeping worlds by some steps, and return a rollout without contacts."""
     started = [controller.row for controller in controllers]
 
@@ -216,4 +261,4 @@ def _skip_sleeping_steps(controllers: Sequence[WorldController], steps: int) -> 
 
     for number in range(len(controllers)):
         truncate(number, steps)
-    return RolloutResult(ContactBatch.without_contacts(steps, len(controllers)), truncate)
+    return ContactBatch.without_contacts(steps, len(controllers)), truncate

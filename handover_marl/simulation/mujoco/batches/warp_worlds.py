@@ -1,6 +1,6 @@
 """Worlds of many episodes in MuJoCo Warp: robots, objects and hands whose state stays on the device."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, make_constant
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.geometry.tree_bank import TreeBank
-from handover_marl.simulation.contacts import ContactBatch, Contacts
+from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
@@ -127,9 +127,6 @@ class HandBatch:
 
 # Physics steps whose controls are computed at a time: those of more steps take much memory.
 _CHUNK_STEPS = 25
-#: Function that applies the rules to the contacts (1, r) of a step. It returns two masks (r,): the worlds that were
-#: running before the step, and the worlds whose object was released in it.
-JudgeFunction = Callable[[ContactBatch], tuple[AnyArray, AnyArray]]
 
 
 class WarpWorlds:
@@ -194,7 +191,7 @@ class WarpWorlds:
         for group in self._groups.values():
             group.released[rows] = True
 
-    def simulate(
+    def rollout(
         self,
         rows: npt.NDArray[np.int_],
         reference: ReferenceBatch,
@@ -208,7 +205,7 @@ class WarpWorlds:
             rows: Numbers (r,) of the worlds, on the host.
             reference: Targets of hands and objects in k steps.
             robot_targets: Joint targets (r, 9) of the robots (rad, m).
-            judge: Function that applies the rules to each step; worlds that have ended keep their last state.
+            judge: Function that applies the rules to single steps; worlds that have ended keep their last state.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:
@@ -220,17 +217,18 @@ class WarpWorlds:
         xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
         hands = self._hands.track(index, reference.hand, reference.hand_present)
         rollout, simulated = group.start_rollout(index), self._arrays.zeros(len(rows), "int64")
+        places = self._arrays.arange(len(rows))
         steps = reference.hand.shape[1]
         for first in range(0, steps, _CHUNK_STEPS):
             controls = self._make_controls(group, index, reference, hands, slice(first, first + _CHUNK_STEPS))
             controls.targets[..., group.scene.robot_ctrl] = robot_targets[:, None]
             for step in range(controls.targets.shape[1]):
                 contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
-                was_running, released = judge(contacts)
-                group.store_states(rollout, was_running)
-                group.release_targets(rollout, released)
-                simulated += was_running
-            if not bool(xp.any(was_running)):
+                end = judge(places, contacts)
+                group.store_states(rollout, end.steps > 0)
+                group.release_targets(rollout, end.released)
+                simulated += end.steps
+            if bool(xp.all(end.ended)):
                 break
         reason = group.finish(rollout)
         if reason is not None:

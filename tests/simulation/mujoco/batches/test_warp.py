@@ -21,7 +21,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError, ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
 from handover_marl.geometry.poses import quaternions_from_euler
-from handover_marl.simulation.contacts import ContactBatch
+from handover_marl.simulation.contacts import ContactBatch, RolloutEnd
 from handover_marl.simulation.engines import make_batch_worlds
 from handover_marl.simulation.mujoco.batches import warp_group
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
@@ -31,7 +31,6 @@ from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.tensor_state import ReferenceBatch
-from handover_marl.simulation.world import BatchWorld
 
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
@@ -42,7 +41,6 @@ TENSORS = make_tensor_factory("cpu")
 CAPACITY = 3
 CLOSED = [*PANDA.start_joints[:7], 0.0, 0.0]
 STEPS = 40
-Judgement = tuple[AnyArray, AnyArray]
 #: The closed fingers touch the first two of these objects.
 NAMES = ("011_banana", "052_extra_large_clamp", "040_large_marker")
 
@@ -82,7 +80,7 @@ def find_grasp_center() -> npt.NDArray[np.float32]:
     return np.asarray(pose[:3] + 0.1 * axis, dtype=np.float32)
 
 
-def start_batch_worlds(scenes: list[Scene], xyz: npt.ArrayLike | None = None) -> list[BatchWorld]:
+def start_batch_worlds(scenes: list[Scene], xyz: npt.ArrayLike | None = None) -> list[MujocoWorld]:
     """Return worlds of MuJoCo whose objects are at a position (m), by default between the fingers."""
     xyz = find_grasp_center() if xyz is None else xyz
     worlds = make_batch_worlds(CONFIG, CAPACITY)[: len(scenes)]
@@ -121,20 +119,20 @@ def simulate(
     steps, contacts = 0, []
     last = TENSORS.asarray(ends)
 
-    def judge(found: ContactBatch) -> Judgement:
+    def judge(rows: AnyArray, found: ContactBatch) -> RolloutEnd:
         nonlocal steps
         steps += 1
         contacts.append(found)
-        return last >= steps, TENSORS.zeros(len(ends), "bool")
+        return RolloutEnd((last >= steps) + 0, TENSORS.zeros(len(ends), "bool"), last <= steps)
 
     chosen = np.arange(len(scenes)) if rows is None else np.array(rows)
     targets = TENSORS.asarray(np.tile(CLOSED, (len(scenes), 1)), "float32")
-    simulated = worlds.simulate(chosen, make_reference(scenes, steps=max(ends)), targets, judge, RULES)
+    simulated = worlds.rollout(chosen, make_reference(scenes, steps=max(ends)), targets, judge, RULES)
     assert simulated.tolist() == ends
     return contacts
 
 
-def read_batch_poses(worlds: list[BatchWorld]) -> npt.NDArray[np.float64]:
+def read_batch_poses(worlds: list[MujocoWorld]) -> npt.NDArray[np.float64]:
     """Return the robots' joint positions and the objects' poses of worlds of MuJoCo, (n, 16)."""
     states = [world.read_state() for world in worlds]
     return np.array([[*one.robot_joint_position, *one.object_poses[0]] for one in states], dtype=np.float64)
@@ -166,7 +164,7 @@ def grasps() -> npt.NDArray[np.float64]:
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:
     worlds = start_batch_worlds(load_small_objects())
     for world in worlds:
-        world.simulate_rollout([world], [CLOSED], STEPS, RULES)
+        world.simulate([world], [CLOSED], STEPS, RULES)
     # Single precision changes the forces of the impact by some percent. Without contact there is no such difference.
     difference = np.abs(grasps - read_batch_poses(worlds))
     assert difference[:, :12].max() < 1e-3
@@ -187,7 +185,7 @@ def test_released_objects_lie_on_the_table() -> None:
     scenes, xyz = load_small_objects()[:1], (0.4, 0.3, 0.944)
     (world,) = start_batch_worlds(scenes, xyz)
     world.release_target()
-    expected = world.simulate_rollout([world], [CLOSED], STEPS, RULES).contacts.object_supported[:, 0]
+    expected = world.simulate([world], [CLOSED], STEPS, RULES)[0].object_supported[:, 0]
     assert expected.any()
     for at_start in (True, False):
         worlds, supported = start_device_worlds(scenes, xyz), []
@@ -195,13 +193,14 @@ def test_released_objects_lie_on_the_table() -> None:
             worlds.release_targets(TENSORS.asarray([0]))
 
         def judge(
-            found: ContactBatch, supported: list[bool] = supported, now: bool = not at_start
-        ) -> tuple[AnyArray, AnyArray]:
+            rows: AnyArray, found: ContactBatch, supported: list[bool] = supported, now: bool = not at_start
+        ) -> RolloutEnd:
             supported.append(bool(found.object_supported[0, 0]))
-            return TENSORS.full(1, True, "bool"), TENSORS.full(1, now and len(supported) == 1, "bool")
+            released = TENSORS.full(1, now and len(supported) == 1, "bool")
+            return RolloutEnd(TENSORS.full(1, 1, "int64"), released, TENSORS.zeros(1, "bool"))
 
         targets = TENSORS.asarray([CLOSED], "float32")
-        worlds.simulate(np.array([0]), make_reference(scenes, xyz), targets, judge, RULES)
+        worlds.rollout(np.array([0]), make_reference(scenes, xyz), targets, judge, RULES)
         if at_start:
             assert supported == expected.tolist()
             np.testing.assert_allclose(

@@ -3,12 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.lockstep import RefereeStateBatch, simulate_worlds
+from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
-from handover_marl.simulation.world import RolloutResult
+
+pytest.importorskip("mujoco")
+
+from handover_marl.simulation.mujoco.world import MujocoWorld, TruncateFunction
 
 RULES = ProtocolConfig(release_steps=40, success_steps=30, horizon_steps=400)
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
@@ -37,14 +41,14 @@ N_STEPS = 300
 class ScriptedWorld:
     """Stub of a world that has given contacts and checks the calls of its methods."""
 
-    max_rollout_worlds = 32
+    rollout = classmethod(MujocoWorld.rollout.__func__)  # type: ignore[attr-defined]
     sizes: list[int]
     lengths: list[int]
 
     def __init__(self, steps: list[Contacts], number: int, key: object, max_steps: int, is_asleep: bool) -> None:
         self.steps, self.target = steps, [float(number)] * 9
         self.rollout_key = key
-        self.max_rollout_steps, self.is_asleep = max_steps, is_asleep
+        self.remaining_steps, self.is_asleep = max_steps, is_asleep
         self.position, self.is_prepared = 0, False
         self.releases: list[int] = []
 
@@ -52,7 +56,7 @@ class ScriptedWorld:
         self.releases.append(self.position)
 
     @classmethod
-    def prepare_rollout(cls, worlds: Sequence["ScriptedWorld"], robot_targets: Sequence[list[float]]) -> None:
+    def prepare(cls, worlds: Sequence["ScriptedWorld"], robot_targets: Sequence[list[float]]) -> None:
         assert [world.target for world in worlds] == robot_targets
         assert len(worlds) <= 32
         for world in worlds:
@@ -61,12 +65,12 @@ class ScriptedWorld:
             world.is_prepared = True
 
     @classmethod
-    def simulate_rollout(
+    def simulate(
         cls, worlds: Sequence["ScriptedWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> RolloutResult:
+    ) -> tuple[ContactBatch, TruncateFunction]:
         assert [world.target for world in worlds] == robot_targets
         assert len({world.rollout_key for world in worlds}) == 1
-        assert 0 < steps <= min(world.max_rollout_steps for world in worlds)
+        assert 0 < steps <= min(world.remaining_steps for world in worlds)
         assert all(world.position + steps <= N_STEPS for world in worlds), "more steps than the reference motion has"
         cls.sizes.append(len(worlds))
         cls.lengths.append(steps)
@@ -83,7 +87,7 @@ class ScriptedWorld:
             worlds[number].position += done - steps
 
         contacts = ContactBatch(*(np.concatenate(column, axis=1) for column in zip(*columns, strict=True)))
-        return RolloutResult(contacts, truncate)
+        return contacts, truncate
 
 
 def draw_steps(rng: np.random.Generator) -> list[Contacts]:
@@ -112,11 +116,9 @@ def test_worlds_are_simulated_as_if_alone() -> None:
         for number, key in enumerate(keys)
     ]
     states = [draw_state(rng) for _ in worlds]
-    # Episodes that are over are not simulated.
-    states[3] = states[3]._replace(status=int(EpisodeStatus.OBJECT_DROP))
     referees = RefereeStateBatch.from_states(states)
     targets = [world.target for world in worlds]
-    simulated = simulate_worlds(worlds, targets, referees, N_STEPS, RULES)  # type: ignore[arg-type]
+    simulated = ScriptedWorld.rollout(worlds, targets, N_STEPS, make_judge(referees, RULES), RULES)
     statuses, reasons = set(), set()
     for number, (world, state) in enumerate(zip(worlds, states, strict=True)):
         alone = Referee(RULES)
@@ -136,7 +138,6 @@ def test_worlds_are_simulated_as_if_alone() -> None:
             assert found.goal_steps == expected.goal_steps
         statuses.add(alone.status)
         reasons.add(alone.release_reason)
-    assert simulated[3] == 0
     assert statuses >= {EpisodeStatus(status) for status in (1, 2, 4, 6, 8)}
     assert reasons == {None, *ReleaseReason}
     assert (max(ScriptedWorld.sizes), max(ScriptedWorld.lengths)) == (32, 100)
@@ -146,7 +147,8 @@ def test_a_single_world_is_simulated_for_the_requested_steps() -> None:
     ScriptedWorld.sizes, ScriptedWorld.lengths = [], []
     world = ScriptedWorld([APART] * N_STEPS, 0, "alone", 1000, False)
     referees = RefereeStateBatch.from_states([Referee(RULES).get_state()])
-    assert simulate_worlds([world], [world.target], referees, 250, RULES).tolist() == [250]  # type: ignore[list-item]
+    judge = make_judge(referees, RULES)
+    assert ScriptedWorld.rollout([world], [world.target], 250, judge, RULES).tolist() == [250]
     assert ScriptedWorld.lengths == [100, 100, 50]
     assert (world.position, world.releases) == (250, [])
     assert referees.select(0) == RefereeState(0, 250, -1, -1, 0, 0, 0)
