@@ -14,7 +14,7 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES, HandSize
-from handover_marl.assets.building.mesh_solid import MeshSolid, load_mesh_solid
+from handover_marl.assets.building.object_files import MeshSolid, load_mesh_solid
 from handover_marl.assets.hand_model import SIDES, Side
 from handover_marl.assets.human_grasps import (
     ANGLE_STEP,

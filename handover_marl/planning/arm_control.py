@@ -14,7 +14,7 @@ from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations
-from handover_marl.planning.inverse_kinematics import solve_ik
+from handover_marl.planning.ik_solvers import solve_ik
 
 Array = npt.NDArray[np.float64]
 

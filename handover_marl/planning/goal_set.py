@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.poses import compose
-from handover_marl.planning.inverse_kinematics import solve_ik
+from handover_marl.planning.ik_solvers import solve_ik
 from handover_marl.planning.planner_config import GoalSelectionConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost
 

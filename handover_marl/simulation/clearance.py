@@ -7,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import PandaConfig
-from handover_marl.geometry.kinematic_tree import BoundingSphere
-from handover_marl.geometry.link_trajectory import LinkFrameTrajectory
+from handover_marl.geometry.kinematic_tree import BoundingSphere, LinkFrameTrajectory
 from handover_marl.geometry.poses import IDENTITY, transform_points
 
 Array = npt.NDArray[np.float64]

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from handover_marl.config import HAND_DOF
-from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
 from handover_marl.simulation.camera.images import SegmentationLabel

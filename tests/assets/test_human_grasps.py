@@ -84,7 +84,7 @@ def test_built_grasps_are_like_the_shipped_ones():
     for library in ("trimesh", "igl", "embreex"):
         pytest.importorskip(library)
     from handover_marl.assets.building.build_human_grasps import make_human_grasps
-    from handover_marl.assets.building.mesh_solid import load_mesh_solid
+    from handover_marl.assets.building.object_files import load_mesh_solid
 
     name, side = "009_gelatin_box", "left"
     built = make_human_grasps(name, load_mesh_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 20, 0)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.observations import MotionPreview
 from handover_marl.episode.wrist_offset import apply_wrist_offsets, compute_wrist_positions
-from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links
 from tests.episode.one_giver import CONFIG, COUNT, HIGH, ROWS, SCENES, OneGiver
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.planning.inverse_kinematics import compute_pose_error, solve_ik
+from handover_marl.planning.ik_solvers import compute_pose_error, solve_ik
 from tests.planning.robots import ARM, LIMITS, TREE, random_joints
 
 seeds = st.integers(0, 10_000)

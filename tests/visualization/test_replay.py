@@ -17,7 +17,7 @@ from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import Receiver, make

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.building.mesh_solid import MeshSolid
+from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import Side
 from handover_marl.assets.hand_postures import Palms
 from handover_marl.datasets.generated.hands import HandTemplates, make_hand_templates

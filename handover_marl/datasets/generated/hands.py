@@ -13,9 +13,16 @@ import numpy.typing as npt
 
 from handover_marl.assets.anthropometry import MEN, SKIN_COLORS, WOMEN, HandSize
 from handover_marl.assets.hand_model import HandGeometry, scale_hand
-from handover_marl.assets.hand_openings import OpeningDraws, Openings, make_reference_openings, measure_openings
-from handover_marl.assets.hand_postures import THUMB, ArrayBatch, Posture
-from handover_marl.assets.hand_spheres import HandSpheres
+from handover_marl.assets.hand_postures import (
+    THUMB,
+    ArrayBatch,
+    HandSpheres,
+    OpeningDraws,
+    Openings,
+    Posture,
+    make_reference_openings,
+    measure_openings,
+)
 from handover_marl.datasets.generated.config import GeneratedConfig, make_seed
 from handover_marl.datasets.synthetic.random_stream import RandomStream, open_stream
 from handover_marl.geometry.poses import compute_cross_products

@@ -13,8 +13,7 @@ from scipy.special import ndtri
 
 from handover_marl.assets.anthropometry import HandSize
 from handover_marl.assets.hand_model import Side
-from handover_marl.assets.hand_openings import compute_shortest_rotations, normalize
-from handover_marl.assets.hand_postures import ArrayBatch, Palms, Posture
+from handover_marl.assets.hand_postures import ArrayBatch, Palms, Posture, compute_shortest_rotations, normalize
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.datasets.generated.hands import (
     LIMITS,

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_openings import normalize
+from handover_marl.assets.hand_postures import normalize
 from handover_marl.datasets.generated.shapes import GraspableSolid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.poses import compute_cross_products

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.metrics.motion_analysis import compute_protective_distances, compute_speeds
-from handover_marl.geometry.link_trajectory import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query

@@ -8,8 +8,13 @@ import numpy.typing as npt
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.body import InitialState
+from handover_marl.simulation.bullet.bodies import (
+    HandBody,
+    InitialState,
+    ObjectBody,
+    compute_object_masks,
+    load_workcell,
+)
 from handover_marl.simulation.bullet.rendering import label_bodies, render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage

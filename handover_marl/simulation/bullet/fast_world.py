@@ -17,13 +17,14 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.shapes import VisualBodies, read_bounding_spheres
 from handover_marl.simulation.bullet.sleepable_bodies import (
     HandCollisionModel,
     KinematicHand,
     Sleepable,
     SleepableObject,
+    VisualBodies,
     load_hand_collision_model,
+    read_bounding_spheres,
 )
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage

@@ -15,10 +15,9 @@ from handover_marl.geometry.arm import ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import compute_rotation_angle, invert_pose, multiply_quaternions, transform_points
-from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
-from handover_marl.simulation.bullet.body import INERTIAL_POSE, reset_base
+from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
 from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
-from handover_marl.simulation.bullet.shapes import read_bounding_spheres
+from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
 from handover_marl.simulation.clearance import DistanceQuery
 
 Array = npt.NDArray[np.float64]

@@ -12,8 +12,14 @@ import numpy.typing as npt
 from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.poses import multiply_quaternions
-from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.body import InitialState
+from handover_marl.simulation.bullet.bodies import (
+    HandBody,
+    InitialState,
+    ObjectBody,
+    PandaBody,
+    compute_object_masks,
+    load_workcell,
+)
 from handover_marl.simulation.bullet.client import BulletClient, connect
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZE, NEAR, depth_from_buffer

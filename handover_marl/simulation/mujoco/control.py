@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from handover_marl.config import OBJECT_DOF, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-from handover_marl.simulation.mujoco.batches.world_data import WorldData
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, WorldData
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import SleepState
 from handover_marl.simulation.reference_tracking import (

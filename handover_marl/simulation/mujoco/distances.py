@@ -18,7 +18,7 @@ from handover_marl.simulation.mujoco.models.collision_shapes import (
     compute_bounding_spheres,
     load_link_parts,
 )
-from handover_marl.simulation.mujoco.models.tuning import TUNING
+from handover_marl.simulation.mujoco.models.scene_spec import TUNING
 
 Array = npt.NDArray[np.float64]
 

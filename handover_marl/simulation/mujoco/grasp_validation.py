@@ -30,12 +30,13 @@ from handover_marl.simulation.contacts import find_points_in_grasp_region
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.models.scene_spec import (
+    TUNING,
+    MujocoTuning,
     SceneModelBuilder,
     format_object_name,
     format_rotation_reference_name,
     read_object_friction,
 )
-from handover_marl.simulation.mujoco.models.tuning import TUNING, MujocoTuning
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_xyzw
 
 Array = npt.NDArray[np.float64]

@@ -26,7 +26,7 @@ from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.tables import FLUENCY
-from handover_marl.geometry.link_trajectory import LinkFrameTrajectory, compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import LinkFrameTrajectory, compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make

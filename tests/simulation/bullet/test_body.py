@@ -5,8 +5,7 @@ import pytest
 
 from handover_marl.config import HandConfig, MotorConfig, ObjectConfig, PandaConfig
 from handover_marl.errors import SimulationError
-from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody
-from handover_marl.simulation.bullet.body import ArticulatedBody, InitialState
+from handover_marl.simulation.bullet.bodies import ArticulatedBody, HandBody, InitialState, ObjectBody, PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect
 
 OBJECT = "003_cracker_box/model_normalized.urdf"

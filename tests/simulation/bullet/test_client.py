@@ -170,7 +170,7 @@ from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_shapes
 from handover_marl.simulation.bullet.client import connect, load_urdf
-from handover_marl.simulation.bullet.shapes import create_collision_shape, create_visual_shape
+from handover_marl.simulation.bullet.sleepable_bodies import create_collision_shape, create_visual_shape
 
 locale.setlocale(locale.LC_NUMERIC, sys.argv[1])
 client = connect()

@@ -15,8 +15,7 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import SceneModelBuilder
-from handover_marl.simulation.mujoco.models.tuning import TUNING
+from handover_marl.simulation.mujoco.models.scene_spec import TUNING, SceneModelBuilder
 
 CONFIG = PhysicsConfig()
 

@@ -21,7 +21,7 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_world
-from handover_marl.simulation.mujoco.models.model_variants import ModelVariants
+from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World

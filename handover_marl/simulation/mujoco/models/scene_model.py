@@ -18,17 +18,17 @@ from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.mujoco.contacts import ContactSensors
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
-from handover_marl.simulation.mujoco.models.collision_shapes import compute_bounding_spheres
-from handover_marl.simulation.mujoco.models.model_variants import ModelVariants
+from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants, compute_bounding_spheres
 from handover_marl.simulation.mujoco.models.scene_spec import (
+    TUNING,
     ModelPadding,
+    MujocoTuning,
     SceneModelBuilder,
     format_hand_name,
     format_object_name,
     format_rotation_reference_name,
     read_object_friction,
 )
-from handover_marl.simulation.mujoco.models.tuning import TUNING, MujocoTuning
 from handover_marl.simulation.reference_tracking import BASE_JOINTS
 
 Index = npt.NDArray[np.int32]

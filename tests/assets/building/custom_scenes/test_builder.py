@@ -11,7 +11,7 @@ import pytest
 import handover_marl
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, MotionConfig
 from handover_marl.assets.building.custom_scenes.finger_closing import find_hand_grasp
-from handover_marl.assets.building.mesh_solid import MeshSolid
+from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset

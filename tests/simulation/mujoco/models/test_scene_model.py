@@ -21,11 +21,9 @@ from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
-from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts
-from handover_marl.simulation.mujoco.models.model_variants import CollisionGroup
+from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
-from handover_marl.simulation.mujoco.models.tuning import TUNING
+from handover_marl.simulation.mujoco.models.scene_spec import TUNING, ModelPadding
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
