@@ -49,6 +49,12 @@ def format_bodies(bodies: list[trimesh.Trimesh], options: dict[str, Any]) -> byt
     return (codecs.BOM_UTF8 if options["has_mark"] else b"") + text.encode()
 
 
+def make_bodies(count: int) -> list[trimesh.Trimesh]:
+    shapes = [trimesh.creation.box((1.0, 2.0, 3.0)), trimesh.creation.cylinder(0.5, 2.0, sections=7)]
+    shapes.append(trimesh.creation.icosphere(subdivisions=1))
+    return [shape.apply_translation((4.0 * number, number, 0.0)) for number, shape in enumerate(shapes[:count])]
+
+
 FORMS = st.fixed_dictionaries(
     {
         "counts_back": st.booleans(),
@@ -68,9 +74,7 @@ FORMS = st.fixed_dictionaries(
 @given(options=FORMS, n_bodies=st.integers(1, 3))
 def test_every_form_of_the_format(options: dict[str, Any], n_bodies: int, tmp_path_factory: Any) -> None:
     """All forms have the volume, size and centre that trimesh reads from the plainest form as STL."""
-    shapes = [trimesh.creation.box((1.0, 2.0, 3.0)), trimesh.creation.cylinder(0.5, 2.0, sections=7)]
-    shapes.append(trimesh.creation.icosphere(subdivisions=1))
-    bodies = [shape.apply_translation((4.0 * number, number, 0.0)) for number, shape in enumerate(shapes[:n_bodies])]
+    bodies = make_bodies(n_bodies)
     path = tmp_path_factory.mktemp("obj") / "bodies.obj"
     path.write_bytes(format_bodies(bodies, options))
     found = read_obj(path)
@@ -113,11 +117,56 @@ def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path, corne
         load_urdf(client, urdf)
 
 
-def test_meshes_that_pybullet_reads_wrong_are_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, f"\ufeff{TRIANGLE}v 0 0 1\nf 1 2 3\n")
-    assert len(read_obj(path).vertices) == 4
-    with pytest.raises(DataFormatError, match="must not begin with a byte order mark"):
+BODY = f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (f"\ufeff{BODY}", "begin with a byte order mark"),
+        (BODY.replace("f 1 2 3", "f 1 2 3 # bottom"), "have a comment behind a face"),
+        (BODY.replace("f 1 2 3", "f 1 2 \\\n3"), "join lines with a backslash"),
+        (BODY.replace("\n", "\r"), "end lines with a carriage return alone"),
+    ],
+)
+def test_forms_that_pybullet_reads_wrong_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.obj"
+    path.write_bytes(text.encode())
+    assert read_obj(path).faces.shape == (4, 3)
+    assert read_obj(path).vertices.shape == (4, 3)
+    with pytest.raises(DataFormatError, match=f"must not {message}"):
         check_mesh(path)
+
+
+@settings(max_examples=20, deadline=None)
+@given(options=FORMS, n_bodies=st.integers(1, 3))
+def test_pybullet_reads_what_is_not_refused(options: dict[str, Any], n_bodies: int, tmp_path_factory: Any) -> None:
+    """Rays hit the model in PyBullet where they hit the plainest form of its file."""
+    bodies = make_bodies(n_bodies)
+    plain = dict.fromkeys(options, "") | {"counts_back": False, "joins": False, "has_mark": False}
+    plain |= {"separator": " ", "line_end": "\n"}
+    folder, depths = tmp_path_factory.mktemp("obj"), []
+    for number, chosen in enumerate((plain, options)):
+        mesh = folder / f"mesh{number}.obj"
+        mesh.write_bytes(format_bodies(bodies, chosen))
+        try:
+            check_mesh(mesh)
+        except DataFormatError:
+            return
+        urdf = mesh.with_suffix(".urdf")
+        geometry = f'<geometry><mesh filename="{mesh.name}"/></geometry>'
+        urdf.write_text(f'<robot name="r"><link name="l"><collision>{geometry}</collision></link></robot>')
+        client = connect()
+        load_urdf(client, urdf, useFixedBase=True)
+        x, y = (values.ravel() for values in np.meshgrid(np.linspace(-1.0, 9.5, 43), np.linspace(-1.5, 3.5, 23)))
+        starts, ends = (np.c_[x, y, np.full(len(x), z)].tolist() for z in (5.0, -5.0))
+        depths.append([hit[2] for hit in client.rayTestBatch(starts, ends)])
+        client.close()
+    assert min(depths[0]) < 1.0
+    np.testing.assert_allclose(depths[1], depths[0], atol=1e-6)
+
+
+def test_flat_meshes_are_no_solids(tmp_path: Path) -> None:
     flat = write(tmp_path, f"{TRIANGLE}f 1 2 3\n")
     check_mesh(flat)
     with pytest.raises(DataFormatError, match="all vertices are in one plane"):

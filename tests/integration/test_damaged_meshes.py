@@ -16,6 +16,7 @@ DAMAGES: dict[str, Callable[[str], str]] = {
     "empty": lambda text: "",
     "half": lambda text: text[: len(text) // 2].rpartition("\n")[0],
     "not finite": lambda text: text.replace("v ", "v nan ", 1),
+    "joined": lambda text: text.replace("\nf ", "\nf \\\n"),
     "flat": lambda text: "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
 }
 

@@ -16,6 +16,14 @@ from handover_marl.execution.reading import read_plain_file
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
+# Forms of the format that PyBullet reads wrong without an error: it drops a vertex after the first, and the whole mesh
+# after the others.
+_FORMS_WITHOUT_BULLET = {
+    "begin with a byte order mark": re.compile(rb"\A" + codecs.BOM_UTF8),
+    "have a comment behind a face": re.compile(rb"^[ \t]*f[ \t][^\r\n]*#", re.MULTILINE),
+    "join lines with a backslash": re.compile(rb"\\[ \t]*[\r\n]"),
+    "end lines with a carriage return alone": re.compile(rb"\r(?!\n)"),
+}
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
 #: Largest accepted size of a material file (bytes).
@@ -120,17 +128,19 @@ def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
 def check_mesh(path: Path, solid: bool = False) -> None:
     """Check that every engine can load a mesh file; only the content of OBJ files is checked.
 
-    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and drops a vertex after a
-    byte order mark.
+    PyBullet crashes on vertex numbers out of range, loads empty meshes without an error, and reads some forms of the
+    format wrong.
 
     Raises:
-        DataFormatError: An OBJ file cannot be read (`read_obj`), begins with a byte order mark, or is flat and must be
-            `solid`.
+        DataFormatError: An OBJ file cannot be read (`read_obj`), has a form that PyBullet reads wrong, or is flat and
+            must be `solid`.
     """
     if path.suffix.lower() != ".obj":
         return
     vertices = read_obj(path).vertices
-    if read_plain_file(path).startswith(codecs.BOM_UTF8):
-        raise DataFormatError(f"{path}: must not begin with a byte order mark, which PyBullet does not read; remove it")
+    content = read_plain_file(path)
+    for form, pattern in _FORMS_WITHOUT_BULLET.items():
+        if pattern.search(content):
+            raise DataFormatError(f"{path}: must not {form}, which PyBullet does not read; change it")
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")
