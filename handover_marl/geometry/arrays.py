@@ -89,9 +89,8 @@ def expand_mask(mask: AnyArray, like: AnyArray) -> AnyArray:
 def stack_last(parts: Sequence[AnyArray]) -> AnyArray:
     """Stack arrays of one shape along a new last axis."""
     first = parts[0]
-    xp = get_namespace(first)
-    if xp is not np:
-        return xp.stack(parts, axis=-1)
+    if not isinstance(first, (np.ndarray, np.generic)):
+        return get_namespace(first).stack(parts, axis=-1)
     # Several times as fast as `np.stack`.
     stacked = np.empty((*first.shape, len(parts)), first.dtype)
     for place, part in enumerate(parts):

@@ -1,6 +1,6 @@
 """Contacts of robot, hand and objects after physics steps, for the rules of the handover task."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -75,28 +75,6 @@ class ContactBatch(NamedTuple):
     object_supported: AnyArray
     object_height: AnyArray
     gripper_position: AnyArray
-
-    @classmethod
-    def from_contacts(cls, steps: Sequence[Contacts], config: ProtocolConfig) -> "ContactBatch":
-        """Return the contacts of k steps of a single world as a batch (n = 1).
-
-        Args:
-            steps: Contacts of each step.
-            config: Bounds of the grasp region.
-        """
-        rows = [
-            (
-                step.robot_touches_hand,
-                step.robot_touches_object,
-                [len(points) > 0 for points in step.finger_points],
-                [bool(find_points_in_grasp_region(points, config).any()) for points in step.finger_points],
-                step.object_supported,
-                step.object_height,
-                step.gripper_position,
-            )
-            for step in steps
-        ]
-        return cls(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
 
     @classmethod
     def without_contacts(cls, steps: int, worlds: int) -> "ContactBatch":

@@ -11,7 +11,7 @@ from handover_marl.config import ProtocolConfig
 from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
-from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
+from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
@@ -30,6 +30,23 @@ STEP = st.builds(
     object_height=st.sampled_from([1.2, 1.2, 1.2, 0.9]),
     gripper_position=st.sampled_from([RULES.goal_center, RULES.goal_center, (0.0, 0.0, 0.0)]),
 )
+
+
+def stack_contacts(steps: list[Contacts], config: ProtocolConfig) -> ContactBatch:
+    """Return the contacts of k steps of a single world as a batch (n = 1)."""
+    rows = [
+        (
+            step.robot_touches_hand,
+            step.robot_touches_object,
+            [len(points) > 0 for points in step.finger_points],
+            [bool(find_points_in_grasp_region(points, config).any()) for points in step.finger_points],
+            step.object_supported,
+            step.object_height,
+            step.gripper_position,
+        )
+        for step in steps
+    ]
+    return ContactBatch(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
 
 
 @st.composite
@@ -52,7 +69,7 @@ def consistent(step: Contacts) -> Contacts:
 
 def arrays(episodes: list[list[Contacts]]) -> ContactBatch:
     """Return the same contacts as arrays (k, n)."""
-    columns = zip(*(ContactBatch.from_contacts(steps, RULES) for steps in episodes), strict=True)
+    columns = zip(*(stack_contacts(steps, RULES) for steps in episodes), strict=True)
     return ContactBatch(*(np.concatenate(column, axis=1) for column in columns))
 
 

@@ -9,6 +9,7 @@ from handover_marl.config import ProtocolConfig
 from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
+from tests.episode.test_lockstep import stack_contacts
 
 pytest.importorskip("mujoco")
 
@@ -74,9 +75,7 @@ class ScriptedWorld:
         assert all(world.position + steps <= N_STEPS for world in worlds), "more steps than the reference motion has"
         cls.sizes.append(len(worlds))
         cls.lengths.append(steps)
-        columns = [
-            ContactBatch.from_contacts(world.steps[world.position : world.position + steps], rules) for world in worlds
-        ]
+        columns = [stack_contacts(world.steps[world.position : world.position + steps], rules) for world in worlds]
         for world in worlds:
             assert world.is_prepared is world.is_asleep
             world.position += steps

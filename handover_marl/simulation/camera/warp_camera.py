@@ -1,6 +1,10 @@
 """Wrist cameras of many worlds, rendered by ray casting on a device with Warp.
 
 Images equal those of `ray_camera.RayCamera` to single precision. All arrays are PyTorch tensors on the device.
+
+The renderer of MuJoCo Warp 4.0 does not serve: its context holds the meshes and textures of one compiled model and
+compiles a kernel of its own, while the worlds here get other scenes in every episode. It also has another light than
+PyBullet, and no images of hand and object alone behind the bodies that cover them.
 """
 
 from collections.abc import Sequence
@@ -26,7 +30,7 @@ from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
-from handover_marl.simulation.camera.warp_kernels import draw_keys, render_images
+from handover_marl.simulation.camera.warp_kernels import render_images
 from handover_marl.simulation.tensor_state import JointSnapshotBatch, WarpDevice
 
 #: Link number of meshes whose vertices are in the world frame.
@@ -265,9 +269,10 @@ class WarpCamera:
         """
         xp, segmentation = self._arrays.xp, images.segmentation
         with self._device.use():
-            keys = xp.empty(segmentation.shape, dtype=xp.int64, device=self._arrays.device)
-            inputs = (warp.from_torch(segmentation), int(label), *map(warp.from_torch, (seeds, steps)), stream)
-            warp.launch(draw_keys, segmentation.shape, inputs, [warp.from_torch(keys)])
+            states = _scramble(_scramble(seeds) + stream) + steps
+            keys = _scramble(_scramble(states)[:, None] + self._arrays.arange(N_PIXELS))
+            # Keys of 32 bits differ within an image; other pixels come after those with the label.
+            keys = xp.where(segmentation == int(label), keys, 2**32)
             chosen = xp.topk(keys, limit, dim=1, largest=False, sorted=False).indices
             is_labelled = xp.take_along_dim(segmentation, chosen, dim=1) == int(label)
             return xp.sort(xp.where(is_labelled, chosen, N_PIXELS), axis=1)
@@ -354,3 +359,14 @@ class WarpCamera:
         )
         origins, rotations = (xp.concat(own, axis=1) for own in zip(*parts, strict=True))
         return origins, rotations
+
+
+def _scramble(values: AnyArray) -> AnyArray:
+    """Return pseudo-random numbers of 32 bits, int64, by the hash function "lowbias32" (C. Wellons, 2018).
+
+    Those of different values of 32 bits differ; higher bits are ignored.
+    """
+    mixed = values & 0xFFFFFFFF
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        mixed = ((mixed ^ (mixed >> shift)) * factor) & 0xFFFFFFFF
+    return mixed ^ (mixed >> 16)

@@ -30,10 +30,6 @@ _LIGHT = warp.constant(warp.vec3(*LIGHT))
 _AMBIENT, _DIFFUSE, _SPECULAR = map(warp.constant, (AMBIENT, DIFFUSE, SPECULAR))
 _SKY, _EVEN, _ODD = (warp.constant(warp.vec3(*map(float, color))) for color in (SKY, *GROUND))
 _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
-# Larger than every sampling key.
-_NO_KEY = warp.constant(warp.int64(2**32))
-# Multipliers of the hash function "lowbias32" (C. Wellons, 2018).
-_FIRST, _SECOND = warp.constant(warp.uint32(0x7FEB352D)), warp.constant(warp.uint32(0x846CA68B))
 
 
 @warp.func
@@ -214,40 +210,3 @@ def render_images(
             color = shade(color, camera * (rotations[world, owner] * first.normal))
         for channel in range(3):
             rgb[world, pixel, channel] = warp.uint8(color[channel])
-
-
-@warp.func
-def scramble(value: warp.uint32) -> warp.uint32:
-    """Return a pseudo-random number of 32 bits; those of different values differ."""
-    mixed = (value ^ (value >> warp.uint32(16))) * _FIRST
-    mixed = (mixed ^ (mixed >> warp.uint32(15))) * _SECOND
-    return mixed ^ (mixed >> warp.uint32(16))
-
-
-@warp.kernel(enable_backward=False)
-def draw_keys(
-    segmentation: warp.array2d[warp.uint8],
-    label: int,
-    seeds: warp.array[warp.int64],
-    steps: warp.array[warp.int64],
-    stream: int,
-    keys: warp.array2d[warp.int64],
-) -> None:
-    """Draw a key of each pixel with a label, from which `WarpCamera.sample_pixels` chooses; one thread per pixel.
-
-    Keys depend on seed, steps, stream and pixel only, and differ within an image.
-
-    Args:
-        segmentation: Segmentation labels (w, 50176).
-        label: Label of the pixels that get a key.
-        seeds: Seeds (w,), 32 bits.
-        steps: Numbers (w,) of simulated steps.
-        stream: Number of the random stream.
-        keys: Keys (w, 50176), 0 to 2^32 - 1, and 2^32 for other pixels, an output.
-    """
-    world, pixel = warp.tid()
-    keys[world, pixel] = _NO_KEY
-    if int(segmentation[world, pixel]) == label:
-        state = scramble(warp.uint32(seeds[world])) + warp.uint32(stream)
-        state = scramble(state) + warp.uint32(steps[world])
-        keys[world, pixel] = warp.int64(scramble(scramble(state) + warp.uint32(pixel)))

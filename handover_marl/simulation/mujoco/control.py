@@ -96,8 +96,8 @@ class WorldController:
 
     def compute_keypoints(self) -> npt.NDArray[np.float32]:
         """Return the world positions (16, 3) of the human hand's wrist and finger joints (m)."""
-        positions, _ = self._keypoint_kinematics.compute_poses(self.track_hand().get_joints(self.row))
-        return positions.astype(np.float32)
+        positions, _ = self._keypoint_kinematics.compute_poses(self.track_hand().get_joints(self.row)[None])
+        return np.asarray(positions[0], dtype=np.float32)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the reference motion of hand and objects for the coming steps."""
@@ -176,7 +176,7 @@ class WorldController:
         changes[self.hand_free_steps] = True
         new = np.flatnonzero(present & changes)
         new = new[new >= self.hand_free_steps]
-        poses = self._hand_kinematics.compute_trajectory(joints[new])
+        poses = self._hand_kinematics.compute_poses(joints[new])
         # Each step has the poses of the last change before it.
         steps = free_steps + coming
         source = np.searchsorted(new, steps, side="right") - 1

@@ -1,13 +1,11 @@
 """Conversions between MuJoCo's quaternions, wxyz, and the library's, xyzw."""
 
-import warnings
-
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.arrays import AnyArray, get_namespace, is_tensor
-from handover_marl.geometry.poses import quaternions_from_euler, unwrap_euler
+from handover_marl.geometry.poses import find_nearest_euler, quaternions_from_euler
+from handover_marl.geometry.rotations import euler_from_quaternions
 
 Array = npt.NDArray[np.float64]
 
@@ -43,10 +41,5 @@ def chain_joints_from_poses(poses: Array, reference: npt.NDArray[np.floating]) -
         poses: Object positions (m) and quaternions wxyz, (m, 7).
         reference: Joint positions (m, 6) near which equivalent angles are chosen.
     """
-    with warnings.catch_warnings():
-        # At gimbal lock any of the equivalent angles will do.
-        warnings.simplefilter("ignore", UserWarning)
-        angles = Rotation.from_quat(poses[:, 3:][:, XYZW]).as_euler("XYZ")
-    wanted = np.asarray(reference[:, 3:], dtype=np.float64)
-    rows = [unwrap_euler(angle[None], last)[0] for angle, last in zip(angles, wanted, strict=True)]
-    return np.concatenate([poses[:, :3], np.array(rows)], axis=1)
+    angles = euler_from_quaternions(poses[:, 3:][:, XYZW])
+    return np.concatenate([poses[:, :3], find_nearest_euler(angles, np.asarray(reference[:, 3:], np.float64))], axis=1)

@@ -167,17 +167,11 @@ class HandKinematics:
         self._bodies = links + 2
 
     def compute_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Compute the links' positions (k, 3) (m) and quaternions wxyz (k, 4) in the base frame.
+        """Compute the links' positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) in the base frame.
 
         Args:
-            joints: Positions (d,) of the moving joints (m, rad).
+            joints: Positions (n, d) of the moving joints (m, rad).
         """
-        self._joints[:] = joints
-        mujoco.mj_kinematics(self._model, self._data)
-        return self._positions[self._bodies], self._quaternions[self._bodies]
-
-    def compute_trajectory(self, joints: Array) -> tuple[Array, Array]:
-        """Compute positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) for joint positions (n, d)."""
         count, place = len(joints), self._joints
         positions = np.empty((count, *self._positions.shape))
         quaternions = np.empty((count, *self._quaternions.shape))

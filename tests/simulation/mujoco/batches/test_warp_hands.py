@@ -55,10 +55,10 @@ def test_hands_move_as_alone() -> None:
     links = np.array([6, 9, 12, 51])
     positions, quaternions = hands.compute_link_poses(ROWS, hands.joints[:, None], TENSORS.asarray(links))
     for row, scene in enumerate(SCENES):
-        expected = HandKinematics(scene.assets.hand, links).compute_poses(to_numpy(hands.joints[row]))
-        np.testing.assert_allclose(positions[row, 0], expected[0], atol=1e-9)
+        expected = HandKinematics(scene.assets.hand, links).compute_poses(to_numpy(hands.joints[row])[None])
+        np.testing.assert_allclose(positions[row, 0], expected[0][0], atol=1e-9)
         turns = to_numpy(quaternions)[row, 0][:, WXYZ]
-        np.testing.assert_allclose(np.abs((turns * expected[1]).sum(axis=-1)), 1.0, atol=1e-9)
+        np.testing.assert_allclose(np.abs((turns * expected[1][0]).sum(axis=-1)), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.9])

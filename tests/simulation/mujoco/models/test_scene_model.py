@@ -97,21 +97,13 @@ def test_joint_limits_equal_the_urdfs(scene: SceneModel) -> None:
 
 def test_hand_kinematics(scene: SceneModel) -> None:
     tree = read_tree(ASSETS.hand)
-    joints = RNG.uniform(-1.0, 1.0, tree.n_dof)
-    places, turns = HandKinematics(ASSETS.hand, scene.hand_links).compute_poses(joints)
-    poses = tree.compute_link_poses(joints[None], scene.hand_links.tolist())[0]
-    np.testing.assert_allclose(places, poses[:, :3], atol=1e-9)
-    np.testing.assert_allclose(np.abs((np.roll(turns, -1, axis=1) * poses[:, 3:]).sum(axis=1)), 1.0, atol=1e-9)
-
-
-def test_hand_kinematics_of_many_steps(scene: SceneModel) -> None:
-    joints = RNG.uniform(-1.0, 1.0, (5, read_tree(ASSETS.hand).n_dof))
-    kinematics = HandKinematics(ASSETS.hand, scene.hand_links)
-    found = kinematics.compute_trajectory(joints)
-    for number, row in enumerate(joints):
-        for path, poses in zip(found, kinematics.compute_poses(row), strict=True):
-            np.testing.assert_array_equal(path[number], poses)
-    assert kinematics.compute_trajectory(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
+    joints, kinematics = RNG.uniform(-1.0, 1.0, (5, tree.n_dof)), HandKinematics(ASSETS.hand, scene.hand_links)
+    places, turns = kinematics.compute_poses(joints)
+    poses = tree.compute_link_poses(joints, scene.hand_links.tolist())
+    np.testing.assert_allclose(places, poses[..., :3], atol=1e-9)
+    np.testing.assert_allclose(np.abs((np.roll(turns, -1, axis=-1) * poses[..., 3:]).sum(axis=-1)), 1.0, atol=1e-9)
+    np.testing.assert_array_equal(kinematics.compute_poses(joints[3:4])[0][0], places[3])
+    assert kinematics.compute_poses(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
 
 
 def meet(model: "mujoco.MjModel", first: int, second: int) -> bool:
