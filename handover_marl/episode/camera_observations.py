@@ -23,11 +23,11 @@ from handover_marl.episode.spaces import (
 from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise, apply_camera_noise, resolve_camera_noise
 from handover_marl.simulation.camera.optics import CAMERA_MODELS, HANDOVERSIM_MODEL, IMAGE_SIZE, N_PIXELS, deproject
 from handover_marl.simulation.camera.renderers import BULLET, RENDERERS, resolve_renderer
-from handover_marl.simulation.world import JointSnapshot, World
+from handover_marl.simulation.world import World
 
 if TYPE_CHECKING:
     from handover_marl.simulation.camera.ray_camera import RayCamera

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, ProtocolConfig
+from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.simulation.camera.images import CameraImage
+from handover_marl.errors import ResetNeededError
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
+from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from handover_marl.simulation.bullet.rendering import SceneRenderer
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,28 +58,22 @@ class AgentJoints(NamedTuple):
     hand: npt.NDArray[np.float32] | None
 
 
-class JointSnapshot(NamedTuple):
-    """Joint positions of robot, human hand and objects at one time, float32 (m, rad).
-
-    Attributes:
-        robot: Positions (9,) of the Panda's joints.
-        hand: Positions (51,) of the human hand's joints, or None without a hand.
-        objects: Positions (n, 6) of the objects' joint chains: xyz and intrinsic XYZ Euler angles.
-    """
-
-    robot: npt.NDArray[np.float32]
-    hand: npt.NDArray[np.float32] | None
-    objects: npt.NDArray[np.float32]
-
-
 class World(ABC):
     """Simulated table, Panda, objects and human hand, advanced in steps of 1 ms.
+
+    Args:
+        config: Constants of the world.
 
     Attributes:
         has_rollouts: Whether worlds of this engine simulate many steps at once, by `rollout`.
     """
 
     has_rollouts: ClassVar[bool] = False
+
+    def __init__(self, config: PhysicsConfig) -> None:
+        self._config = config
+        self._scene: Scene | None = None
+        self._renderer: SceneRenderer | None = None
 
     @abstractmethod
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
@@ -160,19 +158,40 @@ class World(ABC):
         """Return the current joint positions of robot, hand and objects."""
         return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
-    @abstractmethod
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8."""
+        """Render the current world state as an RGB image (height, width, 3), uint8, by PyBullet."""
+        return self._get_scene_renderer().render_overview(self.read_joint_snapshot(), camera)
 
-    @abstractmethod
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera with the engine's renderer.
+        """Render an image of the wrist camera by PyBullet.
 
         Args:
             snapshot: Earlier state of the same scene to render; None is the current state.
             color: Whether to render colors.
         """
+        return self._get_scene_renderer().render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
 
-    @abstractmethod
     def close(self) -> None:
         """Free the memory of the simulation."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._scene = self._renderer = None
+
+    def _get_scene_renderer(self) -> "SceneRenderer":
+        """Return the renderer of the current scene in a physics client of its own, made at the first image of a scene.
+
+        Raises:
+            ResetNeededError: There is no scene yet.
+            OptionError: PyBullet is not installed.
+        """
+        if self._scene is None:
+            raise ResetNeededError("the world has no scene; call reset() first")
+        if self._renderer is None or self._renderer.scene is not self._scene:
+            check_rendering()
+            # Imported here: only rendering needs PyBullet.
+            from handover_marl.simulation.bullet.rendering import SceneRenderer
+
+            if self._renderer is not None:
+                self._renderer.close()
+            self._renderer = SceneRenderer(self._scene, self._config)
+        return self._renderer

@@ -13,8 +13,7 @@ from handover_marl.config import HAND_DOF
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
-from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.simulation.world import JointSnapshot
+from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.visualization.replay_recorder import EpisodeLog
 
 Array = npt.NDArray[np.float64]

@@ -13,9 +13,8 @@ from handover_marl.episode.episode import Episode
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
-from handover_marl.simulation.world import JointSnapshot
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import PhysicsConfig
+from handover_marl.config import CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
@@ -15,12 +15,11 @@ from handover_marl.simulation.bullet.bodies import (
     compute_object_masks,
     load_workcell,
 )
-from handover_marl.simulation.bullet.rendering import label_bodies, render_wrist_camera
+from handover_marl.simulation.bullet.rendering import label_bodies, render_overview, render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
-from handover_marl.simulation.camera.images import CameraImage
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import JointSnapshot
 
 
 class ExactWorld(BulletWorld):
@@ -82,10 +81,14 @@ class ExactWorld(BulletWorld):
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
         return np.stack([body.read_joint_positions() for body in self._objects])
 
+    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
+        """Render the current world state as an RGB image (height, width, 3), uint8."""
+        return render_overview(self._client, camera)
+
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""
         if snapshot is not None:
-            return self._scene_renderer.render_wrist_camera(snapshot, color)
+            return super().render_wrist_camera(snapshot, color)
         workcell, objects = self._loaded_workcell, [body.id for body in self._objects]
         hand = None if self._hand is None else self._hand.id
         labels = label_bodies(workcell.table_id, workcell.panda.id, objects, hand)

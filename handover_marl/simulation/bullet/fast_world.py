@@ -17,6 +17,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
+from handover_marl.simulation.bullet.rendering import render_overview
 from handover_marl.simulation.bullet.sleepable_bodies import (
     HandCollisionModel,
     KinematicHand,
@@ -27,11 +28,9 @@ from handover_marl.simulation.bullet.sleepable_bodies import (
     read_bounding_spheres,
 )
 from handover_marl.simulation.bullet.world import BulletWorld
-from handover_marl.simulation.camera.images import CameraImage
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import JointSnapshot
 
 _NO_CONTACTS = Contacts()
 # A body with fewer contact-free steps ahead is woken: frequent predictions cost more than its simulation.
@@ -131,12 +130,8 @@ class FastWorld(BulletWorld):
         """Render the current world state as an RGB image (height, width, 3), uint8."""
         if self._visual_bodies is not None:
             self._update_visual_bodies(self._visual_bodies)
-            return super().render(camera)
-        return self._scene_renderer.render_overview(self.read_joint_snapshot(), camera)
-
-    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera, at the current or an earlier state of the scene."""
-        return self._scene_renderer.render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
+            return render_overview(self._client, camera)
+        return super().render(camera)
 
     def _remove_scene_bodies(self) -> None:
         if self._visual_bodies is not None:

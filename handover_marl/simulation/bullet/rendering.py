@@ -21,9 +21,8 @@ from handover_marl.simulation.bullet.bodies import (
     load_workcell,
 )
 from handover_marl.simulation.bullet.client import BulletClient, connect
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZE, NEAR, depth_from_buffer
-from handover_marl.simulation.world import JointSnapshot
 
 # Rotation from the renderer's view (along negative z, y up) to the camera's URDF link, with HandoverSim's rounding.
 _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)

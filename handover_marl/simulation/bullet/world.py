@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.poses import inverse_transform_points
@@ -24,11 +24,6 @@ from handover_marl.simulation.bullet.client import (
     pause_window_rendering,
     pybullet_error,
 )
-from handover_marl.simulation.bullet.rendering import (
-    SceneRenderer,
-    render_overview,
-)
-from handover_marl.simulation.camera.renderers import SceneRendererCache
 from handover_marl.simulation.contacts import NO_POINTS, Contacts, Points
 from handover_marl.simulation.world import AgentJoints, World, WorldState
 
@@ -42,12 +37,10 @@ class BulletWorld(World):
     """
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
-        self._config = config
+        super().__init__(config)
         self._client: BulletClient = connect(window)
-        self._scene: Scene | None = None
         self._workcell: Workcell | None = None
         self._release_pending = False
-        self._scene_renderers: SceneRendererCache | None = None
 
     @contextmanager
     def _start_scene(self, scene: Scene) -> Iterator[None]:
@@ -91,14 +84,9 @@ class BulletWorld(World):
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
         return self._loaded_workcell.panda.read_joints_float64()
 
-    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8."""
-        return render_overview(self._client, camera)
-
     def close(self) -> None:
         """Disconnect from the PyBullet physics server."""
-        if self._scene_renderers is not None:
-            self._scene_renderers.close()
+        super().close()
         self._client.close()
 
     @abstractmethod
@@ -118,12 +106,6 @@ class BulletWorld(World):
         if self._workcell is None:
             raise ResetNeededError("the world has no scene; call reset() first")
         return self._workcell
-
-    @property
-    def _scene_renderer(self) -> SceneRenderer:
-        """Renderer of the current scene in a separate physics client."""
-        self._scene_renderers = self._scene_renderers or SceneRendererCache(self._config)
-        return self._scene_renderers.get(self._scene)
 
     def _simulate(self) -> None:
         try:

@@ -1,7 +1,8 @@
-"""Images of the wrist camera and their segmentation labels."""
+"""Images of the wrist camera, their segmentation labels, and the joint positions of the bodies that they show."""
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,20 @@ class CameraImage:
         """Return a boolean mask (224, 224) of the pixels with a segmentation label."""
         mask: npt.NDArray[np.bool_] = self.segmentation == label
         return mask
+
+
+class JointSnapshot(NamedTuple):
+    """Joint positions of robot, human hand and objects at one time, float32 (m, rad).
+
+    Attributes:
+        robot: Positions (9,) of the Panda's joints.
+        hand: Positions (51,) of the human hand's joints, or None without a hand.
+        objects: Positions (n, 6) of the objects' joint chains: xyz and intrinsic XYZ Euler angles.
+    """
+
+    robot: npt.NDArray[np.float32]
+    hand: npt.NDArray[np.float32] | None
+    objects: npt.NDArray[np.float32]
 
 
 #: Colors as HTML and matplotlib write them, "#rrggbb".

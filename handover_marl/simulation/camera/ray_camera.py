@@ -11,10 +11,9 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.framebuffer import Framebuffer
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
 from handover_marl.simulation.camera.ray_body import PosedMeshes, load_ray_body
-from handover_marl.simulation.world import JointSnapshot
 
 _NO_JOINTS = np.zeros(0, dtype=np.float32)
 

@@ -6,18 +6,16 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.simulation.camera.images import CameraImage
-from handover_marl.simulation.camera.renderers import SceneRendererCache
 from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
 from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import bullet_xyzw_from_wxyz, chain_joints_from_poses
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import AgentJoints, JointSnapshot, World, WorldState
+from handover_marl.simulation.world import AgentJoints, World, WorldState
 
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]
@@ -49,13 +47,11 @@ class MujocoWorld(World):
     def __init__(self, config: PhysicsConfig, window: bool = False, simulation: BatchSimulation | None = None) -> None:
         if window:
             raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
-        self._config = config
+        super().__init__(config)
         self._simulation = simulation or BatchSimulation()
         self._controller: WorldController | None = None
-        self._scene: Scene | None = None
         # The angles of objects' chains continue from their last values.
         self._object_joints = np.zeros((0, 6))
-        self._scene_renderers = SceneRendererCache(config)
 
     @property
     def controller(self) -> WorldController:
@@ -233,18 +229,10 @@ class MujocoWorld(World):
         joints: npt.NDArray[np.float32] = self._object_joints.astype(np.float32)
         return joints
 
-    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current state as an RGB image (height, width, 3), by PyBullet."""
-        return self._scene_renderers.get(self._scene).render_overview(self.read_joint_snapshot(), camera)
-
-    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera by PyBullet; see `World.render_wrist_camera`."""
-        return self._scene_renderers.get(self._scene).render_wrist_camera(snapshot or self.read_joint_snapshot(), color)
-
     def close(self) -> None:
         """Free the memory of the simulation."""
-        self._scene_renderers.close()
-        self._scene = self._controller = None
+        super().close()
+        self._controller = None
 
 
 def _split(numbers: list[int]) -> list[list[int]]:

@@ -10,9 +10,8 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.bullet.rendering import label_bodies
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import EMPTY_DEPTH, NEAR
-from handover_marl.simulation.world import JointSnapshot
 
 DATA = open_dataset("synthetic", robot="panda_camera")
 #: The hand is present in this scene from 0.4 s on.

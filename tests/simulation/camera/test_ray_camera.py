@@ -23,10 +23,9 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGERTIPS, HAND_LINK, LOWER_LIMITS, PANDA, PANDA_CAMERA, UPPER_LIMITS
 from handover_marl.simulation.bullet.rendering import SceneRenderer
 from handover_marl.simulation.camera import framebuffer
-from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import EMPTY_DEPTH, IMAGE_SIZE, NEAR, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
-from handover_marl.simulation.world import JointSnapshot
 
 Array = npt.NDArray[np.float64]
 

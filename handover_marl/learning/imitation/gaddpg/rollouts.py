@@ -22,10 +22,9 @@ from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpe
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario, find_occluded_points
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
-from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
-from handover_marl.simulation.world import JointSnapshot
 
 Array = npt.NDArray[np.float64]
 #: Function from clouds (n, 4, 1024) and numbers of remaining decisions (n,) to steps (n, 6).

@@ -24,11 +24,10 @@ from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, IK_SEEDS
-from handover_marl.simulation.camera.images import SegmentationLabel
+from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.reference_tracking import select_keypoint_links
-from handover_marl.simulation.world import JointSnapshot
 
 Array = npt.NDArray[np.float64]
 Half = npt.NDArray[np.float16]
