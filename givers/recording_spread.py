@@ -5,11 +5,11 @@ import hashlib
 import json
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -33,11 +33,9 @@ class RecordingSpreadConfig(CheckedConfig):
         pace: Factor of the logarithm of the playback speed.
     """
 
-    limits: ClassVar[Limits] = dict.fromkeys(("displacement", "rotation", "pace"), (0.0, 3.0))
-
-    displacement: float = 1.0
-    rotation: float = 1.0
-    pace: float = 1.0
+    displacement: float = bounded(1.0, 0.0, 3.0)
+    rotation: float = bounded(1.0, 0.0, 3.0)
+    pace: float = bounded(1.0, 0.0, 3.0)
 
 
 class RecordingSpreadGiver(ArrayGiver):

@@ -5,7 +5,6 @@ results exist for these values only. Constants in capitals are fixed by the data
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields, is_dataclass
 from numbers import Integral, Real
 from typing import Any, ClassVar
@@ -33,12 +32,6 @@ MAX_OBJECTS = 5
 N_KEYPOINTS = 16
 
 
-Limits = Mapping[str, tuple[float, float]]
-_NOT_NEGATIVE = (0.0, math.inf)
-_SHARE = (0.0, 1.0)
-_STEPS = (1, math.inf)
-
-
 class CheckedConfig:
     """Base class of configurations whose fields are checked when they are made.
 
@@ -50,8 +43,6 @@ class CheckedConfig:
     """
 
     #: Smallest and largest value of fields that are not `bounded`, ends included; for tuples of every number.
-    limits: ClassVar[Limits] = {}
-    #: Smallest and largest value of the fields that `limits` does not name.
     default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
     #: Names of fields that are tuples of any length, of numbers or of tuples of numbers, which may be negative.
     any_length: ClassVar[frozenset[str]] = frozenset()
@@ -73,12 +64,12 @@ class CheckedConfig:
                 _check_number(name, value, isinstance(default, int), self._get_limits(part))
 
     def _get_limits(self, part: Field[Any]) -> tuple[float, float]:
-        limits: tuple[float, float] = part.metadata.get("limits", self.limits.get(part.name, self.default_limits))
+        limits: tuple[float, float] = part.metadata.get("limits", self.default_limits)
         return limits
 
 
-def bounded(default: float, low: float, high: float) -> Any:
-    """Return the field of a `CheckedConfig` with a default, whose values must be from `low` to `high`."""
+def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:
+    """Return the field of a `CheckedConfig` with a default, whose numbers must be from `low` to `high`."""
     return field(default=default, metadata={"limits": (low, high)})
 
 
@@ -153,7 +144,7 @@ class MotorConfig(CheckedConfig):
         velocity_gain: Share of the velocity error that is corrected in one step.
     """
 
-    limits: ClassVar[Limits] = dict.fromkeys(("force", "position_gain", "velocity_gain"), _NOT_NEGATIVE)
+    default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
 
     force: float
     position_gain: float
@@ -208,14 +199,12 @@ class HandConfig(CheckedConfig):
         base_damping: Linear and angular damping of the hand's base.
     """
 
-    limits: ClassVar[Limits] = {"friction": _NOT_NEGATIVE, "restitution": _SHARE, "base_damping": _NOT_NEGATIVE}
-
     translation_motor: MotorConfig = MotorConfig(force=50.0, position_gain=0.2)
     rotation_motor: MotorConfig = MotorConfig(force=5.0, position_gain=0.2)
     finger_motor: MotorConfig = MotorConfig(force=0.5, position_gain=0.1)
-    friction: float = 5.0
-    restitution: float = 0.5
-    base_damping: float = 10.0
+    friction: float = bounded(5.0, 0.0)
+    restitution: float = bounded(0.5, 0.0, 1.0)
+    base_damping: float = bounded(10.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -257,23 +246,17 @@ class GiverConfig(CheckedConfig):
         preview: Times (s) after the current frame at which the giver observes its recording.
     """
 
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("displacement", "rotation", "speed", "acceleration", "turn_speed"), _NOT_NEGATIVE),
-        **dict.fromkeys(("turn_acceleration", "rate_change", "opening_time", "preview"), _NOT_NEGATIVE),
-        "opening": _SHARE,
-    }
-
-    displacement: float = 0.3
-    rotation: float = 1.0
-    speed: float = 0.8
-    acceleration: float = 5.0
-    turn_speed: float = 2.5
-    turn_acceleration: float = 15.0
-    rate_change: float = 5.0
-    opening: float = 0.7
-    opening_time: float = 0.3
+    displacement: float = bounded(0.3, 0.0)
+    rotation: float = bounded(1.0, 0.0)
+    speed: float = bounded(0.8, 0.0)
+    acceleration: float = bounded(5.0, 0.0)
+    turn_speed: float = bounded(2.5, 0.0)
+    turn_acceleration: float = bounded(15.0, 0.0)
+    rate_change: float = bounded(5.0, 0.0)
+    opening: float = bounded(0.7, 0.0, 1.0)
+    opening_time: float = bounded(0.3, 0.0)
     # Observation spaces, features and learned givers have five poses.
-    preview: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.5)
+    preview: tuple[float, ...] = bounded((0.1, 0.2, 0.3, 0.4, 0.5), 0.0)
 
 
 @dataclass(frozen=True)
@@ -292,19 +275,14 @@ class ProtocolConfig(CheckedConfig):
         horizon_steps: Physics steps after which an episode times out.
     """
 
-    limits: ClassVar[Limits] = {
-        "goal_radius": _NOT_NEGATIVE,
-        **dict.fromkeys(("release_steps", "success_steps", "horizon_steps"), _STEPS),
-    }
-
-    release_steps: int = 100
+    release_steps: int = bounded(100, 1)
     region_lower: Vector3 = (-0.011, -0.009, 0.0)
     region_upper: Vector3 = (0.011, 0.009, 0.055)
     goal_center: Vector3 = (0.61, -0.20, 1.25)
-    goal_radius: float = 0.15
-    success_steps: int = 100
+    goal_radius: float = bounded(0.15, 0.0)
+    success_steps: int = bounded(100, 1)
     drop_height: float = 0.92
-    horizon_steps: int = 13_000
+    horizon_steps: int = bounded(13_000, 1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -324,13 +302,11 @@ class WorldConfig(CheckedConfig):
             of an episode; each episode draws the seven deviations uniformly.
     """
 
-    limits: ClassVar[Limits] = {"initial_joint_noise": (0.0, 0.3)}
-
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     protocol: ProtocolConfig = field(default_factory=ProtocolConfig)
     giver: GiverConfig = field(default_factory=GiverConfig)
     # Result folders state it beside the hash of the other fields, which is a hash of `repr`.
-    initial_joint_noise: float = field(default=0.0, repr=False)
+    initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
         """Draw the robot's nine joint positions at the start of an episode (rad, m).
@@ -363,16 +339,10 @@ class CameraConfig(CheckedConfig):
         target: Point at the image's center, world frame (m).
     """
 
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("width", "height"), (1, MAX_IMAGE_SIDE)),
-        "vertical_fov": (1e-3, 180.0 - 1e-3),
-        "near": (1e-6, math.inf),
-    }
-
-    width: int = 640
-    height: int = 480
-    vertical_fov: float = 54.0
-    near: float = 0.1
+    width: int = bounded(640, 1, MAX_IMAGE_SIDE)
+    height: int = bounded(480, 1, MAX_IMAGE_SIDE)
+    vertical_fov: float = bounded(54.0, 1e-3, 180.0 - 1e-3)
+    near: float = bounded(0.1, 1e-6)
     far: float = 10.0
     position: Vector3 = (1.95, -0.2, 1.75)
     target: Vector3 = (0.45, -0.2, 1.15)

@@ -1,13 +1,12 @@
 """Memory of GA-DDPG: the last point cloud of the object, and the input of its network."""
 
-import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 
 Array = npt.NDArray[np.float64]
 
@@ -41,21 +40,15 @@ class PointCloudMemoryConfig(CheckedConfig):
         seed: Seed of the random selection of points, the same in every episode.
     """
 
-    limits: ClassVar[Limits] = {
-        "n_points": (1, math.inf),
-        "thinning": (0.0, 1.0),
-        **dict.fromkeys(("max_steps", "motion_threshold", "extra_steps", "cage_points", "seed"), (0, math.inf)),
-    }
-
-    n_points: int = 1024
-    max_steps: int = 20
-    thinning: float = 0.95
-    motion_threshold: float = 0.1
-    extra_steps: int = 5
+    n_points: int = bounded(1024, 1)
+    max_steps: int = bounded(20, 0)
+    thinning: float = bounded(0.95, 0.0, 1.0)
+    motion_threshold: float = bounded(0.1, 0)
+    extra_steps: int = bounded(5, 0)
     cage_lower: tuple[float, float, float] = (-0.02, -0.05, 0.06)
     cage_upper: tuple[float, float, float] = (0.02, 0.05, 0.11)
-    cage_points: int = 50
-    seed: int = 123456
+    cage_points: int = bounded(50, 0)
+    seed: int = bounded(123456, 0)
 
 
 @dataclass

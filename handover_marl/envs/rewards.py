@@ -10,9 +10,9 @@ does not change the optimal policy.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
@@ -91,11 +91,9 @@ class RewardConfig(CheckedConfig):
         gamma: Discount factor of the shaping terms; should equal the learner's discount factor.
     """
 
-    limits: ClassVar[Limits] = {"gamma": (0.0, 1.0)}
-
     receiver: ReceiverWeights = field(default_factory=ReceiverWeights)
     giver: GiverWeights = field(default_factory=GiverWeights)
-    gamma: float = 0.99
+    gamma: float = bounded(0.99, 0.0, 1.0)
 
 
 SPARSE = RewardConfig()

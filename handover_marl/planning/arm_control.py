@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import ARM_DOF, CheckedConfig, Limits, PandaConfig
+from handover_marl.config import ARM_DOF, CheckedConfig, PandaConfig, bounded
 from handover_marl.geometry.arm import ArmKinematics
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
@@ -133,10 +133,9 @@ class ServoConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (1e-6, math.inf)
-    limits: ClassVar[Limits] = {"speed_scale": (1e-6, 1.0)}
 
     max_joint_speeds: tuple[float, ...] = (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61)
-    speed_scale: float = 1.0
+    speed_scale: float = bounded(1.0, 1e-6, 1.0)
     max_acceleration: float = 20.0
     deceleration: float = 12.0
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import (
     Spheres,
@@ -72,7 +72,6 @@ class SeparationConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = dict.fromkeys(("time_constant", "approach_time_constant"), (1e-6, math.inf))
 
     hand_clearance: float = 0.03
     object_clearance: float = 0.015
@@ -80,8 +79,8 @@ class SeparationConfig(CheckedConfig):
     obstacle_clearance: float = 0.01
     grasp_obstacle_clearance: float = 0.0
     table_clearance: float = 0.01
-    time_constant: float = 0.15
-    approach_time_constant: float = 0.05
+    time_constant: float = bounded(0.15, 1e-6)
+    approach_time_constant: float = bounded(0.05, 1e-6)
     max_evasion_speed: float = 0.6
     lookahead: float = 0.06
     slack: float = 0.003

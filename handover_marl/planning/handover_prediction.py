@@ -1,15 +1,13 @@
 """Prediction of the pose at which a person will hold out an object, from its motion until now."""
 
-import math
 from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 
 Array = npt.NDArray[np.float64]
 
@@ -45,34 +43,17 @@ class HandoverPosePredictorConfig(CheckedConfig):
         held_still_horizon: Time for which the velocity of an object that is held still is extrapolated (s).
     """
 
-    limits: ClassVar[Limits] = {
-        "attraction": (0.0, 1.0),
-        **dict.fromkeys(("attraction_speed", "smoothing_time"), (1e-6, math.inf)),
-        **dict.fromkeys(
-            (
-                "velocity_horizon",
-                "rotation_horizon",
-                "rest_speed",
-                "held_still_radius",
-                "held_still_time",
-                "held_still_min_lift",
-                "held_still_horizon",
-            ),
-            (0.0, math.inf),
-        ),
-    }
-
-    velocity_horizon: float = 0.21
-    attraction: float = 0.61
-    attraction_speed: float = 0.3
+    velocity_horizon: float = bounded(0.21, 0.0)
+    attraction: float = bounded(0.61, 0.0, 1.0)
+    attraction_speed: float = bounded(0.3, 1e-6)
     mean_handover_position: tuple[float, float, float] = (0.577, 0.139, 1.239)
-    rotation_horizon: float = 0.1
-    smoothing_time: float = 0.05
-    rest_speed: float = 0.05
-    held_still_radius: float = 0.08
-    held_still_time: float = 0.6
-    held_still_min_lift: float = 0.1
-    held_still_horizon: float = 0.05
+    rotation_horizon: float = bounded(0.1, 0.0)
+    smoothing_time: float = bounded(0.05, 1e-6)
+    rest_speed: float = bounded(0.05, 0.0)
+    held_still_radius: float = bounded(0.08, 0.0)
+    held_still_time: float = bounded(0.6, 0.0)
+    held_still_min_lift: float = bounded(0.1, 0.0)
+    held_still_horizon: float = bounded(0.05, 0.0)
 
 
 class HandoverPosePredictor:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.errors import OptionError
 from handover_marl.planning.arm_control import ServoConfig
 from handover_marl.planning.collision_avoidance import SeparationConfig
@@ -58,12 +58,8 @@ class GraspSelectorConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("max_candidates", "offset_candidate_factor"), (1, math.inf)),
-        "desired_pad_margin": (1e-6, math.inf),
-    }
 
-    max_candidates: int = 32
+    max_candidates: int = bounded(32, 1)
     rotation_cost: float = 0.5
     desired_clearance: float = 0.045
     clearance_cost: float = 40.0
@@ -76,7 +72,7 @@ class GraspSelectorConfig(CheckedConfig):
     offset_delay: float = 0.5
     poor_hold_cost: float = 1.5
     offset_cost: float = 1.5
-    offset_candidate_factor: int = 4
+    offset_candidate_factor: int = bounded(4, 1)
     table_clearance: float = 0.005
     arm_clearance: float = 0.005
     path_clearance: float = 0.01
@@ -89,7 +85,7 @@ class GraspSelectorConfig(CheckedConfig):
     unstable_cost: float = 5.0
     partial_hold_cost: float = 2.0
     fingertip_cost: float = 4.0
-    desired_pad_margin: float = 0.008
+    desired_pad_margin: float = bounded(0.008, 1e-6)
     min_offset_pad_margin: float = 0.004
     failed_cost: float = 10.0
     switch_margin: float = 0.3
@@ -152,12 +148,8 @@ class ApproachConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {
-        "close_period": PERIODS,
-        **dict.fromkeys(("standoff", "max_posture_change"), (1e-6, math.inf)),
-    }
 
-    standoff: float = 0.08
+    standoff: float = bounded(0.08, 1e-6)
     straight_margin: float = 0.05
     straight_lateral: float = 0.06
     straight_rotation: float = 0.5
@@ -173,7 +165,7 @@ class ApproachConfig(CheckedConfig):
     deceleration: float = 2.0
     position_gain: float = 20.0
     max_joint_speed: float = 1.3
-    max_posture_change: float = 0.05
+    max_posture_change: float = bounded(0.05, 1e-6)
     max_object_speed: float = 0.2
     max_held_still_speed: float = 0.6
     close_speed: float = 0.08
@@ -183,7 +175,7 @@ class ApproachConfig(CheckedConfig):
     max_grip_closing_rate: float = 3.0
     max_relative_speed: float = 0.25
     catch_distance: float = 0.02
-    close_period: float = 0.01
+    close_period: float = bounded(0.01, *PERIODS)
     close_gain: float = 10.0
     close_acceleration: float = 100.0
     empty_finger_position: float = 0.0015
@@ -219,7 +211,6 @@ class RetreatConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {"max_path_checks": (1, math.inf), "progress_ratio": (0.0, 1.0)}
 
     backout_distance: float = 0.05
     speed: float = 0.8
@@ -229,10 +220,10 @@ class RetreatConfig(CheckedConfig):
     rotation_weight: float = 0.1
     goal_radius: float = 0.12
     desired_clearance: float = 0.02
-    max_path_checks: int = 40
+    max_path_checks: int = bounded(40, 1)
     stall_timeout: float = 0.6
     min_joint_difference: float = 0.5
-    progress_ratio: float = 0.95
+    progress_ratio: float = bounded(0.95, 0.0, 1.0)
     joint_tolerance: float = 0.05
 
 
@@ -274,13 +265,9 @@ class ReactiveConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("period", "near_period"), PERIODS),
-        **dict.fromkeys(("n_surface_spheres", "n_obstacle_spheres"), (1, math.inf)),
-    }
 
-    period: float = 0.05
-    near_period: float = 0.02
+    period: float = bounded(0.05, *PERIODS)
+    near_period: float = bounded(0.02, *PERIODS)
     near_distance: float = 0.3
     near_speed: float = 0.1
     min_lift: float = 0.04
@@ -290,9 +277,9 @@ class ReactiveConfig(CheckedConfig):
     still_start: float = 1.5
     no_hand_start: float = 3.0
     limit_padding: float = 0.03
-    n_surface_spheres: int = 200
+    n_surface_spheres: int = bounded(200, 1)
     surface_radius: float = 0.01
-    n_obstacle_spheres: int = 80
+    n_obstacle_spheres: int = bounded(80, 1)
     obstacle_radius: float = 0.015
     obstacle_reach: float = 1.1
     n_surface_points: int = 5000

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.shipped import ValidationRecord
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.clearance import (
@@ -121,7 +121,6 @@ class GraspOffsets(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = dict.fromkeys(("n_points", "max_grasps"), (1, math.inf))
     any_length: ClassVar[frozenset[str]] = frozenset({"tilts", "lateral", "backward"})
 
     tilts: tuple[float, ...] = (0.0, -0.35, 0.35, -0.7, 0.7)
@@ -130,9 +129,9 @@ class GraspOffsets(CheckedConfig):
     pad_distance: float = PAD_DISTANCE
     min_clearance: float = 0.003
     min_object_clearance: float = 0.001
-    n_points: int = 1200
+    n_points: int = bounded(1200, 1)
     min_points_between_pads: int = 2
-    max_grasps: int = 1500
+    max_grasps: int = bounded(1500, 1)
 
 
 def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPreparationConfig) -> ValidatedGrasps:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
@@ -54,22 +54,17 @@ class GraspTrackerConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("max_grasps", "n_finger_points"), (1, math.inf)),
-        **dict.fromkeys(("min_quality", "min_matched_share", "keyframe_share", "velocity_decay"), (0.0, 1.0)),
-        **dict.fromkeys(("sphere_radius", "voxel_size"), (1e-6, math.inf)),
-    }
     any_length: ClassVar[frozenset[str]] = frozenset({"tilts"})
 
     min_points: int = 20
-    max_grasps: int = 48
-    min_quality: float = 0.02
+    max_grasps: int = bounded(48, 1)
+    min_quality: float = bounded(0.02, 0.0, 1.0)
     cost_scale: float = 3.0
     tilts: tuple[float, ...] = (-0.35, 0.35, -0.7, 0.7)
     tilt_cost: float = 1.5
     pad_distance: float = PAD_DISTANCE
     fingers: FingerGeometry = field(default_factory=FingerGeometry)
-    n_finger_points: int = 400
+    n_finger_points: int = bounded(400, 1)
     same_distance: float = 0.03
     rotation_weight: float = 0.06
     unseen_cost: float = 0.1
@@ -80,14 +75,14 @@ class GraspTrackerConfig(CheckedConfig):
     near_distance: float = 0.3
     final_distance: float = 0.07
     max_match_distance: float = 0.03
-    min_matched_share: float = 0.3
-    keyframe_share: float = 0.6
+    min_matched_share: float = bounded(0.3, 0.0, 1.0)
+    keyframe_share: float = bounded(0.6, 0.0, 1.0)
     max_center_error: float = 0.05
     rest_speed: float = 0.04
-    velocity_decay: float = 0.4
+    velocity_decay: float = bounded(0.4, 0.0, 1.0)
     lost_timeout: float = 0.12
-    sphere_radius: float = 0.01
-    voxel_size: float = 0.012
+    sphere_radius: float = bounded(0.01, 1e-6)
+    voxel_size: float = bounded(0.012, 1e-6)
     hand_memory: float = 1.5
     object_memory: float = 0.4
 
@@ -109,7 +104,6 @@ class VisionConfig(CheckedConfig):
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
-    limits: ClassVar[Limits] = {"obstacle_voxel_size": (1e-6, math.inf)}
 
     tracker: GraspTrackerConfig = field(default_factory=GraspTrackerConfig)
     search_timeout: float = 0.25
@@ -117,7 +111,7 @@ class VisionConfig(CheckedConfig):
     finger_rest_distance: float = 0.0004
     release_delay: float = 0.15
     release_timeout: float = 0.5
-    obstacle_voxel_size: float = 0.025
+    obstacle_voxel_size: float = bounded(0.025, 1e-6)
 
 
 def make_vision_reactive_config() -> ReactiveConfig:

@@ -1,14 +1,12 @@
 """Noise model of depth cameras: depth noise, missing edge pixels, low resolution, latency."""
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import generate_binary_structure, maximum_filter, minimum_filter
 
-from handover_marl.config import CheckedConfig, Limits
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.optics import EMPTY_DEPTH
@@ -35,17 +33,11 @@ class CameraNoise(CheckedConfig):
         OptionError: A value is out of range.
     """
 
-    limits: ClassVar[Limits] = {
-        **dict.fromkeys(("depth_noise_std", "edge_threshold"), (0.0, math.inf)),
-        **dict.fromkeys(("edge_dropout", "latency"), (0.0, 1.0)),
-        "pixel_stride": (1, math.inf),
-    }
-
-    depth_noise_std: float = 0.0036
-    edge_threshold: float = 0.02
-    edge_dropout: float = 0.5
-    latency: float = 0.05
-    pixel_stride: int = 1
+    depth_noise_std: float = bounded(0.0036, 0.0)
+    edge_threshold: float = bounded(0.02, 0.0)
+    edge_dropout: float = bounded(0.5, 0.0, 1.0)
+    latency: float = bounded(0.05, 0.0, 1.0)
+    pixel_stride: int = bounded(1, 1)
 
 
 #: Noise models by name.
