@@ -58,7 +58,14 @@ _SINGLE_SCENE = ("setup", "split", "scenes", "world_config", *MULTI_SCENE_FIELDS
 def _open_scene(
     scene_id: int, receiver: PolicyLike, giver: PolicyLike, options: Any
 ) -> tuple[EpisodeRunner, Scene, ExecutionConfig]:
-    """Return the runner of a scene with two policies, the scene, and the configuration of the execution."""
+    """Return the runner of a scene with two policies, the scene, and the configuration of the execution.
+
+    Raises:
+        OptionError: An option configures many scenes.
+    """
+    for name in options:
+        if name in _SINGLE_SCENE:
+            raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
     config, execution = build_configs(None, options, receiver=receiver, giver=giver)
     dataset = config.open_dataset()
     scene = dataset.load_scene(scene_id)

@@ -121,6 +121,8 @@ def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) ->
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
         ("x.png", {"camera": {"width": 5}}, OptionError),
         ("x\0.png", {}, OptionError),
+        ("x.png", {"setup": "s0"}, OptionError),
+        ("x.png", {"workers": 2}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
