@@ -16,8 +16,8 @@ from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.episode.batch.camera_observations import WristCameraBatch
-from handover_marl.episode.batch.episodes import EpisodeBatch
-from handover_marl.episode.batch.tensor_episodes import TensorEpisodeBatch
+from handover_marl.episode.batch.episodes import Episodes, MujocoEpisodes
+from handover_marl.episode.batch.tensor_episodes import WarpEpisodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
@@ -68,11 +68,11 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes: EpisodeBatch | TensorEpisodeBatch
+        self._episodes: Episodes
         if backend.name == WARP:
-            self._episodes = TensorEpisodeBatch(config.world_config, count, backend.device)
+            self._episodes = WarpEpisodes(config.world_config, count, backend.device)
         else:
-            self._episodes = EpisodeBatch(config.world_config, count)
+            self._episodes = MujocoEpisodes(config.world_config, count)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)

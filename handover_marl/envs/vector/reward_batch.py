@@ -16,8 +16,7 @@ from handover_marl.envs.rewards import PresetRewards, RewardConfig, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
-from handover_marl.episode.batch.episodes import EpisodeBatch
-from handover_marl.episode.batch.tensor_episodes import TensorEpisodeBatch
+from handover_marl.episode.batch.episodes import Episodes
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy
@@ -40,7 +39,7 @@ class RewardBatch:
         count: Number n of episodes.
     """
 
-    def __init__(self, config: EnvConfig, episodes: EpisodeBatch | TensorEpisodeBatch, count: int) -> None:
+    def __init__(self, config: EnvConfig, episodes: Episodes, count: int) -> None:
         self._episodes, self._count = episodes, count
         self._arrays = episodes.arrays
         goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)

@@ -7,7 +7,7 @@ import numpy as np
 
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.batch.episodes import EpisodeBatch
+from handover_marl.episode.batch.episodes import MujocoEpisodes
 from handover_marl.episode.lockstep import RefereeStateBatch
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
@@ -16,7 +16,7 @@ from tests.fake_device import DEVICE, DeviceTensor
 
 
 class TensorEpisodes:
-    """Batch of episodes that takes and returns tensors on a device; see `EpisodeBatch`.
+    """Batch of episodes that takes and returns tensors on a device; see `MujocoEpisodes`.
 
     Args:
         config: Simulated world, protocol and limits of the givers.
@@ -24,7 +24,7 @@ class TensorEpisodes:
     """
 
     def __init__(self, config: WorldConfig, count: int) -> None:
-        self._episodes = EpisodeBatch(config, count)
+        self._episodes = MujocoEpisodes(config, count)
         self.arrays, self.config = make_tensor_factory(DEVICE.type), config
 
     @property

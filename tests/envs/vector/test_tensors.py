@@ -39,7 +39,7 @@ ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
 def on_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[ArrayFactory]:
     """Make vector environments simulate tensors on a device."""
     with FakeDevice(), monkeypatch.context() as patch:
-        patch.setattr(array_episodes, "EpisodeBatch", TensorEpisodes)
+        patch.setattr(array_episodes, "MujocoEpisodes", TensorEpisodes)
         yield make_tensor_factory(DEVICE.type)
 
 

@@ -9,8 +9,8 @@ pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.batch.episodes import EpisodeBatch
-from handover_marl.episode.batch.tensor_episodes import TensorEpisodeBatch
+from handover_marl.episode.batch.episodes import MujocoEpisodes
+from handover_marl.episode.batch.tensor_episodes import WarpEpisodes
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.geometry.arrays import to_numpy
 
@@ -22,7 +22,7 @@ HORIZON, PERIOD = 900, 200
 CONFIG = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON))
 
 
-def compare(arrays: EpisodeBatch, tensors: TensorEpisodeBatch, atol: float) -> None:
+def compare(arrays: MujocoEpisodes, tensors: WarpEpisodes, atol: float) -> None:
     """Compare observations and infos of both batches."""
     rows, indices = np.arange(len(SCENES)), tensors.arrays.arange(len(SCENES))
     arrays.observe(rows)
@@ -43,7 +43,7 @@ def compare(arrays: EpisodeBatch, tensors: TensorEpisodeBatch, atol: float) -> N
 
 
 def test_episodes_agree_with_those_of_mujoco() -> None:
-    arrays, tensors = EpisodeBatch(CONFIG, COUNT), TensorEpisodeBatch(CONFIG, COUNT, "cpu")
+    arrays, tensors = MujocoEpisodes(CONFIG, COUNT), WarpEpisodes(CONFIG, COUNT, "cpu")
     dataset, rows = SyntheticDataset(), np.arange(len(SCENES))
     indices = tensors.arrays.asarray(rows)
     for row, scene_id in enumerate(SCENES):
