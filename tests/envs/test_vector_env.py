@@ -311,7 +311,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
             if ended[number] and autoreset == "same_step":
                 assert infos["giver"]["_final_obs"][number]
                 assert_equal(infos["giver"]["final_obs"][number], first[number]["giver"])
-                assert infos["giver"]["final_info"][number] == info["giver"]
+                assert {key: infos["giver"]["final_info"][key][number] for key in info["giver"]} == info["giver"]
                 first[number] = env.reset()[0]
             else:
                 assert infos["giver"]["steps"][number] == info["giver"]["steps"]

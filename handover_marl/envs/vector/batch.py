@@ -12,7 +12,14 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from handover_marl.envs.vector.results import EnvResult, copy_containers, merge_results, replace_rows, select_rows
+from handover_marl.envs.vector.results import (
+    EnvResult,
+    copy_containers,
+    mask_infos,
+    merge_results,
+    replace_rows,
+    select_rows,
+)
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import ActionError, OptionError, ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, Indices, disable_gradients, is_tensor
@@ -61,6 +68,23 @@ class BatchStep(NamedTuple):
     result: EnvResult
     reset_rows: Indices
     final: EnvResult | None
+
+    def make_infos(self, agent: str, arrays: ArrayFactory) -> dict[str, Any]:
+        """Return an agent's infos in Gymnasium's form, with the last observations and infos of ended episodes."""
+        count = len(self.result.rewards[agent])
+        infos = mask_infos(self.result.infos[agent], np.ones(count, dtype=bool), arrays)
+        if self.final is None:
+            return infos
+        final_obs = np.full(count, None, dtype=object)
+        for place, number in enumerate(self.reset_rows.tolist()):
+            final_obs[number] = select_rows(self.final.observations[agent], place)
+        mask = np.isin(np.arange(count), self.reset_rows)
+        last, rows = {}, arrays.asarray(self.reset_rows)
+        for key, values in self.final.infos[agent].items():
+            last[key] = arrays.xp.zeros((count, *values.shape[1:]), dtype=values.dtype, device=arrays.device)
+            last[key][rows] = values
+        infos |= {"final_obs": final_obs, "_final_obs": mask}
+        return infos | {"final_info": mask_infos(last, mask, arrays), "_final_info": arrays.asarray(mask.copy())}
 
 
 class _ThreadEnvs:

@@ -7,11 +7,10 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import BatchStep, EnvBatch, check_action_array
-from handover_marl.envs.vector.results import select_rows
+from handover_marl.envs.vector.batch import EnvBatch, check_action_array
+from handover_marl.envs.vector.results import mask_infos
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import ActionError
-from handover_marl.geometry.arrays import to_numpy
 
 ParallelBatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
 
@@ -25,13 +24,10 @@ class ParallelVectorEnv:
     - "next_step": the next step ignores the actions, and returns the first observations of the next
       episode with rewards of 0.
     - "same_step": the last step of an episode returns the first observations of the next episode with
-      the last rewards. `infos[agent]` then has the last observations in "final_obs" (n,), the last
-      infos in "final_info" (n,), and the mask of these environments in "_final_obs" (n,).
+      the last rewards. `infos[agent]` then has the last observations and infos in "final_obs" and "final_info".
     - "disabled": the caller resets.
 
-    With the backend "threads", all values are NumPy arrays. With "warp", they are PyTorch tensors on the device of the
-    simulation, except for "final_obs", a NumPy array of dictionaries of tensors or of tensors, "final_info", a NumPy
-    array of dictionaries of numbers, and "_final_obs", a NumPy mask.
+    `infos[agent]` has the form of the infos of `HandoverVectorEnv`, also in what is an array and what a tensor.
 
     Args:
         batch: The environments.
@@ -95,7 +91,9 @@ class ParallelVectorEnv:
             OptionError: The number of seeds is not the number of environments.
         """
         result = self._batch.reset(seed, options)
-        return result.observations, result.infos
+        mask = np.ones(self.num_envs, dtype=bool)
+        infos = {agent: mask_infos(own, mask, self._batch.arrays) for agent, own in result.infos.items()}
+        return result.observations, infos
 
     def step(self, actions: ByAgent) -> ParallelBatchStep:
         """Step every environment with the actions of both agents.
@@ -121,23 +119,9 @@ class ParallelVectorEnv:
                 for agent, values in actions.items()
             }
         )
-        return (*step.result[:4], self._add_final(step))
+        infos = {agent: step.make_infos(agent, self._batch.arrays) for agent in self.possible_agents}
+        return (*step.result[:4], infos)
 
     def close(self) -> None:
         """Free the simulations of all environments."""
         self._batch.close()
-
-    def _add_final(self, step: BatchStep) -> ByAgent:
-        """Return the infos with last observations and infos of the episodes that have ended in this step, if any."""
-        infos = {agent: dict(own) for agent, own in step.result.infos.items()}
-        if step.final is None:
-            return infos
-        mask = np.isin(np.arange(self.num_envs), step.reset_rows)
-        for agent, own in infos.items():
-            final_obs, final_info = (np.full(self.num_envs, None, dtype=object) for _ in range(2))
-            last = {key: to_numpy(values) for key, values in step.final.infos[agent].items()}
-            for place, number in enumerate(step.reset_rows.tolist()):
-                final_obs[number] = select_rows(step.final.observations[agent], place)
-                final_info[number] = {key: values[place].item() for key, values in last.items()}
-            own.update({"final_obs": final_obs, "final_info": final_info, "_final_obs": mask})
-        return infos

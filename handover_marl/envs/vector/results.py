@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.envs.wrappers.wrapper import ByAgent
-from handover_marl.geometry.arrays import AnyArray, Indices, get_namespace, to_numpy
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, Indices, get_namespace, to_numpy
 
 Flags = npt.NDArray[np.bool_]
 
@@ -93,6 +93,15 @@ def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
     for rows, values in row_values:
         merged[rows] = xp.astype(values, dtype, copy=False)
     return merged
+
+
+def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory) -> dict[str, AnyArray]:
+    """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
+    masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
+    for key, values in infos.items():
+        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
+        masked[f"_{key}"] = xp.asarray(chosen, copy=True)
+    return masked
 
 
 def _first_array(values: Any) -> AnyArray:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -18,12 +17,12 @@ from handover_marl.envs.vector.batch import EnvBatch, check_action_array
 from handover_marl.envs.vector.env_factory import EnvFactory
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.vector.process_envs import ProcessEnvs
-from handover_marl.envs.vector.results import EnvResult, select_rows
+from handover_marl.envs.vector.results import mask_infos
 from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
-from handover_marl.geometry.arrays import ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.encodings.custom_features import FeaturesLike
 from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.policies.reference import PolicyLike
@@ -99,7 +98,7 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
         result = self._batch.reset(seed, reset_options, chosen)
-        return result.observations[self._agent], _mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
+        return result.observations[self._agent], mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -116,11 +115,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         agent = self._agent
         values = check_action_array(actions, self.single_action_space, self.num_envs, agent, self._batch.arrays)
         step = self._batch.step({agent: values})
-        observations, rewards, terminated, truncated, infos = (part[agent] for part in step.result)
-        infos = _mask_infos(infos, np.ones(self.num_envs, dtype=bool), self._batch.arrays)
-        if step.final is not None:
-            infos |= self._make_final_infos(step.reset_rows, step.final)
-        return observations, rewards, terminated, truncated, infos
+        observations, rewards, terminated, truncated, _ = (part[agent] for part in step.result)
+        return observations, rewards, terminated, truncated, step.make_infos(agent, self._batch.arrays)
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -129,25 +125,6 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     def close_extras(self, **kwargs: Any) -> None:
         """Free the simulations of all environments."""
         self._batch.close()
-
-    def _make_final_infos(self, reset_rows: npt.NDArray[np.int_], final: EnvResult) -> dict[str, Any]:
-        """Return the last observations and infos of the episodes that have ended in this step."""
-        mask = np.isin(np.arange(self.num_envs), reset_rows)
-        final_obs = np.full(self.num_envs, None, dtype=object)
-        for place, number in enumerate(reset_rows.tolist()):
-            final_obs[number] = select_rows(final.observations[self._agent], place)
-        arrays, infos = self._batch.arrays, {}
-        rows = arrays.asarray(reset_rows)
-        for key, values in final.infos[self._agent].items():
-            shape = (self.num_envs, *values.shape[1:])
-            infos[key] = arrays.xp.zeros(shape, dtype=values.dtype, device=arrays.device)
-            infos[key][rows] = values
-        return {
-            "final_obs": final_obs,
-            "_final_obs": mask,
-            "final_info": _mask_infos(infos, mask, arrays),
-            "_final_info": arrays.asarray(mask.copy()),
-        }
 
 
 @forward_signature(EnvConfig, defaults={"physics": MUJOCO})
@@ -252,12 +229,3 @@ def _check_counts(
             "simulates all environments together"
         )
     return count, threads, processes
-
-
-def _mask_infos(infos: dict[str, Any], mask: npt.NDArray[np.bool_], arrays: ArrayFactory) -> dict[str, Any]:
-    """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
-    masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
-    for key, values in infos.items():
-        masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
-        masked[f"_{key}"] = xp.asarray(chosen, copy=True)
-    return masked
