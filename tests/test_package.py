@@ -60,12 +60,12 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
         (
             handover_marl.render_scene,
             {"scene_id", "out", "key_frames", "camera", "view", "caption"},
-            {"setup", "split", "scenes", "world_config", *NOT_OF_A_SCENE},
+            {"setup", "split", "scenes", *NOT_OF_A_SCENE},
         ),
         (
             handover_marl.render_plan,
             {"scene_id", "out", "camera"},
-            {"setup", "split", "scenes", "world_config", *NOT_OF_A_SCENE, "progress"},
+            {"setup", "split", "scenes", *NOT_OF_A_SCENE, "progress"},
         ),
     ],
 )

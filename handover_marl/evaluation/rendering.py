@@ -52,7 +52,7 @@ _GRID_COLUMNS = 3
 _STILL_SCENE_DURATION_MS = 500
 #: Camera whose width and height give the default size of the image of a plan.
 PLAN_CAMERA = CameraConfig(width=1200, height=600)
-_SINGLE_SCENE = ("setup", "split", "scenes", "world_config", *MULTI_SCENE_FIELDS)
+_SINGLE_SCENE = ("setup", "split", "scenes", *MULTI_SCENE_FIELDS)
 
 
 def _open_scene(

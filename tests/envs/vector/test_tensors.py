@@ -123,7 +123,7 @@ def test_features_and_action_schemes(
 
 def test_offers_that_last_a_whole_episode(request: pytest.FixtureRequest) -> None:
     options = {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "offer", "autoreset": "same_step"}
-    compare(request, 3, "giver", {**ENCODED, **options})
+    compare(request, 3, "giver", {**ENCODED, "max_cycles": 12, **options})
 
 
 @declare_size(2)
