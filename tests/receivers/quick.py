@@ -1,6 +1,7 @@
 """Short validations of grasps and observations of a handover for tests of receivers."""
 
 import numpy as np
+import pytest
 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
@@ -8,6 +9,8 @@ from handover_marl.episode.observations import Observation
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
+
+pytest.importorskip("mujoco", reason="MuJoCo validates grasps")
 
 # The simulated validations are so short that all grasps pass them.
 QUICK_PREPARATION = GraspPreparationConfig(

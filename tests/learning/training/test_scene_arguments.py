@@ -26,6 +26,7 @@ def test_unknown_setups_are_refused() -> None:
 
 def test_runs_without_a_setup_use_the_first() -> None:
     pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
+    pytest.importorskip("mujoco", reason="the default physics")
     from handover_marl.learning.training.stable_baselines import PpoArgs
 
     config = PpoArgs(dataset=GENERATED).make_env_config()
