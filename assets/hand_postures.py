@@ -23,6 +23,18 @@ if TYPE_CHECKING:
 
 #: Index of the thumb in `DIGIT_ORDER`.
 THUMB: Final = 4
+#: Number of spheres of a phalanx.
+N_SPHERES: Final = 3
+#: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.
+Capsule = tuple[FloatArray, FloatArray, float, float]
+# Smallest cosine between the pads' direction and the thumb, and smallest width (m) of a gap.
+_MIN_FACING: Final = 0.2
+_MIN_WIDTH: Final = 0.012
+# Extreme directions of the thumb's first bone in the palm's frame: forward beside the index finger,
+# abducted in the plane of the palm, and in front of the palm opposite the fingers.
+_THUMB_DIRECTIONS = np.array([[-0.80, -0.40, 0.44], [-0.58, -0.24, 0.78], [-0.42, -0.87, 0.25]])
+# Point (m) that the reference hand's thumb flexes towards, below the middle finger's first bone.
+_THUMB_TARGET = np.array([-0.100, -0.030, 0.002])
 
 
 class ArrayBatch:
@@ -105,13 +117,6 @@ def make_rotations_about_axes(axes: FloatArray, angles: FloatArray) -> FloatArra
     return np.asarray(np.eye(3) + sin * cross + (1.0 - cos) * cross @ cross)
 
 
-#: Number of spheres of a phalanx.
-N_SPHERES: Final = 3
-
-#: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.
-Capsule = tuple[FloatArray, FloatArray, float, float]
-
-
 def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
     """Return the capsules of a palm: metacarpals and balls of thumb and little finger."""
     index, middle, little, ring, thumb = _unscale_points(hand, hand.joint_origins[::3])
@@ -188,16 +193,6 @@ class HandSpheres:
         positions, rotations = self.model.compute_link_poses(dof)
         centers = positions[:, 1:, None, :] + np.einsum("nlij,lbj->nlbi", rotations[:, 1:], self.along)
         return centers, rotations[:, 1:]
-
-
-# Smallest cosine between the pads' direction and the thumb, and smallest width (m) of a gap.
-_MIN_FACING: Final = 0.2
-_MIN_WIDTH: Final = 0.012
-# Extreme directions of the thumb's first bone in the palm's frame: forward beside the index finger,
-# abducted in the plane of the palm, and in front of the palm opposite the fingers.
-_THUMB_DIRECTIONS = np.array([[-0.80, -0.40, 0.44], [-0.58, -0.24, 0.78], [-0.42, -0.87, 0.25]])
-# Point (m) that the reference hand's thumb flexes towards, below the middle finger's first bone.
-_THUMB_TARGET = np.array([-0.100, -0.030, 0.002])
 
 
 @dataclass(frozen=True, eq=False)

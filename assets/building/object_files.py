@@ -18,6 +18,10 @@ from handover_marl.geometry.model_files.meshes import concatenate_meshes
 from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 
 _CELL = 4  # pixels; texture interpolation at the center stays inside of the cell
+Array = npt.NDArray[np.float64]
+_FIELD_MARGIN, _FIELD_CELL = 0.05, 0.003  # m
+_STEP = 1e-5  # m
+_MIN_WIDTH = 0.002  # m
 
 
 def make_palette_image() -> npt.NDArray[np.uint8]:
@@ -76,13 +80,6 @@ def merge_meshes(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
 def _extract_submesh(points: npt.NDArray[np.float64], faces: npt.NDArray[np.int64]) -> trimesh.Trimesh:
     used, compact = np.unique(faces, return_inverse=True)
     return trimesh.Trimesh(points[used], compact.reshape(-1, 3), process=False)
-
-
-Array = npt.NDArray[np.float64]
-
-_FIELD_MARGIN, _FIELD_CELL = 0.05, 0.003  # m
-_STEP = 1e-5  # m
-_MIN_WIDTH = 0.002  # m
 
 
 class MeshSolid:

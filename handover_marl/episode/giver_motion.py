@@ -129,7 +129,7 @@ class GiverMotion:
         frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
         references = [self._read_frames(row, own) for row, own in zip(rows.tolist(), frames, strict=True)]
         # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
-        delays = count_steps_before(self._pick_up[rows], self.frame[rows], frames)
+        delays = count_steps_until_pick_up(self._pick_up[rows], self.frame[rows], frames)
         set_points = np.where(delays[:, None] < steps, actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
         moving = np.flatnonzero(self._has_deviated[rows] | set_points.any(axis=(1, 2)))
         offsets, velocities = np.zeros((steps, 0, 2, 3)), np.zeros((steps, 0, 2, 3))
@@ -221,8 +221,8 @@ class GiverMotion:
         return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._hand_present[row][part])
 
 
-def count_steps_before(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
-    """Return in how many of the next k steps (r,) each object has not been picked up at the start of the step.
+def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
+    """Return the number (r,) of the next k steps that start before each object is picked up.
 
     Args:
         pick_up: Frames (r,) in which the objects are picked up.

@@ -25,6 +25,25 @@ Array = npt.NDArray[np.float64]
 
 _DAMPING = 1e-9
 _MIN_SINE = 1e-9
+Joints = npt.NDArray[np.floating]
+_UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
+# Maximum final error of position (m) and rotation (rad), as in PyBullet.
+_TOLERANCE = (1e-3, 0.1)
+# From far away, PyBullet's damped steps end in other configurations than Newton's own. With this
+# damping all but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved where PyBullet
+# solves them, 95 % within 0.03 rad of its solution.
+_PANDA_DAMPING = 0.1
+# Largest joint rotation in one step (rad), as in PyBullet.
+_MAX_STEP = np.pi / 4.0
+_MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
+# Iterations and tolerance of a single query.
+_STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
+# Bounds (m, rad) within which a search may still end at the tolerance.
+_REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
+# Largest number of robots whose solvers a thread keeps.
+_MAX_SOLVERS = 4
+# Largest number of queries without solution that are remembered.
+_MAX_UNSOLVED = 1024
 
 
 def solve_ik(
@@ -105,33 +124,11 @@ def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, 
 
 
 def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
-    """Return the smallest joint changes (n, 7) for Jacobians (k, 7, n) and errors (k, n)."""
+    """Return the joint changes (n, 7) of least norm that reduce errors (k, n), for Jacobians (k, 7, n)."""
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
     return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])
-
-
-Joints = npt.NDArray[np.floating]
-
-_UNLIMITED = np.full(ARM_DOF, -np.inf), np.full(ARM_DOF, np.inf)
-# Maximum final error of position (m) and rotation (rad), as in PyBullet.
-_TOLERANCE = (1e-3, 0.1)
-# From far away, PyBullet's damped steps end in other configurations than Newton's own. With this
-# damping all but one of 640 queries of `yang2021` (40 scenes of s0 train) are solved where PyBullet
-# solves them, 95 % within 0.03 rad of its solution.
-_PANDA_DAMPING = 0.1
-# Largest joint rotation in one step (rad), as in PyBullet.
-_MAX_STEP = np.pi / 4.0
-_MAX_ITERATIONS, _MIN_STEP = 500, 3e-4
-# Iterations and tolerance of a single query.
-_STEP_ITERATIONS, _STEP_TOLERANCE = 20, (1e-4, 1e-3)
-# Bounds (m, rad) within which a search may still end at the tolerance.
-_REACH_DISTANCE, _REACH_ANGLE = 2e-3, 0.11
-# Largest number of robots whose solvers a thread keeps.
-_MAX_SOLVERS = 4
-# Largest number of queries without solution that are remembered.
-_MAX_UNSOLVED = 1024
 
 
 def _as_row(values: npt.ArrayLike) -> Array:

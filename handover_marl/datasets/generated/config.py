@@ -25,6 +25,14 @@ OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics"
 #: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
 #: numbers are exact in float32 observations.
 MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 1_000_000
+#: Version of the generator, part of every seed. It changes whenever the scenes do.
+VERSION: Final = 1
+# First word of the seeds; the synthetic scenes have their version, 1.
+_SALTS: Final = {"scene": 1001, "object": 1002, "person": 1003}
+# Of ten numbers on average eight are in train and one each in val and test.
+_SPLIT_OF_REMAINDER: Final = np.array([0] * 8 + [1, 2])
+_OBJECT_OFFSET: Final = 1 << 40
+ItemKind = Literal["scene", "object", "person"]
 
 
 def _check_number(name: str, value: float, low: float, high: float) -> None:
@@ -149,18 +157,6 @@ def _parse_value(name: str, text: str, kind: object) -> int | float | str:
 
 def _format_value(value: float | str) -> str:
     return value if isinstance(value, str) else repr(value)
-
-
-#: Version of the generator, part of every seed. It changes whenever the scenes do.
-VERSION: Final = 1
-
-# First word of the seeds; the synthetic scenes have their version, 1.
-_SALTS: Final = {"scene": 1001, "object": 1002, "person": 1003}
-# Of ten numbers on average eight are in train and one each in val and test.
-_SPLIT_OF_REMAINDER: Final = np.array([0] * 8 + [1, 2])
-_OBJECT_OFFSET: Final = 1 << 40
-
-ItemKind = Literal["scene", "object", "person"]
 
 
 def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:

@@ -58,6 +58,8 @@ _TILT_WEIGHT = 0.2
 # possible, else 100, else unlimited.
 _REACH_DIRECTION = np.array([0.0, -0.94, -0.34])
 _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.0)
+#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
+CLEARANCE = 0.02
 
 
 @cache
@@ -294,9 +296,6 @@ def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
 
 # Givers hold objects so that they can be taken. The measure considers the grasps that a waiting robot would prefer,
 # and counts those whose grasp and final approach are clear of the hand.
-
-#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
-CLEARANCE = 0.02
 
 
 @cache

@@ -13,7 +13,7 @@ from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF, TIME_STEP, G
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.giver_motion import (
     NEVER,
-    count_steps_before,
+    count_steps_until_pick_up,
     find_pick_up_frame,
     find_wrist_in_base,
     ramp_rates,
@@ -203,7 +203,7 @@ class TensorGiverMotion:
         frames = xp.minimum(frames, self._bank.get_last_frames(recordings)[:, None])
         recorded = self._bank.read_frames(recordings, frames)
         # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
-        delays = count_steps_before(self._bank.get_pick_up_frames(recordings), self.frame[rows], frames)
+        delays = count_steps_until_pick_up(self._bank.get_pick_up_frames(recordings), self.frame[rows], frames)
         set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
         moving = self._has_deviated[rows] | xp.any(set_points != 0.0, axis=(1, 2))
         # The only value that is read from the device here; most givers follow their recordings.

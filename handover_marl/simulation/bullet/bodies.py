@@ -25,6 +25,14 @@ from handover_marl.simulation.reference_tracking import list_hand_motors, list_o
 _JOINT_TYPE, _LINK_NAME = 2, 12
 #: Fields of PyBullet's dynamics info: position and quaternion of a link's centre of mass in its URDF frame.
 INERTIAL_POSE = slice(3, 5)
+#: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
+#: the hand. Before its release an object collides with the Panda only, see `compute_object_masks`.
+TABLE_MASK = 1
+HAND_MASK = 2**22
+PANDA_MASK = -1
+# Bits that neither table nor hand use, those of no YCB class first; bit 31 is the sign.
+_OBJECT_BITS = (21, *range(23, 31), *range(1, 21))
+RELEASED_MASK = -1 - HAND_MASK
 
 
 def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLike) -> None:
@@ -214,16 +222,6 @@ class ArticulatedBody:
     def _describe_model(self) -> str:
         model = self.client.getBodyInfo(self.id)[1].decode(errors="replace")
         return f"the model {model!r} loaded as {type(self).__name__}"
-
-
-#: Collision masks: the Panda collides with everything, the hand with the Panda only, a released object with all but
-#: the hand. Before its release an object collides with the Panda only, see `compute_object_masks`.
-TABLE_MASK = 1
-HAND_MASK = 2**22
-PANDA_MASK = -1
-# Bits that neither table nor hand use, those of no YCB class first; bit 31 is the sign.
-_OBJECT_BITS = (21, *range(23, 31), *range(1, 21))
-RELEASED_MASK = -1 - HAND_MASK
 
 
 class HandBody(ArticulatedBody):

@@ -28,6 +28,12 @@ from handover_marl.simulation.reference_tracking import (
     set_hand_references,
 )
 
+# Bullet tests two bodies for collision if either one's mask admits the other. The Panda's mask admits the hand; an
+# empty mask keeps the overlapping bodies of the hand from colliding with each other.
+_EMPTY_MASK = 0
+# Joint displacement (m, rad) below which the bodies of the hand are not moved.
+_REST_TOLERANCE = 1e-7
+
 
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
     """Return a sphere around the collision shapes of each link by link number; -1 is the base link.
@@ -144,13 +150,6 @@ class VisualBodies:
         ]
         self._models[name] = _VisualModel(shapes, bodies)
         return self._models[name]
-
-
-# Bullet tests two bodies for collision if either one's mask admits the other. The Panda's mask admits the hand; an
-# empty mask keeps the overlapping bodies of the hand from colliding with each other.
-_EMPTY_MASK = 0
-# Joint displacement (m, rad) below which the bodies of the hand are not moved.
-_REST_TOLERANCE = 1e-7
 
 
 class Sleepable(Protocol):

@@ -168,7 +168,7 @@ class MujocoWorld(World):
 
     @property
     def is_asleep(self) -> bool:
-        """Whether the world sleeps: no body can touch the robot. Preparing it may wake it."""
+        """Whether only the arm is simulated, because no body can touch the robot; `prepare` may end this."""
         return self._controller is not None and self._controller.sleep is not None
 
     @property

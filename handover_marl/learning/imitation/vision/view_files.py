@@ -1,6 +1,6 @@
 """Files of rendered views, one per scene, so that interrupted generation can be resumed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -139,5 +139,8 @@ def generate_views(config: ViewDatasetConfig, scenes: Sequence[int], folder: Pat
         ResultsError: The folder cannot be written, or a file is damaged.
         HandoverError: A scene cannot be read.
     """
-    generator = lambda: _ViewWorker(config).render_scene  # noqa: E731
-    return join_samples(generate_samples(GraspViews, folder, scenes, generator, "rendering views", workers))
+
+    def make_renderer() -> Callable[[int], GraspViews]:
+        return _ViewWorker(config).render_scene
+
+    return join_samples(generate_samples(GraspViews, folder, scenes, make_renderer, "rendering views", workers))

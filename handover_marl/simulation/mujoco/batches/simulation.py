@@ -27,6 +27,8 @@ _STATE = mujoco.mjtState
 _CONTROLS = int(_STATE.mjSTATE_CTRL | _STATE.mjSTATE_MOCAP_POS | _STATE.mjSTATE_MOCAP_QUAT)
 # State that a step changes, the start of a state vector: all components from the time to the warm start.
 _STEP_STATE = 2 * int(_STATE.mjSTATE_WARMSTART) - 1
+# Number of batches that are kept. A batch takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
+_MAX_BATCHES = 64
 
 
 class WorldData:
@@ -143,7 +145,7 @@ class WorldData:
         return SensorReadings(self.scene.contact_sensors, self.sensordata, self.qpos)
 
     def _view(self, component: "mujoco.mjtState", columns: int | None = None) -> Array:
-        """Return a view of a component of the state, as rows with a number of columns."""
+        """Return the part of the state with a component, e.g. positions; as rows (n, columns) if `columns` is given."""
         model, bit = self.scene.model, int(component)
         # Components are stored in the order of their bits.
         first = mujoco.mj_stateSize(model, bit - 1)
@@ -198,10 +200,6 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
             kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
             body.add_joint(type=kind, axis=joint.axis)
     return spec.compile()
-
-
-# Number of batches that are kept. A batch takes 2 MB and 1 ms to make; the scenes of s0 train need 37.
-_MAX_BATCHES = 64
 
 
 @dataclass(frozen=True, eq=False)
