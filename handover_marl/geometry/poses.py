@@ -188,28 +188,6 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
     return quaternions.reshape(*given.shape[:-1], 4)
 
 
-def unwrap_euler(angles: Array, previous: Array) -> Array:
-    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row, from `previous` (3,) on.
-
-    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the sum of
-    absolute differences.
-    """
-    rows = np.empty(angles.shape)
-    done = 0
-    # Vectorized: rows with the same solution and full turns as the first row are taken at once.
-    while done < len(angles):
-        rest = angles[done:]
-        solution, turns = select_nearest_euler(rest[:1], previous[None])
-        guess = _euler_solutions(rest)[:, solution[0]] + 2.0 * np.pi * turns[0]
-        before = np.concatenate([previous[None], guess[:-1]])
-        nearest, nearest_turns = select_nearest_euler(rest, before)
-        is_right = (nearest == solution[0]) & (nearest_turns == turns[0]).all(axis=1)
-        count = len(rest) if is_right.all() else int(is_right.argmin())
-        rows[done : done + count] = guess[:count]
-        done, previous = done + count, guess[count - 1]
-    return rows
-
-
 def _euler_solutions(angles: AnyArray) -> AnyArray:
     """Return both Euler solutions (n, 2, 3) of each rotation, up to multiples of 2 pi."""
     xp, own, half_turns, signs = as_arrays(angles, np.array([np.pi, np.pi, np.pi]), np.array([1.0, -1.0, 1.0]))

@@ -19,8 +19,8 @@ from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
-from handover_marl.episode.batch.camera_observations import DEVICE_KINDS
 from handover_marl.episode.spaces import STATE, get_camera_data_kind
+from handover_marl.episode.wrist_camera_batch import DEVICE_KINDS
 from handover_marl.errors import OptionError
 from handover_marl.learning.encodings.choices import is_reference
 from handover_marl.learning.encodings.custom_features import FeaturesLike

@@ -9,10 +9,10 @@ pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.batch.episodes import MujocoEpisodes
-from handover_marl.episode.batch.tensor_episodes import WarpEpisodes
+from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
 from handover_marl.geometry.arrays import to_numpy
+from handover_marl.simulation.engines import WARP, BatchBackend
 
 # As many rows as in the tests of the worlds, so that they share kernels.
 COUNT = 3
@@ -22,7 +22,7 @@ HORIZON, PERIOD = 900, 200
 CONFIG = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON))
 
 
-def compare(arrays: MujocoEpisodes, tensors: WarpEpisodes, atol: float) -> None:
+def compare(arrays: Episodes, tensors: Episodes, atol: float) -> None:
     """Compare observations and infos of both batches."""
     rows, indices = np.arange(len(SCENES)), tensors.arrays.arange(len(SCENES))
     arrays.observe(rows)
@@ -43,7 +43,7 @@ def compare(arrays: MujocoEpisodes, tensors: WarpEpisodes, atol: float) -> None:
 
 
 def test_episodes_agree_with_those_of_mujoco() -> None:
-    arrays, tensors = MujocoEpisodes(CONFIG, COUNT), WarpEpisodes(CONFIG, COUNT, "cpu")
+    arrays, tensors = Episodes(CONFIG, COUNT, BatchBackend()), Episodes(CONFIG, COUNT, BatchBackend(WARP))
     dataset, rows = SyntheticDataset(), np.arange(len(SCENES))
     indices = tensors.arrays.asarray(rows)
     for row, scene_id in enumerate(SCENES):

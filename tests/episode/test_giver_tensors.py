@@ -5,29 +5,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.episode.batch.tensor_motion import RecordingBank
-from handover_marl.episode.giver_motion import NO_DEVIATION
-from handover_marl.episode.observations import MotionPreview
+from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
-from handover_marl.geometry.poses import compute_rotation_angles, quaternions_from_euler
 from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-
-from handover_marl.episode.batch.tensor_motion import TensorGiverMotion
 
 TENSORS = make_tensor_factory("cpu")
 ROWS = TENSORS.arange(COUNT)
 
 
-def start() -> tuple[TensorGiverMotion, list[OneGiver]]:
-    batch = TensorGiverMotion(COUNT, CONFIG, TENSORS)
+def start() -> tuple[GiverMotion, list[OneGiver]]:
+    batch = GiverMotion(COUNT, CONFIG, TENSORS)
     for row, scene in enumerate(SCENES):
         batch.reset(row, scene)
     return batch, [OneGiver(scene) for scene in SCENES]
 
 
-def compare(batch: TensorGiverMotion, singles: list[OneGiver], rng: np.random.Generator, actions: np.ndarray) -> None:
+def compare(batch: GiverMotion, singles: list[OneGiver], rng: np.random.Generator, actions: np.ndarray) -> None:
     """Plan and commit some steps, with random releases of the objects, and compare every value with single givers."""
     steps = int(rng.integers(1, 201))
     released = rng.random(COUNT) < 0.3
@@ -40,18 +35,15 @@ def compare(batch: TensorGiverMotion, singles: list[OneGiver], rng: np.random.Ge
         np.testing.assert_allclose(found.hand[row], expected.hand, rtol=0, atol=2e-6)
         np.testing.assert_array_equal(found.hand_present[row], expected.hand_present)
         count = expected.objects.shape[1]
-        np.testing.assert_allclose(found.object_positions[row, :, :count], expected.objects[..., :3], atol=1e-6)
-        turns = quaternions_from_euler(expected.objects[..., 3:].reshape(-1, 3)).reshape(steps, count, 4)
-        angles = compute_rotation_angles(to_numpy(found.object_orientations)[row, :, :count], turns)
-        np.testing.assert_allclose(angles, 0.0, atol=2e-6)
-        assert not found.object_positions[row, :, count:].any()
+        np.testing.assert_allclose(found.objects[row, :, :count], expected.objects, rtol=0, atol=2e-6)
+        assert not found.objects[row, :, count:].any()
         single.commit(int(taken[row]))
     batch.commit(plan, TENSORS.asarray(taken))
-    np.testing.assert_array_equal(batch.frame, [single.frame for single in singles])
+    np.testing.assert_array_equal(batch.state.frame, [single.frame for single in singles])
     np.testing.assert_array_equal(batch.holding, [single.holding for single in singles])
     np.testing.assert_allclose(batch.deviation, [single.deviation for single in singles], atol=1e-7)
     np.testing.assert_allclose(
-        batch.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-12
+        batch.state.opening_progress, [single.opening_progress for single in singles], rtol=0, atol=1e-12
     )
 
 
@@ -82,13 +74,11 @@ def test_a_reset_forgets_the_deviation() -> None:
 
 
 def test_previews_are_those_of_single_givers() -> None:
-    bank = RecordingBank(CONFIG, TENSORS)
-    numbers = [bank.add(scene) for scene in SCENES]
-    assert [bank.add(scene) for scene in SCENES] == numbers, "a recording is copied once"
-    previews = [MotionPreview(scene, CONFIG) for scene in SCENES]
+    batch, singles = start()
     for frames in ([0, 0, 0, 0], [700, 3, 1500, 10], [scene.n_frames - 1 for scene in SCENES]):
-        wrists, objects = bank.read_previews(TENSORS.asarray(numbers), TENSORS.asarray(frames))
-        for row, (preview, frame) in enumerate(zip(previews, frames, strict=True)):
-            expected = preview.read_poses(frame)
+        batch.state.frame[:] = TENSORS.asarray(frames)
+        wrists, objects = batch.read_previews(ROWS)
+        for row, (single, frame) in enumerate(zip(singles, frames, strict=True)):
+            expected = single.preview(frame)
             np.testing.assert_allclose(wrists[row], expected[0], atol=1e-6)
             np.testing.assert_allclose(objects[row], expected[1], atol=1e-6)
