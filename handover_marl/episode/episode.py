@@ -17,7 +17,7 @@ from handover_marl.episode.observations import (
     select_receiver_observation,
 )
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
-from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind, requests_release
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -105,7 +105,7 @@ class Episode:
         n_objects = len(self.scene.info.object_ids)
         target = robot_target.tolist()
         camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
-        if GiverAction.from_array(giver_action).release and motion.holding[0] and not referee.released:
+        if requests_release(giver_action) and motion.holding[0] and not referee.released:
             referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:

@@ -6,6 +6,7 @@ from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion
 from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
 from handover_marl.episode.observations import Observation, observe_giver_motion, state_space
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
+from handover_marl.episode.spaces import requests_release
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
@@ -90,7 +91,7 @@ class Episodes:
             SimulationError: The engine failed; the states of all episodes are invalid.
         """
         referees, rules = self.referees, self.config.protocol
-        held = rows[(giver_actions[:, 7] > 0.5) & self.motion.holding[rows]]
+        held = rows[requests_release(giver_actions) & self.motion.holding[rows]]
         held = held[referees.release_reason[held] < 0]
         referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
         self._worlds.release_targets(held)

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
@@ -20,7 +21,6 @@ from handover_marl.geometry.poses import (
     compute_lengths,
     transform_points,
 )
-from handover_marl.geometry.rotations import matrices_from_quaternions
 
 Array = npt.NDArray[np.float64]
 
@@ -227,8 +227,8 @@ class ReachabilityBound:
         is_too_far = np.asarray(compute_lengths(target - self._shoulder) > self._arm_length + distance)
         if orientation is None:
             return is_too_far
-        world_from_hand = matrices_from_quaternions(np.asarray(orientation, dtype=np.float64))
-        shoulder = np.einsum("...ji,...j->...i", world_from_hand, self._shoulder - target) - self._circle_center
+        world_from_hand = Rotation.from_quat(np.asarray(orientation, dtype=np.float64))
+        shoulder = world_from_hand.apply(self._shoulder - target, inverse=True) - self._circle_center
         height = compute_dot_products(shoulder, self._axis)
         radius = compute_lengths(shoulder - height[..., None] * self._axis)
         nearest = np.hypot(height, radius - self._circle_radius)

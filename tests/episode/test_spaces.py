@@ -12,7 +12,6 @@ from handover_marl.episode.spaces import (
     POINTCLOUD,
     RGBD,
     SCENE_POINTCLOUD,
-    GiverAction,
     check_giver_action,
     check_obs_mode,
     check_receiver_action,
@@ -21,6 +20,7 @@ from handover_marl.episode.spaces import (
     giver_action_space,
     has_state,
     receiver_action_space,
+    requests_release,
 )
 from handover_marl.errors import ActionError, UnknownNameError
 
@@ -111,15 +111,6 @@ def test_what_givers_may_do_can_be_chosen() -> None:
     np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0), space), space.low)
 
 
-def test_the_parts_of_a_giver_action() -> None:
-    action = GiverAction.from_array(np.array([-1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.51], dtype=np.float32))
-    assert action.rate == -1.0
-    np.testing.assert_array_equal(action.displacement, np.float32([0.1, 0.2, 0.3]))
-    np.testing.assert_array_equal(action.rotation, np.float32([0.4, 0.5, 0.6]))
-    assert action.release
-    assert not GiverAction.from_array(np.zeros(8, dtype=np.float32)).release
-
-
 def test_every_sample_is_an_action() -> None:
     space = receiver_action_space()
     space.seed(0)
@@ -138,9 +129,7 @@ def test_bounds_of_the_givers_action() -> None:
 def test_the_giver_releases_above_one_half(value: float, releases: bool) -> None:
     action = np.arange(8, dtype=np.float32)
     action[7] = value
-    parts = GiverAction.from_array(action)
-    assert parts.release is releases
-    assert (parts.rate, *parts.displacement, *parts.rotation) == tuple(range(7))
+    assert requests_release(action) == releases
 
 
 def test_poses_are_unbounded_and_flags_are_not() -> None:
