@@ -30,7 +30,7 @@ from handover_marl.learning.policy_files import (
 )
 from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing import hash_object, list_packages
+from handover_marl.policies.hashing import find_package, hash_object
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
@@ -163,7 +163,7 @@ def _adapt(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "
             f"write a subclass of handover_marl.{agent}s.{agent.capitalize()}, which makes what it needs itself"
         ) from error
-    packages = () if isinstance(function, DenseNetwork) else list_packages(policy)
+    packages = () if isinstance(function, DenseNetwork) else (find_package(policy),)
     return PolicyReference(agent, name or stem, pickled, packages=packages)
 
 
