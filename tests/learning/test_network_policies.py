@@ -20,7 +20,7 @@ from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
+from handover_marl.learning.network_policies import NetworkPolicyBatch, make_network_policy_batch
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
     ACTIVATIONS,
@@ -96,7 +96,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
         network = replace(network, output=activation)
     inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
     with make_device_tensors() as tensors:
-        found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
+        found = to_numpy(network.copy_to(tensors)(tensors.asarray(inputs)))
     assert found.dtype == np.float32
     expected = network(inputs)
     # Sums of large terms that cancel each other are as accurate as the terms.

@@ -29,7 +29,7 @@ from torch.distributions import Independent, Normal
 
 from handover_marl import homogeneous
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.learning.adapters.export import dense_network_from_layers
 
 
 class AgentsVectorEnv(BaseVectorEnv):
