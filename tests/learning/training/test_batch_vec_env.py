@@ -11,10 +11,8 @@ pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra 
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import handover_marl
-from handover_marl import givers
 from handover_marl.errors import OptionError, PolicyError
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.stable_baselines import PpoArgs, make_frozen_env, record_first_decisions
 from tests.failing import Failing
 
 COUNT = 3
@@ -81,19 +79,3 @@ def test_errors_of_processes_are_raised() -> None:
         envs.step(still)
     envs.close()
     envs.close()
-
-
-def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> None:
-    args = PpoArgs(
-        dataset="synthetic", features="giver", actions="offer", control_period=0.1, time_limit=3.0, discount=0.99
-    )
-    inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=1)
-    assert len(inputs) == len(outputs) == 3
-    env, teacher = make_frozen_env(args, "giver", "hold", args.make_env_config()), givers.make("cooperative")
-    for number in range(3):
-        expected = env.reset(seed=5 + number)[0]["giver"]
-        teacher.reset()
-        wanted = env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver")))
-        np.testing.assert_array_equal(inputs[number], expected)
-        np.testing.assert_array_equal(outputs[number], wanted)
-    env.close()

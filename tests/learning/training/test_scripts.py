@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from handover_marl import evaluate_pair, givers, receivers
@@ -47,7 +48,7 @@ RECEIVER: dict[str, Any] = {
     "time_limit": 3.0,
     "batch_size": 8,
 }
-MADE = {"arguments.json", "policy.npz", "checkpoint.pt", "progress.csv", "tensorboard"}
+MADE = {"arguments.json", "policy.npz", "checkpoint.zip", "progress.csv", "tensorboard"}
 
 
 def read_column(file: Path, name: str) -> list[str]:
@@ -61,14 +62,6 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_episodes(monkeypatch, 3000)
 
 
-@pytest.fixture
-def one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulate training environments in this process; `test_train_receiver` covers those in other processes."""
-    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra `train`")
-    monkeypatch.setattr("handover_marl.learning.training.stable_baselines.SubprocVecEnv", vec_env.DummyVecEnv)
-
-
-@pytest.mark.usefixtures("one_process")
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     args = {**GIVER, "out": str(tmp_path / "run")}
@@ -81,6 +74,16 @@ def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         train.main(train.Args(**args, decisions=8, seed=5, resume=True))
     train.main(train.Args(**args, decisions=8, resume=True))
     assert "8" in read_column(tmp_path / "run" / "progress_4.csv", "time/total_timesteps")
+
+
+def test_first_decisions_do_not_depend_on_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_giver_sb3", monkeypatch)
+    args = train.Args(**GIVER | {"demonstrations": 3})
+    (inputs, outputs), again = (train.record_first_decisions(args, workers) for workers in (1, 2))
+    assert inputs.shape == (3, 39)
+    assert len(np.unique(outputs[:, :6], axis=0)) == 3
+    for one, other in zip((inputs, outputs), again, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
