@@ -53,8 +53,7 @@ _NAMES = {
     "learning.action_scheme": ("ActionScheme",),
     "learning.adapters.as_policy": ("as_giver", "as_receiver"),
     "learning.adapters.export": ("export_policy",),
-    "learning.encodings.choices": ("declare_size",),
-    "learning.encodings.custom_features": ("FeatureExtractor",),
+    "learning.custom_encodings": ("FeatureExtractor", "declare_size"),
     "simulation.camera.images": ("SegmentationLabel",),
     "simulation.camera.noise": ("CameraNoise",),
 }

@@ -36,8 +36,8 @@ from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
 from handover_marl.learning.adapters.as_policy import as_giver as as_giver
 from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
 from handover_marl.learning.adapters.export import export_policy as export_policy
-from handover_marl.learning.encodings.choices import declare_size as declare_size
-from handover_marl.learning.encodings.custom_features import FeatureExtractor as FeatureExtractor
+from handover_marl.learning.custom_encodings import FeatureExtractor as FeatureExtractor
+from handover_marl.learning.custom_encodings import declare_size as declare_size
 from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 from handover_marl.version import __version__ as __version__

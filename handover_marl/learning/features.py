@@ -20,14 +20,7 @@ from handover_marl.learning.array_features import (
     ReceiverFeatures,
     StackedFeatures,
 )
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import (
-    KIND,
-    CustomFeatures,
-    FeaturesLike,
-    Vector,
-    make_custom_features,
-)
+from handover_marl.learning.custom_encodings import FEATURES, CustomFeatures, FeaturesLike, Vector, is_reference
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.policies.registry import import_reference
@@ -117,7 +110,7 @@ def count_features(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    check_name(f"{KIND} of the {agent}", name, list_features(agent))
+    check_name(f"{FEATURES} of the {agent}", name, list_features(agent))
     return _FEATURES[agent][name][1]
 
 
@@ -162,7 +155,7 @@ def make_array_features(
     """
     list_features(agent)
     if isinstance(choice, str) and not is_reference(choice):
-        check_name(f"{KIND} of the {agent}", choice, list_features(agent))
+        check_name(f"{FEATURES} of the {agent}", choice, list_features(agent))
         return _FEATURES[agent][choice][0](context, selector, count, arrays)
-    own: Any = import_reference(KIND, choice) if isinstance(choice, str) else choice
-    return make_custom_features(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
+    own: Any = import_reference(FEATURES, choice) if isinstance(choice, str) else choice
+    return CustomFeatures(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")

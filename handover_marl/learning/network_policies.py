@@ -12,7 +12,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, Ar
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.array_schemes import ArrayScheme
-from handover_marl.learning.encodings.custom_schemes import CustomScheme
+from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import DenseNetwork

@@ -117,7 +117,8 @@ class DenseNetwork:
             xp, width = get_namespace(weight), weight.shape[0]
             if not (xp.isfinite(weight).all() and xp.isfinite(bias).all()):
                 raise DataFormatError(f"layer {number} has numbers that are not finite")
-        ends = [(self.normalization.mean, self.n_inputs)] if self.normalization is not None else []
+        ends: list[tuple[AnyArray, int]] = []
+        ends += [(self.normalization.mean, self.n_inputs)] if self.normalization is not None else []
         ends += [(self.bounds.low, self.n_outputs)] if self.bounds is not None else []
         if any(values.shape != (size,) for values, size in ends):
             raise DataFormatError(

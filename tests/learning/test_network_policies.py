@@ -167,7 +167,7 @@ def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
     policies = [f"learned:{path}", f"learned:{path}:wait=0.5", handover_marl.as_receiver(path)]
     assert [type(make_batch(policy)) for policy in policies] == [NetworkPolicyBatch] * 3
     assert type(make_batch("learned", "giver")) is NetworkPolicyBatch
-    own = "tests.learning.encodings.custom"
+    own = "tests.learning.custom"
     custom = write(tmp_path / "own.npz", "receiver", f"{own}:OffsetAndCount", "grasp_servo", draw_network(4, 7, 0))
     assert type(make_batch(f"learned:{custom}")) is SequentialPolicyBatch
 

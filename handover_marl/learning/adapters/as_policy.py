@@ -16,9 +16,7 @@ from handover_marl.execution.options import check_boolean
 from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import list_features
 from handover_marl.learning.policy_files import complete_spec, read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec

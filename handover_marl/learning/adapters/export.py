@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import check_policy_path, complete_spec, write_policy
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork

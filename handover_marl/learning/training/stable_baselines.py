@@ -26,7 +26,7 @@ from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
-from handover_marl.learning.encodings.choices import is_reference
+from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv

@@ -91,7 +91,7 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     if physics == "mujoco":
         pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_receiver_sb3", monkeypatch)
-    own = "tests.learning.encodings.custom"
+    own = "tests.learning.custom"
     args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics, "rewards": REWARDS, "time_limit": 0.6}
     args |= {"features": f"{own}:OffsetAndCount", "actions": f"{own}:FirstJoint"}
     train.main(train.Args(**args, decisions=16))

@@ -11,18 +11,17 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError
 from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
-from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.encodings.custom_features import FeatureExtractor
+from handover_marl.learning.custom_encodings import FeatureExtractor, declare_size
 from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import START, seen
-from tests.learning.encodings.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
+from tests.learning.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
 
 CONTEXT = make_policy_context(SyntheticDataset())
-MODULE = "tests.learning.encodings.custom"
+MODULE = "tests.learning.custom"
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 
 
