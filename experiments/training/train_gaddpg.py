@@ -56,6 +56,7 @@ class Args(ImitationArgs):
             all these setups, so that no test scene is used.
         val_setup: Setup whose validation split selects the network.
         scenarios: Number of scenarios for which the expert plans.
+        rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate
@@ -140,6 +141,7 @@ def main(args: Args) -> Path:
         make_batches,
         make_batches(held_out),
         [{"wait": wait} for wait in args.waits],
+        args.rounds,
     )
 
 

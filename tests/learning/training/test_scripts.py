@@ -16,7 +16,7 @@ from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.learning.imitation import run
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig
+from handover_marl.learning.imitation.vision.views import GraspViewConfig
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers.reactive.config import ReactiveConfig
@@ -129,27 +129,26 @@ def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_vision", monkeypatch)
     trials = GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
     labels = GraspLabelConfig(receiver=ReactiveConfig(preparation=trials))
-    monkeypatch.setattr(train, "ViewDatasetConfig", functools.partial(ViewDatasetConfig, labels=labels))
+    monkeypatch.setattr(train, "GraspViewConfig", functools.partial(GraspViewConfig, labels=labels))
     evaluated = []
 
     def evaluate_hold(config: Any, execution: Any) -> Any:
-        """Evaluate `hold`, whose episodes take less time; the trained network acts in the rollouts of round 1."""
+        """Evaluate `hold`, whose episodes take less time."""
         evaluated.append(Path(config.receiver[1]["weights"]).name)
         return evaluate_pair(replace(config, receiver="hold"), execution=execution)
 
     monkeypatch.setattr(run, "evaluate_pair", evaluate_hold)
-    few = {"dataset": "synthetic", "updates": 4, "rounds": 1, "views": 4, "round_views": 2, "stride": 400, "workers": 1}
+    few = {"dataset": "synthetic", "updates": 4, "views": 4, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))
     assert files(out) == {"arguments.json", "vision.npz", "latest.npz", "checkpoint.pt", "tensorboard", "views"}
     assert weights == out / "vision.npz"
-    rounds = [out / "views" / name for name in ("round_0", "round_1")]
-    assert [len(list(folder.glob("*.npz"))) for folder in rounds] == [2, 1], "of synthetic scenes"
-    assert [len(list(folder.glob("generated-*/*.npz"))) for folder in rounds] == [1, 1]
-    assert evaluated == ["latest.npz"] * 2
+    assert len(list((out / "views").glob("*.npz"))) == 2, "of synthetic scenes"
+    assert len(list((out / "views").glob("generated-*/*.npz"))) == 1
+    assert evaluated == ["latest.npz"]
     assert receivers.make(f"vision:weights={weights}", SyntheticDataset()).label.startswith("vision@")
     with pytest.raises(ResultsError, match="--resume"):
         train.main(train.Args(out=str(out), val_scenes=1, **few))
     train.main(train.Args(out=str(out), val_scenes=1, resume=True, **few))
-    assert len(evaluated) == 2
+    assert len(evaluated) == 1
