@@ -116,13 +116,6 @@ def test_arrays_and_tensors_of_a_policy(kind: str) -> None:
     assert hash_state(1.0) == hash_state(1.0) != hash_state(2.0)
 
 
-def test_a_policy_without_arrays() -> None:
-    loop: list[Any] = []
-    loop.append(loop)
-    assert hash_object(Weighted(state=[1, "a", None, np, loop]), arrays_only=True) == ""
-    assert hash_object([1, loop])
-
-
 def test_version_and_weights_count(monkeypatch: pytest.MonkeyPatch) -> None:
     policy, code = HoldReceiver(), hash_policy(HoldReceiver(), ())
     assert parse_policy("receiver", "hold").resolve(open_dataset("synthetic")).code_hash == code

@@ -1,8 +1,10 @@
 """Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`."""
 
+import json
 import math
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,10 +123,13 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     envs = make_vec_env(args, agent, partner)
     checkpoint = folder / _CHECKPOINT
+    model = make_ppo(args, envs)
     if args.resume and checkpoint.exists():
-        model = PPO.load(checkpoint, envs, device="cpu")
+        # Without the pickled Python objects in the file, which `PPO.load` reads.
+        model.set_parameters(str(checkpoint), device="cpu")
+        with zipfile.ZipFile(checkpoint) as archive:
+            model.num_timesteps = json.loads(archive.read("data"))["num_timesteps"]
     else:
-        model = make_ppo(args, envs)
         prepare(model)
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
     formats = [make_output_format("csv", str(folder), suffix)]

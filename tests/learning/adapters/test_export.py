@@ -231,9 +231,7 @@ def test_other_modules_are_refused(make: Callable[[], Any], error: type, fault: 
         ({"features": None}, OptionError, "features must be given"),
         ({"features": len}, OptionError, "must be names or text module:name"),
         ({"features": "smell"}, UnknownNameError, "features of the receiver 'smell'"),
-        ({"agent": "dog"}, UnknownNameError, "unknown agent 'dog'"),
         ({"action_scheme": "deviation"}, UnknownNameError, "action scheme of the receiver"),
-        ({"control_period": -1}, OptionError, "control_period must be a time"),
         ({"path": "policy.pt"}, OptionError, r"must end in \.npz"),
     ],
 )
