@@ -27,8 +27,8 @@ from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import Pool
-from handover_marl.policies.bundle import PolicyBundle
 from handover_marl.policies.policy import Policy
+from handover_marl.policies.reference import PolicyBundle
 
 
 class EpisodeRecorder(EpisodeCallback, ABC):

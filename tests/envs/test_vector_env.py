@@ -30,7 +30,7 @@ from handover_marl.errors import (
     UnknownNameError,
     WorkerError,
 )
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from tests.failing import Failing
 
 #: The objects are boxes, cylinders and balls, so that models of several layouts are simulated together.

@@ -5,23 +5,15 @@ from pathlib import Path
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from tests.learning.training.scripts import EXPERIMENTS, script
+from tests.learning.training.scripts import script
 from tests.short_episodes import shorten_episodes
 
 SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
-MAX_LINES = 120
 
 
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_episodes(monkeypatch, 4000)
-
-
-def test_examples_are_short() -> None:
-    examples = sorted((EXPERIMENTS / "examples").glob("*.py"))
-    assert len(examples) == 4
-    for path in examples:
-        assert len(path.read_text().splitlines()) <= MAX_LINES, path.name
 
 
 def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -30,7 +30,7 @@ MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
 from handover_marl.givers.timing import HurriedGiver
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.receivers.hold import HoldReceiver
 
 Path("imported").touch()

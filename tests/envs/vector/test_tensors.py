@@ -22,7 +22,7 @@ from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from tests.envs.vector.comparison import assert_same
 from tests.envs.vector.tensor_worlds import TensorWorlds
 from tests.fake_device import DEVICE, FakeDevice

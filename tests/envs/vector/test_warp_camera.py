@@ -16,7 +16,7 @@ from handover_marl.envs.vector import array_episodes
 from handover_marl.episode import wrist_camera_batch
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.simulation.camera.warp_camera import WarpCamera
 from tests.envs.vector.test_warp import COUNT, OPTIONS
 from tests.fake_device import DEVICE, DeviceTensor

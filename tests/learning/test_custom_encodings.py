@@ -9,20 +9,18 @@ from gymnasium import spaces
 import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import EncodingError, OptionError, UnknownNameError
-from handover_marl.learning.action_scheme import ActionScheme
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
-from handover_marl.learning.encodings.choices import declare_size
-from handover_marl.learning.encodings.custom_features import FeatureExtractor
+from handover_marl.learning.custom_encodings import FeatureExtractor, declare_size
 from handover_marl.learning.features import make_features
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import START, seen
-from tests.learning.encodings.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
+from tests.learning.custom import FirstJoint, OffsetAndCount, move_first_joint, offset_to_object
 
 CONTEXT = make_policy_context(SyntheticDataset())
-MODULE = "tests.learning.encodings.custom"
+MODULE = "tests.learning.custom"
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 
 
@@ -97,37 +95,20 @@ class NoSize(FeatureExtractor):
     def __call__(self, observation: Any) -> Any: ...
 
 
-class Abstract(FeatureExtractor):
-    size = 3
-
-
-class WrongSpace(NoSize):
-    space = spaces.Box(-1.0, 1.0, (2, 2), np.float32)
-
-
-class NoScheme(ActionScheme):
-    name, agent, size = "none", "receiver", 2
-
-
 @pytest.mark.parametrize(
-    ("choice", "message"),
+    ("make", "choice", "message"),
     [
-        (len, "features 'len' must declare the number of features"),
-        (NoSize, "features 'NoSize' must declare the number of features"),
-        (WrongSpace, "space of features 'WrongSpace' must be a one-dimensional float32 Box"),
-        (Abstract, "features 'Abstract' must define __call__"),
-        (5, "features must be a name, a class or a function, got 5"),
+        (make_features, len, "features 'len' must declare the number of features"),
+        (make_features, NoSize, "features 'NoSize' must declare the number of features"),
+        (make_features, type("Abstract", (FeatureExtractor,), {"size": 3}), "'Abstract' must define __call__"),
+        (make_features, 5, "features must be a name, a class or a function, got 5"),
+        (make_scheme, len, "action scheme 'len' must declare the number of outputs"),
+        (make_scheme, OffsetAndCount, r"must be a name, a subclass of .*ActionScheme or a function"),
     ],
 )
-def test_undeclared_features_are_refused(choice: Any, message: str) -> None:
+def test_incomplete_choices_are_refused(make: Any, choice: Any, message: str) -> None:
     with pytest.raises(OptionError, match=message):
-        make_features("receiver", choice, CONTEXT)
-
-
-@pytest.mark.parametrize("size", [0, -1, 2.0, "3", True, None, 10**9])
-def test_sizes_are_positive_integers(size: Any) -> None:
-    with pytest.raises(OptionError, match="size must be an integer from 1 to"):
-        declare_size(size)
+        make("receiver", choice, CONTEXT)
 
 
 def test_other_agents_and_unknown_names() -> None:
@@ -152,15 +133,6 @@ def test_forms_of_own_schemes(choice: Any) -> None:
     assert scheme.compute_action(seen())[0] == pytest.approx(START[0] + 0.1)
     scheme.reset()
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
-
-
-def test_schemes_without_size_or_methods_are_refused() -> None:
-    with pytest.raises(OptionError, match=r"action scheme '.*lambda>' must declare the number of outputs"):
-        make_scheme("receiver", lambda outputs, observation: outputs, CONTEXT)
-    with pytest.raises(OptionError, match="action scheme 'none' must define compute_action"):
-        make_scheme("receiver", NoScheme, CONTEXT)
-    with pytest.raises(OptionError, match=r"must be a name, a subclass of .*ActionScheme or a function"):
-        make_scheme("receiver", OffsetAndCount, CONTEXT)  # type: ignore[arg-type]
 
 
 def test_encode_accepts_own_features_and_schemes() -> None:

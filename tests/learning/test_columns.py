@@ -1,6 +1,7 @@
 """Tests of the page of features and action schemes: every column has the described value."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -245,3 +246,9 @@ def test_schemes_of_receivers_have_the_described_scales() -> None:
     for value, limits in ((-1.0, LOWER_LIMITS), (1.0, UPPER_LIMITS)):
         joints.set_outputs(np.full(9, value))
         np.testing.assert_allclose(joints.compute_action(OBSERVATION), limits, rtol=1e-6)
+
+
+def test_features_without_a_grasp_are_zeros() -> None:
+    without = replace(CONTEXT, grasps=lambda name: None)
+    np.testing.assert_array_equal(make_features("receiver", "close", without)(OBSERVATION)[[*range(8), 11]], 0.0)
+    np.testing.assert_array_equal(make_features("receiver", "grasp", without)(OBSERVATION)[-8:], 0.0)
