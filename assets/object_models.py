@@ -36,7 +36,6 @@ TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 
 #: sRGB values (0 to 255) by color name.
 PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())
-PALETTE_FILES: Final = ("palette.png", "palette.mtl")
 
 #: Path of the table's URDF: HandoverSim's table as boxes, with a top of 1.77 x 0.73 x 0.04 m at a
 #: height of 0.92 m and four legs.
@@ -84,10 +83,9 @@ def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def copy_palette(folder: Path) -> None:
-    """Copy the image and the material file of the colors, which all shipped objects have, into a folder."""
-    for name in PALETTE_FILES:
-        (folder / name).write_bytes((OBJECTS_ROOT / "025_mug" / name).read_bytes())
+def read_palette_files() -> dict[str, bytes]:
+    """Return the image and the material file of the colors, which all shipped objects have, by name."""
+    return {name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")}
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:

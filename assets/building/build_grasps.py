@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
-from handover_marl.assets.building.object_files import load_mesh_solid
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig, draw_robot_grasps
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
@@ -61,7 +61,7 @@ def make_robot_grasps(
         return GraspReport(np.zeros((0, 4, 4)), 0)
     random = RandomStream(zlib.crc32(f"{urdf.parent.name} {seed}".encode()))
     config = RobotGraspConfig(n_points=_POINTS_PER_GRASP * count, n_grasps=_CANDIDATES_PER_GRASP * count)
-    candidates = draw_robot_grasps(random, load_mesh_solid(urdf), config)
+    candidates = draw_robot_grasps(random, read_solid(urdf), config)
     make, held, n_simulated = functools.partial(_make_validation, urdf), list[Array](), 0
     while n_simulated < len(candidates) and len(held) < count:
         batch = candidates[n_simulated : n_simulated + max(_CHUNK, count - len(held))]

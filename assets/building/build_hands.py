@@ -31,7 +31,7 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
     scale_hand,
 )
-from handover_marl.assets.hand_postures import make_forearm_capsules, make_palm_capsules
+from handover_marl.datasets.generated.hands import make_forearm_capsules, make_palm_capsules
 from handover_marl.geometry.model_files.meshes import select_extreme_points
 
 #: Largest number of vertices of a collision mesh; Bullet is slow with more.

@@ -14,7 +14,6 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES, HandSize
-from handover_marl.assets.building.object_files import MeshSolid, load_mesh_solid
 from handover_marl.assets.hand_model import SIDES, Side
 from handover_marl.assets.human_grasps import (
     ANGLE_STEP,
@@ -25,6 +24,7 @@ from handover_marl.assets.human_grasps import (
 )
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps
+from handover_marl.datasets.generated.shapes import Solid, read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.execution.files import write_arrays
 
@@ -52,7 +52,7 @@ class Args:
 
 
 def make_human_grasps(
-    name: str, solid: MeshSolid, size: HandSize, side: Side, count: int, *seed: int
+    name: str, solid: Solid, size: HandSize, side: Side, count: int, *seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
     """Return a number of grasps of a YCB class by one hand, as arrays of the output file."""
     random = RandomStream(*seed)
@@ -97,7 +97,7 @@ def main(args: Args) -> None:
     """Build all grasps and write them, indexed by object, side, subject and grasp."""
     found = []
     for number, name in enumerate(track(args.objects, description="human grasps")):
-        solid = load_mesh_solid(find_object_urdf(name))
+        solid = read_solid(find_object_urdf(name))
         found.append(
             [
                 [

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
+from handover_marl.assets.building.build_human_grasps import make_human_grasps
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, find_hand_urdf
 from handover_marl.assets.human_grasps import (
     GRASPED_OBJECTS,
@@ -12,6 +13,7 @@ from handover_marl.assets.human_grasps import (
 )
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.config import HandConfig
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.errors import UnknownNameError
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
@@ -81,13 +83,8 @@ def test_wrist_distances_have_dexycbs_distribution(name):
 
 
 def test_built_grasps_are_like_the_shipped_ones():
-    for library in ("trimesh", "igl", "embreex"):
-        pytest.importorskip(library)
-    from handover_marl.assets.building.build_human_grasps import make_human_grasps
-    from handover_marl.assets.building.object_files import load_mesh_solid
-
     name, side = "009_gelatin_box", "left"
-    built = make_human_grasps(name, load_mesh_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 20, 0)
+    built = make_human_grasps(name, read_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 20, 0)
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         assert all(archive[key].dtype == values.dtype for key, values in built.items())
     shipped = load_human_grasps(name, 1, side)

@@ -3,12 +3,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.building.object_files import merge_meshes
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.datasets.generated.shapes import read_solid
+from handover_marl.errors import DataNotFoundError, UnknownNameError
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.client import BulletClient, connect
-from tests.assets.ycb_bounds import YCB_BOUNDS, load_collision_parts, load_visual_mesh
+from tests.assets.ycb_bounds import YCB_BOUNDS
 
 NAMES = tuple(CLASS_NAMES.values())
 
@@ -33,19 +34,19 @@ def test_urdf_has_the_official_structure(client: BulletClient, name: str) -> Non
 
 @pytest.mark.parametrize("name", ["025_mug", "037_scissors", "061_foam_brick"])
 def test_every_convex_part_collides(client: BulletClient, name: str) -> None:
-    pytest.importorskip("trimesh")
     body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=1e-4))
-    for part in load_collision_parts(name):
-        client.resetBasePositionAndOrientation(ball, part.center_mass.tolist(), (0, 0, 0, 1))
+    for part in read_solid(find_object_urdf(name)).parts:
+        client.resetBasePositionAndOrientation(ball, part.vertices.mean(axis=0).tolist(), (0, 0, 0, 1))
         assert client.getClosestPoints(ball, body, 0.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_size_and_frame_are_those_of_the_scans(name: str) -> None:
-    pytest.importorskip("trimesh")
-    for mesh in (load_visual_mesh(name), merge_meshes(load_collision_parts(name))):
-        np.testing.assert_allclose(mesh.bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
+    for file in (VISUAL_NAME, COLLISION_NAME):
+        vertices = read_obj(OBJECTS_ROOT / name / file).vertices
+        bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        np.testing.assert_allclose(bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
 
 
 @pytest.mark.parametrize(
@@ -78,18 +79,8 @@ def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
         assert path.read_bytes() == (shipped / path.name).read_bytes(), path.name
 
 
-def test_bad_names_and_files(tmp_path: Path) -> None:
+def test_missing_models(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="025_cup"):
         find_object_urdf("025_cup")
     with pytest.raises(DataNotFoundError, match="build_objects"):
         find_object_urdf("025_mug", tmp_path)
-    pytest.importorskip("trimesh")
-    folder = tmp_path / "025_mug"
-    folder.mkdir()
-    (folder / "model_normalized.urdf").touch()
-    (folder / COLLISION_NAME).write_text("o convex_0\nv 0 0 zero\n")
-    (folder / VISUAL_NAME).write_text("o visual\nf 1/1 2/1 3/1\n")
-    with pytest.raises(DataFormatError, match=COLLISION_NAME):
-        load_collision_parts("025_mug", tmp_path)
-    with pytest.raises(DataFormatError, match=VISUAL_NAME):
-        load_visual_mesh("025_mug", tmp_path)

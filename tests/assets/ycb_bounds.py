@@ -1,10 +1,4 @@
-from pathlib import Path
 from types import MappingProxyType
-
-import trimesh
-
-from handover_marl.assets.building.object_files import read_parts
-from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 
 #: Lowest and highest corner (m) of the scanned object's bounding box in its frame, by YCB class
 #: name; measured on the YCB-Video models (Calli et al., 2015; Xiang et al., 2018).
@@ -33,14 +27,3 @@ YCB_BOUNDS = MappingProxyType(
         "061_foam_brick": ((-0.0261, -0.0389, -0.0172), (0.0266, 0.0388, 0.0339)),
     }
 )
-
-
-def load_visual_mesh(name: str, root: Path = OBJECTS_ROOT) -> trimesh.Trimesh:
-    """Load the visual mesh (m) of an object."""
-    (mesh,) = read_parts(find_object_urdf(name, root).with_name(VISUAL_NAME))
-    return mesh
-
-
-def load_collision_parts(name: str, root: Path = OBJECTS_ROOT) -> list[trimesh.Trimesh]:
-    """Load the convex collision meshes (m) of an object."""
-    return read_parts(find_object_urdf(name, root).with_name(COLLISION_NAME))

@@ -23,7 +23,6 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.object_files import load_mesh_solid
 from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS
@@ -45,6 +44,7 @@ from handover_marl.datasets.custom.scene_file import (
     check_setup_name,
     read_scene_file,
 )
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
@@ -216,7 +216,7 @@ class CustomSceneFolder:
             model = make_hand_geometry(hand, side_name)
             fingers = table.fingers
             if fingers is None:
-                table, fingers = close_hand(table, load_mesh_solid(urdfs[0]), hand, side_name)
+                table, fingers = close_hand(table, read_solid(urdfs[0]), hand, side_name)
         trajectory = make_trajectory(table, others, model, fingers)
         if trajectory.hand_span[0] >= 0:
             frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)

@@ -8,11 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import Side
-from handover_marl.assets.hand_postures import Palms
-from handover_marl.datasets.generated.hands import HandTemplates, make_hand_templates
-from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, close_fingers
+from handover_marl.datasets.generated.hands import HandTemplates, Palms, make_hand_templates
+from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers
+from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.poses import compose, invert_pose
@@ -26,7 +25,6 @@ _N_OPENINGS, _MAX_CLOSED = 1500, 200  # postures, and postures whose fingers are
 #: Largest distance (m) by which a recorded wrist is moved.
 MAX_SHIFT = 0.021
 _MAX_PALM_OVERLAP = 0.004  # m
-_CLOSING = HumanGraspConfig()
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _MIRRORED_ANGLES = np.tile([1.0, -1.0, -1.0], 15)
 # Translations of the wrist along the fingers and along the palm's normal, the smallest first.
@@ -59,7 +57,7 @@ class HandGrasp:
     shift: Array
 
 
-def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> tuple[MotionTable, Array]:
+def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
 
     Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
@@ -83,7 +81,7 @@ def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> t
     return table, np.asarray((1.0 - progress) * grasp.opened + progress * grasp.closed)
 
 
-def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
+def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
     """Return the open hand and the hand closed on the object at a pose (7,) of the wrist in the object's frame.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
@@ -101,14 +99,14 @@ def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side:
         if _measure_palm(solid, templates, palm) < -_MAX_PALM_OVERLAP:
             continue
         rows = np.arange(len(templates.openings))
-        gaps = solid.compute_distances(palm[0 * rows].transform(templates.get_open_hands(rows))) - templates.radii
+        gaps = solid.compute_distances(palm[0 * rows].transform(templates.path[:, 0])) - templates.radii
         nearest = gaps.min(axis=(1, 2))
-        free = np.flatnonzero(nearest > -_CLOSING.skin_yield)
+        free = np.flatnonzero(nearest > -SKIN_YIELD)
         if not len(free):
             continue
         free = free[np.argsort(nearest[free], kind="stable")[:_MAX_CLOSED]]
-        closed = close_fingers(solid, templates, palm[0 * free], free, _CLOSING)
-        touching = closed.gaps.min(axis=2) < 2.0 * _CLOSING.skin_yield
+        closed = close_fingers(solid, templates, palm[0 * free], free)
+        touching = closed.gaps.min(axis=2) < 2.0 * SKIN_YIELD
         # The thumb counts twice: without it nothing is opposite the fingers. Of equal postures the tightest is taken,
         # whose links are nearest to the object on average (m).
         looseness = np.maximum(closed.gaps, 0.0).mean(axis=(1, 2))
@@ -129,7 +127,7 @@ def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side:
     )
 
 
-def _measure_palm(solid: MeshSolid, templates: HandTemplates, palm: Palms) -> float:
+def _measure_palm(solid: Solid, templates: HandTemplates, palm: Palms) -> float:
     """Return the smallest distance (m) of the palm from the object."""
-    centers, radii = templates.spheres.palm
+    centers, radii = templates.palm
     return float((solid.compute_distances(palm.transform(centers[None])) - radii).min())

@@ -16,8 +16,8 @@ from handover_marl.assets.object_models import (
     PALETTE,
     URDF_NAME,
     VISUAL_NAME,
-    copy_palette,
     format_object_urdf,
+    read_palette_files,
 )
 from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
 from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
@@ -132,7 +132,8 @@ def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
     write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
     write_convex_parts(folder / COLLISION_NAME, list(item.parts))
-    copy_palette(folder)
+    for name, content in read_palette_files().items():
+        (folder / name).write_bytes(content)
     (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
 
 

@@ -26,7 +26,7 @@ OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics"
 #: numbers are exact in float32 observations.
 MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 1_000_000
 #: Version of the generator, part of every seed. It changes whenever the scenes do.
-VERSION: Final = 1
+VERSION: Final = 2
 # First word of the seeds; the synthetic scenes have their version, 1.
 _SALTS: Final = {"scene": 1001, "object": 1002, "person": 1003}
 # Of ten numbers on average eight are in train and one each in val and test.

@@ -1,16 +1,11 @@
 """Data set of generated scenes, each made when it is loaded."""
 
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import find_hand_urdf
-from handover_marl.assets.object_models import find_object_urdf
-from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.generated.config import (
     GENERATED,
     VERSION,
@@ -18,24 +13,20 @@ from handover_marl.datasets.generated.config import (
     list_split,
     parse_generated_config,
 )
-from handover_marl.datasets.generated.model_files import write_hand_model, write_object_model
+from handover_marl.datasets.generated.model_files import write_object_model
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
 from handover_marl.datasets.generated.scenes import (
     FIRST_CLASS,
-    GeneratedHandover,
     draw_object_grasps,
     draw_procedural_object,
     draw_side,
-    generate_handover,
+    generate_scene,
 )
-from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.resampling import compute_trajectories
+from handover_marl.datasets.synthetic.dataset import GeneratedHandover, HandoverGenerator
 from handover_marl.errors import UnknownNameError, check_name
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
-
-Trajectories = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int]
 
 #: Name of the only setup of generated data.
 SETUP = "random"
@@ -80,7 +71,7 @@ class ObjectNames(Mapping[int, str]):
         raise UnknownNameError("object", name, (*CLASS_NAMES.values(), f"{_PREFIX}00000"))
 
 
-class GeneratedDataset(Dataset):
+class GeneratedDataset(HandoverGenerator):
     """Scenes that are generated from a configuration; needs no data folder.
 
     Args:
@@ -94,6 +85,8 @@ class GeneratedDataset(Dataset):
         OptionError: The configuration's text is wrong, or a value is out of range.
         UnknownNameError: A parameter, the family or the robot does not exist.
     """
+
+    scene_format = "08d"
 
     def __init__(self, config: GeneratedConfig | str, robot: str = PANDA) -> None:
         super().__init__(robot)
@@ -132,30 +125,15 @@ class GeneratedDataset(Dataset):
         self.check_scene_id(scene_id)
         return draw_side(self.config, scene_id)
 
-    def load_info(self, scene_id: int) -> SceneInfo:
-        """Generate a scene and return its description; raises `SceneError`."""
-        self.check_scene_id(scene_id)
-        handover, _ = _generate_scene(self.config, scene_id)
-        giver = handover.giver
-        ids = (giver.class_id, *(item.class_id for item in handover.clutter))
-        name, names = f"{giver.subject}/scene-{scene_id:08d}", tuple(self._names[number] for number in ids)
-        return SceneInfo(scene_id, name, giver.side, ids, names)
-
-    def load_scene(self, scene_id: int) -> Scene:
-        """Generate a scene with its motion in the world frame; raises `SceneError`."""
-        info = self.load_info(scene_id)
-        handover, (object_dof, hand_dof, hand_first) = _generate_scene(self.config, scene_id)
-        person, side = handover.giver.person, handover.giver.side
-        hand = find_hand_urdf(person, side) if isinstance(person, int) else write_hand_model(person, side)
-        return self.make_scene(
-            info, self.find_assets(info, hand), object_dof, hand_dof, (hand_first, len(hand_dof) - 1)
-        )
+    def generate(self, scene_id: int) -> GeneratedHandover:
+        """Generate an existing scene."""
+        return generate_scene(self.config, scene_id)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
         number = self._names.find_procedural(object_name)
         if number is None:
-            return find_object_urdf(object_name)
+            return super().find_object_urdf(object_name)
         return write_object_model(object_name, draw_procedural_object(self.config, number))
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
@@ -166,20 +144,10 @@ class GeneratedDataset(Dataset):
         """
         number = self._names.find_procedural(object_name)
         if number is None:
-            return load_object_grasps(object_name)
-        solid = Solid(draw_procedural_object(self.config, number).parts)
-        grasps = draw_object_grasps(self.config, number, solid, RobotGraspConfig())
+            return super().load_grasps(object_name)
+        grasps = draw_object_grasps(self.config, number, RobotGraspConfig())
         return grasps if len(grasps) else None
-
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Do nothing: all files are part of the library or written when needed."""
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return version and configuration of the generator; the number of scenes does not matter."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
-
-
-@lru_cache(maxsize=4)
-def _generate_scene(config: GeneratedConfig, scene_id: int) -> tuple[GeneratedHandover, Trajectories]:
-    handover = generate_handover(config, scene_id)
-    return handover, compute_trajectories(handover.motion, handover.clutter)

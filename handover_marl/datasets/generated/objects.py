@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.generated.config import OBJECT_KINDS
-from handover_marl.datasets.generated.shapes import Part
+from handover_marl.datasets.generated.shapes import Part, make_surface
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 _COLORS = ("black", "blue", "brown", "cream", "navy", "olive", "orange", "red", "steel", "white", "wood", "yellow")
@@ -127,7 +127,7 @@ _DRAWERS: MappingProxyType[str, Callable[[RandomStream], tuple[list[Part], tuple
 
 def _center(parts: list[Part]) -> tuple[Part, ...]:
     """Return the parts moved so that the bounding box is centered at the origin, to 0.1 mm."""
-    corners = np.concatenate([part.compute_vertices() for part in parts])
+    corners = np.concatenate([make_surface(part).vertices for part in parts])
     middle: npt.NDArray[np.float64] = np.round(0.5 * (corners.min(axis=0) + corners.max(axis=0)), 4)
     return tuple(part.move(-middle) for part in parts)
 

@@ -11,14 +11,13 @@ import pytest
 import handover_marl
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, MotionConfig
 from handover_marl.assets.building.custom_scenes.finger_closing import find_hand_grasp
-from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom import CustomDataset
+from handover_marl.datasets.generated.shapes import Part, Solid, make_surface
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
-from handover_marl.geometry.distance_field import distance_field_from_mesh
 from handover_marl.simulation.engines import PHYSICS
 from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
 
@@ -110,9 +109,8 @@ def test_a_hand_closes_on_the_object(scenes: CustomSceneFolder) -> None:
 
 
 def test_left_hands_are_mirrored_right_hands() -> None:
-    position, rotation, box = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION), make_box()
-    vertices, faces = np.array(box.vertices), np.array(box.faces, dtype=np.int64)
-    solid = MeshSolid(box, distance_field_from_mesh(vertices, faces, 0.05, 0.003))
+    position, rotation = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION)
+    solid = Solid([make_surface(Part("box", (0.025, 0.025, 0.08), "red"))])
     right = find_hand_grasp(solid, np.array([*position, *rotation]), 6, "right", "")
     mirrored = np.array([-position[0], *position[1:], rotation[0], -rotation[1], -rotation[2], rotation[3]])
     left = find_hand_grasp(solid, mirrored, 6, "left", "")
