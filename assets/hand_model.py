@@ -32,7 +32,7 @@ SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
 #: Order of the digits in the joint vector and among the links, three joints each, as in MANO.
 DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
-#: Folder of the hand models, made by `building/build_hands.py`.
+#: Folder of the hand models, made by `building/hands.py`.
 HANDS_FOLDER: Final = Path(__file__).parent / "data" / "hands"
 
 # Reference hand: positions z and y (m) of the knuckles and splay angles (rad) of straight fingers,
@@ -201,9 +201,7 @@ def find_hand_urdf(subject: int, side: Side) -> Path:
     make_hand_geometry(subject, side)
     path = HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
     if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; build it with: python -m handover_marl.assets.building.build_hands"
-        )
+        raise DataNotFoundError(f"{path} is missing; build it with: python -m handover_marl.assets.building hands")
     return path
 
 

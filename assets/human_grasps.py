@@ -15,7 +15,7 @@ from handover_marl.errors import DataNotFoundError, check_name
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-#: Path of the grasps, made by `building/build_human_grasps.py`.
+#: Path of the grasps, made by `building/human_grasps.py`.
 GRASPS_FILE: Final = Path(__file__).parent / "data" / "human_grasps.npz"
 
 #: YCB class names in the order of the file.
@@ -106,7 +106,7 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
 def _load_arrays() -> dict[str, npt.NDArray[Any]]:
     if not GRASPS_FILE.is_file():
         raise DataNotFoundError(
-            f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.building.build_human_grasps"
+            f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.building human-grasps"
         )
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}

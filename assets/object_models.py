@@ -2,7 +2,7 @@
 
 The objects have the outer dimensions and the frames of the YCB scans that DexYCB and HandoverSim
 use, so object poses and grasps of both apply to them. Their shapes are simplified and made by
-`python -m handover_marl.assets.building.build_objects`.
+`python -m handover_marl.assets.building objects`.
 """
 
 import json
@@ -53,7 +53,7 @@ def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
     path = root / name / URDF_NAME
     if not path.is_file():
         raise DataNotFoundError(
-            f"{path} is missing; make it with `python -m handover_marl.assets.building.build_objects --out {root}`"
+            f"{path} is missing; make it with `python -m handover_marl.assets.building objects --out {root}`"
         )
     return path
 

@@ -70,7 +70,7 @@ def test_openings_are_open(client: BulletClient, name: str, point: tuple[float, 
 @pytest.mark.parametrize("name", ["003_cracker_box", "024_bowl", "035_power_drill"])
 def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
     pytest.importorskip("trimesh")
-    from handover_marl.assets.building.build_objects import build_object
+    from handover_marl.assets.building.objects import build_object
 
     rebuilt = build_object(name, tmp_path)
     shipped = OBJECTS_ROOT / name
@@ -82,5 +82,5 @@ def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
 def test_missing_models(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="025_cup"):
         find_object_urdf("025_cup")
-    with pytest.raises(DataNotFoundError, match="build_objects"):
+    with pytest.raises(DataNotFoundError, match="building objects"):
         find_object_urdf("025_mug", tmp_path)

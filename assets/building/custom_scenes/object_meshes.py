@@ -9,7 +9,7 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from handover_marl.assets.building.object_files import write_convex_parts, write_visual
+from handover_marl.assets.building.objects import write_convex_parts, write_visual
 from handover_marl.assets.object_models import (
     COLLISION_NAME,
     FRICTION,
