@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.execution.options import require_pybullet
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -42,20 +42,10 @@ PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "p
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
 
-def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
-    """Return the path of the URDF of a YCB class, such as "025_mug".
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The file is missing.
-    """
+def find_object_urdf(name: str) -> Path:
+    """Return the path of the URDF of a YCB class, such as "025_mug"; raises `UnknownNameError`."""
     check_name("object", name, CLASS_NAMES.values())
-    path = root / name / URDF_NAME
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; make it with `python -m handover_marl.assets.building objects --out {root}`"
-        )
-    return path
+    return OBJECTS_ROOT / name / URDF_NAME
 
 
 @cache

@@ -110,27 +110,13 @@ class OfficialDataset(Dataset):
     def load_scene(self, scene_id: int) -> Scene:
         """Load a scene with its motion in the world frame."""
         self.check_scene_id(scene_id)
-        info = self._info(scene_id)[0]
-        object_dof, hand_dof = self.load_motion(scene_id)
+        info, order = self._info(scene_id)
+        object_dof, hand_dof = read_scene_motion(require_file(self._pose_path(scene_id)), order)
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
         span = (int(present[0]), int(present[-1])) if len(present) else None
         return self.make_scene(info, self._find_scene_assets(info), object_dof, hand_dof, span)
-
-    def load_motion(self, scene_id: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Load the motion of a scene in the table's frame (m, rad).
-
-        Returns:
-            Objects (T, n, 6), the handed-over one first, and hand (T, 51), both at 1 kHz.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: The meta file or the pose file is missing.
-            DataFormatError: The meta file or the pose file is damaged.
-        """
-        self.check_scene_id(scene_id)
-        return read_scene_motion(require_file(self._pose_path(scene_id)), self._info(scene_id)[1])
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a YCB class's URDF."""

@@ -5,7 +5,6 @@ import pytest
 
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.datasets.generated.shapes import read_solid
-from handover_marl.errors import DataNotFoundError, UnknownNameError
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.client import BulletClient, connect
@@ -77,10 +76,3 @@ def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
     assert sorted(path.name for path in rebuilt.iterdir()) == sorted(path.name for path in shipped.iterdir())
     for path in rebuilt.iterdir():
         assert path.read_bytes() == (shipped / path.name).read_bytes(), path.name
-
-
-def test_missing_models(tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="025_cup"):
-        find_object_urdf("025_cup")
-    with pytest.raises(DataNotFoundError, match="building objects"):
-        find_object_urdf("025_mug", tmp_path)

@@ -259,12 +259,12 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
             "check the columns and their order"
         )
     poses[:, 3:] /= norms[:, None]
-    return compose(config.world_from_frame, poses)
+    return np.asarray(compose(config.world_from_frame, poses))
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
     """Interpolate rows with missing values that lie between valid rows."""
-    is_valid = np.isfinite(poses).all(axis=1)
+    is_valid = np.asarray(np.isfinite(poses).all(axis=1))
     valid, missing = np.flatnonzero(is_valid), np.flatnonzero(~is_valid)
     if not len(missing):
         return poses

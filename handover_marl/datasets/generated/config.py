@@ -24,7 +24,7 @@ OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics"
 
 #: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
 #: numbers are exact in float32 observations.
-MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 1_000_000
+MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 100_000
 #: Version of the generator, part of every seed. It changes whenever the scenes do.
 VERSION: Final = 2
 # First word of the seeds; the synthetic scenes have their version, 1.
@@ -100,12 +100,8 @@ class GeneratedConfig:
     @property
     def argument(self) -> str:
         """Text after `generated:` that describes this configuration: n, seed and values that are not defaults."""
-        usual = FAMILY_DEFAULTS[self.family]
-        names = [field.name for field in fields(self)]
-        chosen = [name for name in names if name in ("n", "seed") or getattr(self, name) != getattr(usual, name)]
-        if self.family != DEFAULT:
-            chosen.append("family")
-        return ",".join(f"{name}={_format_value(getattr(self, name))}" for name in names if name in chosen)
+        usual = {**vars(FAMILY_DEFAULTS[self.family]), "n": None, "seed": None, "family": DEFAULT}
+        return ",".join(f"{name}={value}" for name, value in vars(self).items() if value != usual[name])
 
 
 #: Configuration of each family unless something else is given.
@@ -125,7 +121,7 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
         UnknownNameError: A parameter or the family does not exist.
     """
     values: dict[str, Any] = {}
-    types = {field.name: field.type for field in fields(GeneratedConfig)}
+    defaults = {field.name: field.default for field in fields(GeneratedConfig)}
     for entry in argument.split(","):
         name, separator, text = (word.strip() for word in entry.partition("="))
         if not separator or not text:
@@ -133,30 +129,21 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
                 f"generated scenes must be described as n=1000,seed=7, got {entry[:80]!r}; "
                 "separate entries name=value by commas"
             )
-        check_name("parameter of generated scenes", name, types)
+        check_name("parameter of generated scenes", name, defaults)
         if name in values:
             raise OptionError(f"parameter {name} of generated scenes must be given once, got it twice; leave one out")
-        values[name] = _parse_value(name, text, types[name])
+        kind = type(defaults[name])
+        try:
+            values[name] = kind(text)
+        except ValueError:
+            wanted = "a whole number" if kind is int else "a number"
+            raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
     family = values.pop("family", DEFAULT)
     check_name("family", family, FAMILIES)
     usual = FAMILY_DEFAULTS[family]
     if "clutter_max" in values and "clutter_min" not in values:
         values["clutter_min"] = min(usual.clutter_min, values["clutter_max"])
     return replace(usual, **values)
-
-
-def _parse_value(name: str, text: str, kind: object) -> int | float | str:
-    if kind in (str, "str"):
-        return text
-    try:
-        return int(text) if kind in (int, "int") else float(text)
-    except ValueError:
-        wanted = "a whole number" if kind in (int, "int") else "a number"
-        raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
-
-
-def _format_value(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(value)
 
 
 def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:

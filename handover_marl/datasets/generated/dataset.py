@@ -1,6 +1,6 @@
 """Data set of generated scenes, each made when it is loaded."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,51 +24,12 @@ from handover_marl.datasets.generated.scenes import (
 )
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.datasets.synthetic.dataset import GeneratedHandover, HandoverGenerator
-from handover_marl.errors import UnknownNameError, check_name
+from handover_marl.errors import check_name
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 #: Name of the only setup of generated data.
 SETUP = "random"
-_PREFIX, _DIGITS = "object_", 5
-
-
-class ObjectNames(Mapping[int, str]):
-    """Class names by class number: the YCB classes, then procedural objects such as "object_00042".
-
-    Args:
-        count: Number of procedural objects.
-    """
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-
-    def __getitem__(self, number: int) -> str:
-        if number in CLASS_NAMES:
-            return CLASS_NAMES[number]
-        if not FIRST_CLASS <= number < FIRST_CLASS + self._count:
-            raise KeyError(number)
-        return f"{_PREFIX}{number - FIRST_CLASS:0{_DIGITS}d}"
-
-    def __iter__(self) -> Iterator[int]:
-        yield from CLASS_NAMES
-        yield from range(FIRST_CLASS, FIRST_CLASS + self._count)
-
-    def __len__(self) -> int:
-        return len(CLASS_NAMES) + self._count
-
-    def find_procedural(self, name: str) -> int | None:
-        """Return the number, from 0, of a procedural object by its class name; None for a YCB class.
-
-        Raises:
-            UnknownNameError: There is no such class.
-        """
-        if name in CLASS_NAMES.values():
-            return None
-        digits = name.removeprefix(_PREFIX)
-        if name.startswith(_PREFIX) and digits.isdecimal() and int(digits) < self._count:
-            return int(digits)
-        raise UnknownNameError("object", name, (*CLASS_NAMES.values(), f"{_PREFIX}00000"))
 
 
 class GeneratedDataset(HandoverGenerator):
@@ -92,7 +53,8 @@ class GeneratedDataset(HandoverGenerator):
         super().__init__(robot)
         self.config = parse_generated_config(config) if isinstance(config, str) else config
         self.name = f"{GENERATED}:{self.config.argument}"
-        self._names = ObjectNames(self.config.objects)
+        self._numbers = {f"object_{number:05d}": number for number in range(self.config.objects)}
+        self._names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
 
     @property
     def n_scenes(self) -> int:
@@ -106,7 +68,7 @@ class GeneratedDataset(HandoverGenerator):
 
     @property
     def object_names(self) -> Mapping[int, str]:
-        """Class names of objects by class number: the YCB classes, then the procedural objects."""
+        """Class names by class number: the YCB classes, then procedural objects such as "object_00042"."""
         return self._names
 
     @property
@@ -131,10 +93,9 @@ class GeneratedDataset(HandoverGenerator):
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
-        number = self._names.find_procedural(object_name)
-        if number is None:
+        if object_name not in self._numbers:
             return super().find_object_urdf(object_name)
-        return write_object_model(object_name, draw_procedural_object(self.config, number))
+        return write_object_model(object_name, draw_procedural_object(self.config, self._numbers[object_name]))
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Return robot grasps (n, 4, 4) of a class, or None if it has none.
@@ -142,10 +103,9 @@ class GeneratedDataset(HandoverGenerator):
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
         antipodal and do not collide with the object; they are not simulated.
         """
-        number = self._names.find_procedural(object_name)
-        if number is None:
+        if object_name not in self._numbers:
             return super().load_grasps(object_name)
-        grasps = draw_object_grasps(self.config, number, RobotGraspConfig())
+        grasps = draw_object_grasps(self.config, self._numbers[object_name], RobotGraspConfig())
         return grasps if len(grasps) else None
 
     def compute_fingerprint(self, scene_id: int) -> str:

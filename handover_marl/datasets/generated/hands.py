@@ -112,7 +112,7 @@ class Palms(ArrayBatch):
     position: Array
     rotation: Array
 
-    def transform(self, points: Array) -> Array:
+    def transform(self, points: npt.NDArray[np.floating]) -> Array:
         """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
         count = math.prod(points.shape[1:-1])  # -1 is not allowed where there are no palms
         flat = points.reshape(len(points), count, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]

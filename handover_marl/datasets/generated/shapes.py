@@ -203,8 +203,8 @@ class Solid:
         points = np.einsum("nk,nkc->nc", weights, corners[chosen])
         directions = tilt * noise - normals[chosen] / areas[chosen, None]
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        batches = zip(*map(self._split, (points, directions, choices)), strict=True)
-        found = [self._find_exits(*batch, max_width) for batch in batches]
+        rays = zip(self._split(points), self._split(directions), self._split(choices), strict=True)
+        found = [self._find_exits(starts, ways, shares, max_width) for starts, ways, shares in rays]
         lengths, cosines = (np.concatenate(column) for column in zip(*found, strict=True))
         outside = points + _STEP * normals[chosen] / areas[chosen, None]
         good = np.flatnonzero((lengths < np.inf) & (self.compute_distances(outside) > 0.0))
