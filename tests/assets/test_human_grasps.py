@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,6 @@ from handover_marl.assets.hand_model import SIDES, SUBJECTS, find_hand_urdf
 from handover_marl.assets.human_grasps import (
     GRASPED_OBJECTS,
     GRASPS_FILE,
-    HumanGrasps,
     interpolate_wrist_distance,
     load_human_grasps,
 )
@@ -21,10 +22,6 @@ from handover_marl.simulation.bullet.client import connect, load_urdf
 # Bullet adds a margin of about a millimetre to both shapes of a pair.
 MOST_OVERLAP, MARGINS = 0.008, 0.002
 DIGIT_LINKS = [range(7 + 9 * digit, 16 + 9 * digit) for digit in range(5)]
-
-
-def every_set():
-    return [(name, subject, side) for name in GRASPED_OBJECTS for subject in SUBJECTS for side in SIDES]
 
 
 def hand_and_object(name, subject, side, dof):
@@ -43,21 +40,14 @@ def gaps_by_link(client, item, hand, within):
     return gaps
 
 
-def test_every_object_person_and_side_has_grasps():
+def test_every_object_person_and_side_has_grasps_with_thumb_and_two_fingers():
     assert len(GRASPED_OBJECTS) == 20
-    for name, subject, side in every_set():
-        grasps = load_human_grasps(name, subject, side)
-        assert len(grasps) >= 12
-        assert grasps.object_from_base.shape == (len(grasps), 7)
-        assert grasps.finger_angles.shape == grasps.open_angles.shape == (len(grasps), 45)
-        np.testing.assert_allclose(np.linalg.norm(grasps.object_from_base[:, 3:], axis=1), 1.0, atol=1e-6)
-
-
-def test_thumb_and_two_fingers_touch_everywhere():
-    for name, subject, side in every_set():
-        touching = load_human_grasps(name, subject, side).touching
-        assert touching[:, 4].all()
-        assert (touching[:, :4].sum(axis=1) >= 2).all()
+    for name in GRASPED_OBJECTS:
+        for subject, side in itertools.product(SUBJECTS, SIDES):
+            grasps = load_human_grasps(name, subject, side)
+            assert len(grasps) >= 12
+            assert grasps.touching[:, 4].all()
+            assert (grasps.touching[:, :4].sum(axis=1) >= 2).all()
 
 
 @pytest.mark.parametrize("name", GRASPED_OBJECTS)
@@ -97,13 +87,3 @@ def test_unknown_names_are_refused():
     for arguments in (("999_spoon", 1, "left"), ("025_mug", 0, "left"), ("025_mug", 1, "both")):
         with pytest.raises(UnknownNameError):
             load_human_grasps(*arguments)
-
-
-def test_loaded_grasps_are_copies():
-    first = load_human_grasps("025_mug", 1, "right")
-    assert isinstance(first, HumanGrasps)
-    first.object_from_base[:] = 0.0
-    first.touching[:] = False
-    again = load_human_grasps("025_mug", 1, "right")
-    assert again.object_from_base.any()
-    assert again.touching.any()

@@ -1,7 +1,7 @@
 """Configuration of generated scenes, the data set's name that describes it, and their seeds and splits."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -121,7 +121,7 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
         UnknownNameError: A parameter or the family does not exist.
     """
     values: dict[str, Any] = {}
-    defaults = {field.name: field.default for field in fields(GeneratedConfig)}
+    defaults = vars(GeneratedConfig())
     for entry in argument.split(","):
         name, separator, text = (word.strip() for word in entry.partition("="))
         if not separator or not text:

@@ -17,7 +17,7 @@ from handover_marl.datasets.dexycb.assets import (
 )
 from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.errors import DataFormatError, ResultsError
-from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from tests.datasets.dexycb.mano_files import made_up_hand, made_up_model
 
@@ -47,13 +47,6 @@ def test_format_numbers(values: tuple[float, ...], text: str) -> None:
     assert format_numbers(*values) == text
 
 
-def test_format_obj() -> None:
-    vertices = np.array([[-0.0, 1e-7, 0.1234565], [-1e-9, 2.0, 3.0], [1.0, 1.0, 1.0]])
-    assert format_obj(vertices, np.array([[0, 2, 1]])) == (
-        "v -0.000000 0.000000 0.123456\nv -0.000000 2.000000 3.000000\nv 1.000000 1.000000 1.000000\nf 1 3 2\n"
-    )
-
-
 def test_links_and_joints_of_the_hand() -> None:
     rng = np.random.default_rng(0)
     joints = rng.uniform(-0.1, 0.1, (16, 3))
@@ -64,7 +57,6 @@ def test_links_and_joints_of_the_hand() -> None:
     kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
     assert [joint.get("type") for joint in found] == kinds
 
-    # The origin of every body is at the position of the body's joint.
     place = {"link0": np.zeros(3)}
     for joint in found:
         parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")

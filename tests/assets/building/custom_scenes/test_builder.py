@@ -146,15 +146,6 @@ def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> 
         verify(tmp_path / "out", workers=1, progress=False)
 
 
-def test_demonstrations_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    data = handover_marl.demonstrate(
-        receiver="hold", dataset=scenes.dataset, scenes=[2], physics="fast", workers=1, out=tmp_path, progress=False
-    )
-    assert data.observation_space["object_classes"].high[0] == 22
-    assert "own:boxes, all train" in str(data)
-    assert data[0].observations["object_classes"].max() == 22
-
-
 def moved(keys: Sequence[str], offset: Sequence[float], scale: float = 1.0, **others: Any) -> dict[str, Any]:
     """Return a recording with the positions of some bodies scaled and moved (m)."""
     recording = make_recording()
