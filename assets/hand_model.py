@@ -105,17 +105,15 @@ class HandGeometry:
         ring finger and thumb.
         """
         positions, rotations = self.compute_link_poses(dof)
-        ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], self.tips + self._compute_tip_offsets())
+        directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
+        tips = self.tips + directions * self.radii[:, 1:]
+        ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], tips)
         points = [positions[..., :1, :]]
         for digit in range(5):
             first = 1 + 3 * digit
             last = positions[..., first + 2, :] + ends[..., first + 1, :]
             points += [positions[..., first : first + 3, :], last[..., None, :]]
         return np.concatenate(points, axis=-2)
-
-    def _compute_tip_offsets(self) -> FloatArray:
-        directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
-        return np.asarray(directions * self.radii[:, 1:])
 
 
 def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:

@@ -94,6 +94,7 @@ class OfficialDataset(Dataset):
                 )
         self._assets = self.data_dir / "assets"
         self._info = lru_cache(maxsize=None)(lambda scene_id: read_scene_info(self._find_meta_file(scene_id), scene_id))
+        self._load_grasps = lru_cache(maxsize=None)(load_grasps)
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))
 
@@ -125,7 +126,7 @@ class OfficialDataset(Dataset):
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Load the robot grasps of a YCB class."""
         path = self._find_grasp_file(object_name)
-        return None if path is None else _read_grasps(path, path.stat().st_mtime_ns)
+        return None if path is None else self._load_grasps(path)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Check that all files of the given scenes exist, and read the grasps of their objects."""
@@ -177,12 +178,6 @@ class OfficialDataset(Dataset):
     def _find_grasp_file(self, name: str) -> Path | None:
         path = self._assets / "grasps" / f"{name}.npy"
         return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
-
-
-@lru_cache(maxsize=64)
-def _read_grasps(path: Path, modified_ns: int) -> npt.NDArray[np.float64]:
-    """Load a grasp file; an unchanged file is read once."""
-    return load_grasps(path)
 
 
 def _encode_mesh_sizes(urdf: Path) -> bytes:

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.assets.hand_model import Side
-from handover_marl.datasets.generated.hands import HandTemplates, Palms, make_hand_templates
-from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers
+from handover_marl.datasets.generated.hands import Palms, make_hand_templates
+from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
 from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
@@ -96,7 +96,7 @@ def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Sid
     templates = make_hand_templates(SUBJECT_SIZES[hand - 1], _N_OPENINGS)
     for shift in _SHIFTS:
         palm = Palms((position + rotation @ shift)[None], rotation[None])
-        if _measure_palm(solid, templates, palm) < -_MAX_PALM_OVERLAP:
+        if measure_body(solid, palm, *templates.palm)[0] < -_MAX_PALM_OVERLAP:
             continue
         rows = np.arange(len(templates.openings))
         gaps = solid.compute_distances(palm[0 * rows].transform(templates.path[:, 0])) - templates.radii
@@ -118,16 +118,10 @@ def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Sid
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
         angles = closed.posture.compute_joint_angles()[best]
         return HandGrasp(opened * signs, angles * signs, shift * _MIRROR if is_left else shift)
-    distance = 1000.0 * _measure_palm(solid, templates, Palms(position[None], rotation[None]))
+    distance = 1000.0 * float(measure_body(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(
         f"wrist must be where the fingers reach around the object when it is picked up ({place}), got a palm {where}; "
         "check the wrist's frame (origin in the wrist, fingers of a right hand along -x, back along +y, thumb towards "
         "+z; a left hand is mirrored in x) or pass hand=None"
     )
-
-
-def _measure_palm(solid: Solid, templates: HandTemplates, palm: Palms) -> float:
-    """Return the smallest distance (m) of the palm from the object."""
-    centers, radii = templates.palm
-    return float((solid.compute_distances(palm.transform(centers[None])) - radii).min())

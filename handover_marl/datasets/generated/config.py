@@ -22,9 +22,6 @@ FAMILIES: Final = (DEFAULT, HARD)
 #: Kinds of procedural objects.
 OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics")
 
-#: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
-#: numbers are exact in float32 observations.
-MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 100_000
 #: Version of the generator, part of every seed. It changes whenever the scenes do.
 VERSION: Final = 2
 # First word of the seeds; the synthetic scenes have their version, 1.
@@ -35,9 +32,12 @@ _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
 
-def _check_number(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:  # Also refuses NaN.
-        raise OptionError(f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range")
+# Smallest and largest values. Seeds are 32-bit words, and class numbers are exact in float32 observations.
+_LIMITS: Final = {
+    **{"n": (1, 10_000_000), "seed": (0, 2**32 - 1), "objects": (50, 100_000), "people": (1, 100_000)},
+    **{"procedural": (0, 1), "left": (0, 1), "clutter_max": (0, MAX_OBJECTS - 1)},
+    **dict.fromkeys(OBJECT_KINDS, (0, 1_000_000)),
+}
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,12 @@ class GeneratedConfig:
 
     def __post_init__(self) -> None:
         check_name("family", self.family, FAMILIES)
-        for name, low, high in (
-            *(("n", 1, MAX_SCENES), ("seed", 0, MAX_SEED), ("objects", 50, MAX_POOL), ("people", 1, MAX_POOL)),
-            *(("clutter_min", 0, self.clutter_max), ("clutter_max", 0, MAX_OBJECTS - 1)),
-        ):
-            _check_number(name, getattr(self, name), low, high)
-        for name in ("procedural", "left"):
-            _check_number(name, getattr(self, name), 0.0, 1.0)
-        for name in OBJECT_KINDS:
-            _check_number(name, getattr(self, name), 0.0, 1e6)
+        for name, (low, high) in {**_LIMITS, "clutter_min": (0, self.clutter_max)}.items():
+            value = getattr(self, name)
+            if not low <= value <= high:  # Also refuses NaN.
+                raise OptionError(
+                    f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range"
+                )
         if not any(self.kind_weights):
             raise OptionError(f"one of {', '.join(OBJECT_KINDS)} must be above 0, got 0 for all; leave them out")
 

@@ -173,7 +173,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
     return kept[(distances - np.concatenate(radii) > limits).all(axis=1)]
 
 
-def _measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
+def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
     """Return the smallest distance (n,) (m) between spheres of the hand's body and the object."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
@@ -246,7 +246,7 @@ def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, clos
     count = touching[:, :4].sum(axis=1)
     opposed = (facing.sum(axis=1) < -0.2 * count) & (facing.min(axis=1) < -0.4)
     holds = touching[:, 4] & (count >= 2) & touching[:, :2].any(axis=1)
-    body = _measure_body(solid, palms, *templates.palm)
+    body = measure_body(solid, palms, *templates.palm)
     # Rounding of the steps can press a finger deeper than the skin yields.
     shallow = closed.gaps.min(axis=(1, 2)) > -2.0 * SKIN_YIELD
     thumb, fingers = closed.centers[:, 4].reshape(n, -1, 1, 3), closed.centers[:, :4].reshape(n, 1, -1, 3)

@@ -1,6 +1,5 @@
 """Generation of one scene: object, person, human grasp, poses, motion and other objects."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -45,21 +44,6 @@ _MAX_ATTEMPTS = 50
 _MIN_ROBOT_GRASPS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class ObjectModel:
-    """Procedural object with the geometry and grasps that scenes need.
-
-    Attributes:
-        item: Object.
-        solid: Solid of its parts.
-        robot_grasps: (n, 7) poses of the gripper's hand link at a few robot grasps, or None without any.
-    """
-
-    item: ProceduralObject
-    solid: Solid
-    robot_grasps: Array | None
-
-
 def draw_side(config: GeneratedConfig, scene_id: int) -> Side:
     """Return the side of the giver's hand in a scene."""
     return "left" if open_stream(make_seed(config, "scene", scene_id), "side").uniform() < config.left else "right"
@@ -102,15 +86,13 @@ def _draw_giver(config: GeneratedConfig, scene_id: int, split: int) -> tuple[Sim
             return make_subject_giver(class_id, SUBJECTS[people.integer(len(SUBJECTS))], side), seed
         numbers = list_object_numbers(config, split)
         number = int(numbers[random.integer(len(numbers))])
-        model = load_object_model(config, number)
+        item, solid = _load_shape(config, number)
         person = draw_person(config, people.integer(config.people))
-        grasps = draw_human_grasps(
-            open_stream(seed, "human grasps"), model.solid, model.item.up_axes, person.size, side
-        )
+        grasps = draw_human_grasps(open_stream(seed, "human grasps"), solid, item.up_axes, person.size, side)
         if grasps is not None:
             distances, hand = np.quantile(grasps.wrist_distance, LEVELS).tolist(), scale_hand(person.size, side)
             held = make_held_object(
-                model.solid.corners, model.item.up_axes, distances, hand, grasps, model.robot_grasps
+                solid.corners, item.up_axes, distances, hand, grasps, _draw_few_grasps(config, number)
             )
             urdf = write_hand_model(person, side)
             return SimulatedGiver(FIRST_CLASS + number, held, person.name, side, hand, urdf), seed
@@ -153,9 +135,7 @@ def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject,
 
 
 @lru_cache(maxsize=256)
-def load_object_model(config: GeneratedConfig, number: int) -> ObjectModel:
-    """Return a procedural object with its solid and a few robot grasps; cached."""
-    item, solid = _load_shape(config, number)
-    sketch = draw_object_grasps(config, number, SKETCH)
-    poses = hand_poses_from_grasps(sketch) if len(sketch) >= _MIN_ROBOT_GRASPS else None
-    return ObjectModel(item, solid, poses)
+def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
+    """Return poses (n, 7) of the gripper's hand link at a few robot grasps, or None if hardly any is found."""
+    grasps = draw_object_grasps(config, number, SKETCH)
+    return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_ROBOT_GRASPS else None
