@@ -1,18 +1,16 @@
-"""Build the hand models: `python -m handover_marl.assets.building.build_hands [--out DIR]`.
+"""Hand models: meshes for the reference hand, and URDFs of the subjects, which scale them.
 
-The meshes are made for the reference hand, a rounded palm and phalanges as tapered capsules; every subject's URDF
-scales them. A left hand has its own mirrored meshes. Building the models again gives the same files, byte by byte.
+The meshes are a rounded palm and phalanges as tapered capsules. A left hand has its own mirrored meshes. Building the
+models again gives the same files, byte by byte.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import manifold3d
 import numpy as np
 import numpy.typing as npt
 import trimesh
-import tyro
 from rich.progress import track
 
 from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
@@ -31,7 +29,7 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
     scale_hand,
 )
-from handover_marl.assets.hand_postures import make_forearm_capsules, make_palm_capsules
+from handover_marl.datasets.generated.hands import make_forearm_capsules, make_palm_capsules
 from handover_marl.geometry.model_files.meshes import select_extreme_points
 
 #: Largest number of vertices of a collision mesh; Bullet is slow with more.
@@ -42,6 +40,18 @@ _BLEND = 0.007
 
 # trimesh has no types.
 _align_vectors: Callable[[npt.ArrayLike, npt.ArrayLike], FloatArray] = trimesh.geometry.align_vectors
+
+
+def build_hands(out: Path = HANDS_FOLDER) -> None:
+    """Build the meshes of both hands and the URDFs of ten subjects' two hands.
+
+    Args:
+        out: Folder for meshes and URDFs.
+    """
+    for side in SIDES:
+        write_meshes(out, side)
+        for subject in track(SUBJECTS, description=f"{side} hands"):
+            write_hand_urdf(out, subject, side)
 
 
 def make_reference_hand() -> HandGeometry:
@@ -119,17 +129,6 @@ def _make_sphere_points(around: int, rings: int) -> FloatArray:
     return np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], *points])
 
 
-@dataclass(frozen=True)
-class Args:
-    """Options of the builder of hand models.
-
-    Attributes:
-        out: Folder for meshes and URDFs.
-    """
-
-    out: Path = HANDS_FOLDER
-
-
 def format_obj(mesh: trimesh.Trimesh, mirror: bool) -> str:
     """Return a mesh as Wavefront OBJ text with up to 6 decimals, mirrored in x if `mirror` is set."""
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
@@ -158,15 +157,3 @@ def write_hand_urdf(out: Path, subject: int, side: Side) -> Path:
     model = make_hand_geometry(subject, side)
     path.write_text(format_hand_urdf(model, name, SKIN_COLORS[subject - 1], f"../meshes/{side}"))
     return path
-
-
-def main(args: Args) -> None:
-    """Write the meshes of both hands and the URDFs of ten subjects' two hands."""
-    for side in SIDES:
-        write_meshes(args.out, side)
-        for subject in track(SUBJECTS, description=f"{side} hands"):
-            write_hand_urdf(args.out, subject, side)
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Args))

@@ -1,20 +1,17 @@
-"""Build the human grasps: `python -m handover_marl.assets.building.build_human_grasps [--out FILE]`.
+"""Human grasps of the library's objects.
 
 For every object, side and subject, grasps are drawn all over the object, and a varied set of them is selected whose
-wrist distances are distributed as in DexYCB. The program needs the extra `assets`.
+wrist distances are distributed as in DexYCB.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import tyro
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES, HandSize
-from handover_marl.assets.building.object_files import MeshSolid, load_mesh_solid
 from handover_marl.assets.hand_model import SIDES, Side
 from handover_marl.assets.human_grasps import (
     ANGLE_STEP,
@@ -25,41 +22,50 @@ from handover_marl.assets.human_grasps import (
 )
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps
+from handover_marl.datasets.generated.shapes import Solid, read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.execution.files import write_arrays
 
 Array = npt.NDArray[np.float64]
 
 _SEARCH = HumanGraspConfig(n_pairs=6000, n_closed=200, n_grasps=250, n_rounds=20)
+_N_GRASPS = 20  # of each object, side and subject
 _AXES = (1.0,) * 6  # A hand may come from any side.
 
 
-@dataclass(frozen=True)
-class Args:
-    """Options of the builder of human grasps.
+def build_human_grasps(out: Path = GRASPS_FILE) -> None:
+    """Build all grasps and write them, indexed by object, side, subject and grasp.
 
-    Attributes:
+    Args:
         out: Output file (`.npz`).
-        objects: YCB class names of the objects.
-        count: Number of grasps per object, side and subject.
-        seed: Random seed.
     """
-
-    out: Path = GRASPS_FILE
-    objects: tuple[str, ...] = GRASPED_OBJECTS
-    count: int = 20
-    seed: int = 0
+    found = []
+    for number, name in enumerate(track(GRASPED_OBJECTS, description="human grasps")):
+        solid = read_solid(find_object_urdf(name))
+        found.append(
+            [
+                [
+                    make_human_grasps(name, solid, size, side, number, SIDES.index(side), person)
+                    for person, size in enumerate(SUBJECT_SIZES)
+                ]
+                for side in SIDES
+            ]
+        )
+    arrays = {
+        key: np.array([[[one[key] for one in side] for side in item] for item in found]) for key in found[0][0][0]
+    }
+    write_arrays(out, {"object_names": np.array(GRASPED_OBJECTS), **arrays})
 
 
 def make_human_grasps(
-    name: str, solid: MeshSolid, size: HandSize, side: Side, count: int, *seed: int
+    name: str, solid: Solid, size: HandSize, side: Side, *seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """Return a number of grasps of a YCB class by one hand, as arrays of the output file."""
+    """Return 20 grasps of a YCB class by one hand, as arrays of the output file."""
     random = RandomStream(*seed)
     grasps = draw_human_grasps(random, solid, _AXES, size, side, _SEARCH)
     if grasps is None:
         raise ValueError(f"{name}: no grasp found; use another seed")
-    rows = select_grasps(random, grasps, name, count)
+    rows = select_grasps(random, grasps, name, _N_GRASPS)
     pose = grasps.object_from_base[rows]
     pose[:, 3:] *= np.where(pose[:, 6:] < 0.0, -1.0, 1.0)
     return {
@@ -91,26 +97,3 @@ def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: i
         costs += 3.0 * np.exp(-(apart**2) - turned**2)
         costs[best] += 1e6
     return np.array(chosen)[np.argsort(grasps.wrist_distance[chosen])]
-
-
-def main(args: Args) -> None:
-    """Build all grasps and write them, indexed by object, side, subject and grasp."""
-    found = []
-    for number, name in enumerate(track(args.objects, description="human grasps")):
-        solid = load_mesh_solid(find_object_urdf(name))
-        found.append(
-            [
-                [
-                    make_human_grasps(name, solid, size, side, args.count, args.seed, number, SIDES.index(side), person)
-                    for person, size in enumerate(SUBJECT_SIZES)
-                ]
-                for side in SIDES
-            ]
-        )
-    keys = found[0][0][0]
-    arrays = {key: np.array([[[one[key] for one in side] for side in item] for item in found]) for key in keys}
-    write_arrays(args.out, {"object_names": np.array(args.objects), **arrays})
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Args))

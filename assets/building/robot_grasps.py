@@ -1,7 +1,4 @@
-"""Build the robot grasps: `python -m handover_marl.assets.building.build_grasps [--out FILE]`.
-
-Grasps are antipodal candidates that hold their object in simulation. The program needs the extra `assets`.
-"""
+"""Robot grasps: antipodal candidates that hold their object in simulation."""
 
 import functools
 import zlib
@@ -11,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import tyro
 
-from handover_marl.assets.building.object_files import load_mesh_solid
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig, draw_robot_grasps
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
@@ -29,6 +25,18 @@ Array = npt.NDArray[np.float64]
 
 _POINTS_PER_GRASP, _CANDIDATES_PER_GRASP = 200, 6
 _CHUNK = 10
+_N_GRASPS = 100  # of each of the library's objects
+
+
+def build_robot_grasps(out: Path = GRASPS_PATH) -> None:
+    """Build the grasps of all objects and write them to one file.
+
+    Args:
+        out: Output file (`.npz`).
+    """
+    names = sorted(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
+    grasps = {name: make_robot_grasps(find_object_urdf(name), _N_GRASPS, seed=0).grasps for name in names}
+    write_arrays(out, {name: found.astype(np.float32) for name, found in grasps.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +69,7 @@ def make_robot_grasps(
         return GraspReport(np.zeros((0, 4, 4)), 0)
     random = RandomStream(zlib.crc32(f"{urdf.parent.name} {seed}".encode()))
     config = RobotGraspConfig(n_points=_POINTS_PER_GRASP * count, n_grasps=_CANDIDATES_PER_GRASP * count)
-    candidates = draw_robot_grasps(random, load_mesh_solid(urdf), config)
+    candidates = draw_robot_grasps(random, read_solid(urdf), config)
     make, held, n_simulated = functools.partial(_make_validation, urdf), list[Array](), 0
     while n_simulated < len(candidates) and len(held) < count:
         batch = candidates[n_simulated : n_simulated + max(_CHUNK, count - len(held))]
@@ -83,31 +91,3 @@ def _make_validation(urdf: Path) -> Callable[[tuple[int, Array]], list[bool]]:
         return [bool(validator.is_collision_free(grasp) and validator.is_stable(grasp)) for grasp in task[1]]
 
     return validate
-
-
-@dataclass(frozen=True)
-class Args:
-    """Options of the builder of robot grasps.
-
-    Attributes:
-        out: Output file (`.npz`).
-        only: YCB class names of the objects; all if empty.
-        n_grasps: Number of validated grasps per object.
-        seed: Random seed; an object's grasps do not depend on other objects.
-    """
-
-    out: Path = GRASPS_PATH
-    only: tuple[str, ...] = ()
-    n_grasps: int = 100
-    seed: int = 0
-
-
-def main(args: Args) -> None:
-    """Build the grasps of the chosen objects and write them to one file."""
-    names = args.only or tuple(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
-    grasps = {name: make_robot_grasps(find_object_urdf(name), args.n_grasps, args.seed).grasps for name in names}
-    write_arrays(args.out, {name: grasps[name].astype(np.float32) for name in sorted(grasps)})
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Args))
