@@ -22,7 +22,7 @@ import handover_marl
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.reports.tables import NO_VALUE, format_table
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 

@@ -30,14 +30,14 @@ def run_evaluate(
         episodes: Output file (.csv) with one row per episode; default: none.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.reports.report_files import evaluate
+    from handover_marl.evaluation.reports.report import evaluate
 
     path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
     report = evaluate(folder)
     if csv_path is not None:
         write_atomically(csv_path, report.format_episodes_csv())
     if path is not None:
-        from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
+        from handover_marl.evaluation.reports.report import find_replay_links, render_report_page
 
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
@@ -106,7 +106,7 @@ def run_compare(
     comparison = compare(first, second)
     if path is not None:
         from handover_marl.evaluation.comparison import render_comparison_page
-        from handover_marl.evaluation.reports.report_files import find_replay_links
+        from handover_marl.evaluation.reports.report import find_replay_links
 
         one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
         write_atomically(path, render_comparison_page(comparison, (one, other)))
@@ -215,7 +215,7 @@ def run_strangers_references(
         trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed table.
     """
-    from handover_marl.evaluation.strangers.reference_update import update_references
+    from handover_marl.evaluation.strangers.protocol import update_references
     from handover_marl.policies.populations import load_population
 
     summary = update_references(folders, population, out, trust)

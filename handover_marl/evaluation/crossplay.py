@@ -19,19 +19,21 @@ from handover_marl.evaluation.reports.episode_tables import (
     format_fluency_row,
 )
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
     FLUENCY,
     N_EPISODES,
+    NO_VALUE,
     RATES,
     REPORTED_STATUSES,
     TIMES,
     WAIT,
+    MeanEstimate,
     ReportTable,
     TabularResult,
     append_interval,
+    compute_wilson_interval,
     format_csv,
     format_percent_difference,
     format_percent_rate,
@@ -105,10 +107,23 @@ class CrossPlay(TabularResult):
         Rates are in 0..1, times in s, fluency metrics in the units of `FluencyMetrics`. KEY_low and
         KEY_high are the ends of a 95 % interval, KEY_n is the number of episodes of a mean.
         """
-        rates = [f"{column.key}{suffix}" for column in RATES for suffix in ("", "_low", "_high")]
-        means = [f"{column.key}{suffix}" for column in _CSV_MEANS for suffix in ("", "_low", "_high", "_n")]
-        header = ["giver", "receiver", *_CSV_IDENTITY, "data", N_EPISODES.key, *rates, WAIT.key, *means]
-        return format_csv([header, *(_format_csv_row(pair, report) for pair, report in self.reports.items())])
+        rows = []
+        for (giver, receiver), report in self.reports.items():
+            n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
+            row: dict[str, Any] = {"giver": giver, "receiver": receiver}
+            row |= {key: getattr(report.metadata, key) for key in _CSV_IDENTITY}
+            row |= {"data": report.data_label, N_EPISODES.key: n}
+            for column, flag in zip(RATES, REPORTED_STATUSES, strict=True):
+                interval = compute_wilson_interval(report.count(flag), n)
+                row[column.key] = report.compute_rate(flag)
+                row |= {f"{column.key}_low": interval[0], f"{column.key}_high": interval[1]}
+            row[WAIT.key] = report.metadata.wait_s
+            for key in (column.key for column in _CSV_MEANS):
+                found = means.get(key, MeanEstimate(None, None, 0))
+                low, high = found.interval_95 or (None, None)
+                row |= {key: found.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": found.n}
+            rows.append({key: f"{value:.6f}" if isinstance(value, float) else value for key, value in row.items()})
+        return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
     def write(self, folder: Path) -> None:
         """Write tables (Markdown, CSV) and heat map; requires the extra `plot`.
@@ -178,7 +193,7 @@ class CrossPlay(TabularResult):
                 append_interval(f"{100 * (score.mean or 0.0):.2f}", score.interval_95),
                 append_interval(format_seconds(exec_s.mean), exec_s.interval_95, ".3f", 1.0),
             ]
-            rows.append([*pair, len(report.episodes), *rates, report.wait_label, *cells, exec_s.n])
+            rows.append([*pair, len(report.episodes), *rates, report.metadata.wait_s or NO_VALUE, *cells, exec_s.n])
         columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
@@ -264,24 +279,3 @@ def format_pair_folder(pair: PolicyPair) -> str:
         return name
     start = name.encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
     return f"{start}-{hashlib.sha256(repr(pair).encode()).hexdigest()[:12]}"
-
-
-def _format_csv_row(pair: PolicyPair, report: Report) -> list[object]:
-    n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
-    rates = [
-        _format_csv_number(value)
-        for flag in REPORTED_STATUSES
-        for value in (report.compute_rate(flag), *compute_wilson_interval(report.count(flag), n))
-    ]
-    estimates = [means.get(column.key, MeanEstimate(None, None, 0)) for column in _CSV_MEANS]
-    cells = [
-        cell
-        for each in estimates
-        for cell in (*map(_format_csv_number, (each.mean, *(each.interval_95 or (None, None)))), each.n)
-    ]
-    identity = [getattr(report.metadata, key) for key in _CSV_IDENTITY]
-    return [*pair, *identity, report.data_label, n, *rates, report.metadata.wait_s, *cells]
-
-
-def _format_csv_number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6f}"

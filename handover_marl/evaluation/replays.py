@@ -5,9 +5,13 @@ from pathlib import Path
 
 from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
-from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import get_replay_path, prepare_subfolder
+from handover_marl.evaluation.results import (
+    EpisodeRecorder,
+    EpisodeResult,
+    EpisodeWriter,
+    get_replay_path,
+    prepare_subfolder,
+)
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.policy import Policy
 from handover_marl.version import __version__

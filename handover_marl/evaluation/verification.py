@@ -22,27 +22,27 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.report import describe_episode
-from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_world_label,
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.reports.report import evaluate, format_report_files
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.results import (
     REPORT_FILES,
     REPORT_JSON,
+    EpisodeResult,
+    describe_episode,
     get_result_path,
     load_result_arrays,
     read_result,
 )
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
+from handover_marl.execution.pool import open_pool
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.policies.registry import check_stored_reference, list_available
 from handover_marl.version import __version__
@@ -198,13 +198,22 @@ def verify(
         world_config=world,
     )
     config, _ = resolve_config(config, trust)
-    open_checker = functools.partial(_open_checker, config, path, metadata.version == __version__)
-    with contextlib.closing(open_pool(PoolConfig(workers)).map_unordered(open_checker, tasks, _describe_task)) as found:
+    is_same_version = metadata.version == __version__
+
+    @contextlib.contextmanager
+    def open_checker() -> Iterator[Callable[[SceneTask], list[Difference]]]:
+        with contextlib.closing(EpisodeRunner(config)) as runner:
+            yield functools.partial(check_episode, runner, path, same_version=is_same_version)
+
+    checked = open_pool(PoolConfig(workers)).map_unordered(
+        open_checker, tasks, lambda task: f"verifying scene {task.scene_id}"
+    )
+    with contextlib.closing(checked) as found:
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)
     expected = {"giver": reference.label}
-    if metadata.version == __version__:
+    if is_same_version:
         expected["giver_hash"] = reference.code_hash
     stored = {key: getattr(metadata, key) for key in expected}
     differences = [
@@ -213,18 +222,6 @@ def verify(
         *(each for check in checks for each in check),
     ]
     return Verification(metadata, tuple(config.scenes or ()), tuple(differences), len(split))
-
-
-@contextlib.contextmanager
-def _open_checker(
-    config: EvaluationConfig, folder: Path, same_version: bool
-) -> Iterator[Callable[[SceneTask], list[Difference]]]:
-    with contextlib.closing(EpisodeRunner(config, parallelism="")) as runner:
-        yield functools.partial(check_episode, runner, folder, same_version=same_version)
-
-
-def _describe_task(task: SceneTask) -> str:
-    return f"verifying scene {task.scene_id}"
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:

@@ -3,7 +3,7 @@
 import pytest
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution.ray_pool import check_versions, get_installed_versions
+from handover_marl.execution.pool import check_versions, get_installed_versions
 
 
 def test_equal_versions() -> None:

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
@@ -13,7 +12,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress, open_pool, share_pool
+from handover_marl.execution.pool import map_with_progress, open_pool, share_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -64,11 +63,6 @@ def test_errors_of_tasks_are_raised_here() -> None:
         run(raise_error(KeyError), [1, 2], workers=1)
 
 
-def test_results_that_cannot_be_pickled() -> None:
-    with pytest.raises(WorkerError, match=r"result cannot be pickled .*lock"):
-        run(lambda _: threading.Lock(), [1, 2])
-
-
 def kill_this_process() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -98,12 +92,6 @@ def test_a_task_that_kills_its_worker_twice() -> None:
 
     with pytest.raises(WorkerError, match=r"died twice while numbers: 2 \(exit code .*-9\)\)"):
         run(work, [1, 2, 3])
-
-
-@pytest.mark.filterwarnings("ignore:a worker process died")
-def test_a_worker_that_dies_while_it_starts() -> None:
-    with pytest.raises(WorkerError, match="died twice while numbers: "):
-        dict(map_with_progress(kill_this_process, [1, 2], "numbers", PoolConfig(2), progress=False))  # type: ignore[arg-type]
 
 
 def test_closing_ends_running_tasks() -> None:
@@ -149,17 +137,3 @@ def test_shared_pool_keeps_its_processes() -> None:
     for process in first:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
-
-
-@pytest.mark.filterwarnings("ignore:a worker process died")
-def test_shared_pool_continues_after_a_crash(tmp_path: Path) -> None:
-    def work(task: int) -> int:
-        if task == 1 and not (tmp_path / "killed").exists():
-            (tmp_path / "killed").touch()
-            kill_this_process()
-        return task
-
-    with share_pool(PoolConfig(2)) as open_workers:
-        for _ in range(2):
-            found = open_workers().map_unordered(lambda: nullcontext(work), [0, 1, 2])
-            assert sorted(result for _, result in found) == [0, 1, 2]

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution import ray_pool
+from handover_marl.execution import pool as ray_pool
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import open_pool
+from handover_marl.execution.pool import open_pool
 
 
 @pytest.mark.parametrize("scheme", ["", "ray://"])

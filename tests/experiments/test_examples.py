@@ -1,7 +1,5 @@
 """Examples for copying run at a small size."""
 
-from pathlib import Path
-
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -19,7 +17,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_examples_are_short() -> None:
     examples = sorted((EXPERIMENTS / "examples").glob("*.py"))
-    assert len(examples) == 4
+    assert len(examples) == 3
     for path in examples:
         assert len(path.read_text().splitlines()) <= MAX_LINES, path.name
 
@@ -42,14 +40,3 @@ def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
     example = script("pettingzoo_two_learners", monkeypatch)
     learners = example.main(example.Args(dataset="synthetic", episodes=2, batch=1, max_cycles=3))
     assert set(learners) == {"giver", "receiver"}
-
-
-def test_evaluate_and_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
-    example = script("evaluate_and_plot", monkeypatch)
-    out = tmp_path / "outcomes.png"
-    reports = example.main(
-        example.Args(receivers=("hold", "yang2021"), out=out, dataset="synthetic", scenes=SCENES, workers=1)
-    )
-    assert [len(report.episodes) for report in reports.values()] == [1, 1]
-    assert out.read_bytes().startswith(b"\x89PNG")

@@ -22,12 +22,6 @@ from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import Receiver, make
 from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.visualization.replay_bodies import (
-    compute_link_trajectories,
-    compute_robot_link_poses,
-    find_nearest_point,
-    load_simplified_meshes,
-)
 from handover_marl.visualization.replay_recorder import (
     FRAME_STEPS,
     EpisodeLog,
@@ -35,7 +29,13 @@ from handover_marl.visualization.replay_recorder import (
     describe_frame,
     list_events,
 )
-from handover_marl.visualization.replay_scene import END_PAUSE_S, build_replay_page
+from handover_marl.visualization.replay_scene import (
+    END_PAUSE_S,
+    build_replay_page,
+    compute_link_trajectories,
+    compute_robot_link_poses,
+    load_simplified_meshes,
+)
 from tests.evaluation.quick import QuickReceiver
 from tests.visualization.outside import outside
 
@@ -191,17 +191,6 @@ def test_frame_text_and_events(log: EpisodeLog) -> None:
     assert events["the person lets go because the fingers hold the object"] == pytest.approx(0.413)
     assert events["contact"] == pytest.approx(1.3)
     assert [at for at, _ in list_events(other)] == sorted(at for at, _ in list_events(other))
-
-
-def test_nearest_point_of_robot_and_hand(log: EpisodeLog) -> None:
-    links = list(compute_link_trajectories(log))
-    assert find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 0) is None
-    place = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 5)
-    back = find_nearest_point(links, SegmentationLabel.HAND, SegmentationLabel.ROBOT, 5)
-    assert place is not None
-    assert back is not None
-    assert np.linalg.norm(place - back) < 1.0
-    assert np.linalg.norm(back - log.frames[5].snapshot.hand[:3]) < 0.25
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_paired_difference, estimate_mean
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
@@ -12,13 +11,16 @@ from handover_marl.evaluation.reports.tables import (
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
+    MeanEstimate,
     ReportTable,
+    compute_paired_difference,
+    estimate_mean,
     format_interval,
     format_percent_difference,
     format_percent_mean,
     format_percent_rate,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results import EpisodeResult
 
 EpisodePair = tuple[EpisodeResult, EpisodeResult]
 

@@ -10,15 +10,16 @@ import numpy.typing as npt
 
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
-from handover_marl.evaluation.strangers.protocol import check_code, read_report
-from handover_marl.evaluation.strangers.reference_update import list_labels
-from handover_marl.evaluation.strangers.references import Condition, load_population_references
+from handover_marl.evaluation.strangers.protocol import list_labels
+from handover_marl.evaluation.strangers.references import Condition, load_references
 from handover_marl.evaluation.strangers.report import (
     NO_REFERENCES_NOTE,
     NOTE,
     PROXIMITY_NOTE,
     StrangersReport,
+    check_code,
     format_estimate,
+    read_report,
 )
 from handover_marl.evaluation.strangers.scores import Statistic, compute_mean, compute_proximity, estimate_difference
 from handover_marl.execution.files import write_atomically
@@ -174,7 +175,7 @@ def make_leaderboard(
         _check_partners(path, report, found, trust)
     _check_comparable(paths, methods, reports)
     partners = [partner.name for partner in reports[0].partners]
-    table = load_population_references(found, None if references is None else check_path("references", references))
+    table = load_references(found, references)
     reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
     rows = [

@@ -27,9 +27,13 @@ def assert_shows(seen: dict[str, np.ndarray], demonstration: Demonstration, numb
 def assert_replays_in_env(demonstration: Demonstration, data: Path, config: WorldConfig) -> None:
     """Check that the environment reproduces a demonstration step by step if the giver follows the recording."""
     metadata = demonstration.metadata
-    options: dict[str, Any] = {"dataset": metadata.dataset, "physics": metadata.physics, "robot": metadata.robot}
+    options: dict[str, Any] = {
+        "dataset": metadata["dataset"],
+        "physics": metadata["physics"],
+        "robot": metadata["robot"],
+    }
     env = handover_marl.parallel_env(split="train", data_dir=data, control_period=0.001, world_config=config, **options)
-    observations, infos = env.reset(options={"scene_id": metadata.scene_id})
+    observations, infos = env.reset(options={"scene_id": metadata["scene_id"]})
     for number, action in enumerate(demonstration.actions):
         assert_shows(observations["receiver"], demonstration, number)
         rewards = 0.0
@@ -43,9 +47,9 @@ def assert_replays_in_env(demonstration: Demonstration, data: Path, config: Worl
     assert not env.agents
     info = infos["receiver"]
     assert (info["status"], info["steps"], info["release_step"]) == (
-        metadata.status,
-        metadata.steps,
-        metadata.release_step,
+        metadata["status"],
+        metadata["steps"],
+        metadata["release_step"],
     )
     env.close()
 
@@ -55,15 +59,15 @@ def assert_replays(
 ) -> None:
     """Check that the actions of both agents, at their recorded steps, reproduce all observations and the outcome."""
     metadata = demonstration.metadata
-    episode = Episode(metadata.physics, config)
-    episode.reset(open_dataset(metadata.dataset).load_scene(metadata.scene_id))
-    episode.seed_camera(derive_seed(metadata.seed, "camera"))
+    episode = Episode(metadata["physics"], config)
+    episode.reset(open_dataset(metadata["dataset"]).load_scene(metadata["scene_id"]))
+    episode.seed_camera(derive_seed(metadata["seed"], "camera"))
     robot = dict(zip(demonstration.steps.tolist(), demonstration.actions, strict=False))
     giver = dict(zip(demonstration.giver_steps.tolist(), demonstration.giver_actions, strict=True))
-    times = sorted({*robot, *giver, metadata.steps})
+    times = sorted({*robot, *giver, metadata["steps"]})
     number, action, deviation = 0, np.zeros(9, dtype=np.float32), NO_DEVIATION
-    for now, then in zip(times, [*times[1:], metadata.steps], strict=True):
-        if now in robot or now == metadata.steps:
+    for now, then in zip(times, [*times[1:], metadata["steps"]], strict=True):
+        if now in robot or now == metadata["steps"]:
             seen = select_receiver_observation(episode.observe(), episode.observe_camera(obs_mode), obs_mode)
             assert shown.observation_space.contains(seen)
             assert_shows(seen, demonstration, number)
@@ -71,8 +75,8 @@ def assert_replays(
         deviation = giver.get(now, deviation)
         episode.advance(action, then - now, deviation)
     assert number == len(demonstration) + 1
-    assert (int(episode.status), episode.steps) == (metadata.status, metadata.steps)
-    assert (-1 if episode.release_step is None else episode.release_step) == metadata.release_step
+    assert (int(episode.status), episode.steps) == (metadata["status"], metadata["steps"])
+    assert (-1 if episode.release_step is None else episode.release_step) == metadata["release_step"]
     episode.close()
 
 
@@ -105,9 +109,9 @@ def test_both_agents_and_the_camera_are_replayed(tmp_path: Path) -> None:
 def test_reward_of_a_success_is_that_of_the_environment(tmp_path: Path) -> None:
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5]}
     (demonstration,) = demonstrations = record(None, tmp_path / "out", **options)
-    assert demonstration.metadata.success
-    assert demonstration.metadata.status == EpisodeStatus.SUCCESS
-    assert demonstration.metadata.release_step > 0
+    assert demonstration.metadata["outcome"] == "success"
+    assert demonstration.metadata["status"] == EpisodeStatus.SUCCESS
+    assert demonstration.metadata["release_step"] > 0
     assert demonstration.rewards.tolist() == [0.0] * (len(demonstration) - 1) + [1.0]
     assert demonstration.terminations.tolist() == [False] * (len(demonstration) - 1) + [True]
     assert not demonstration.truncations.any()

@@ -19,14 +19,12 @@ from handover_marl.evaluation.demonstrations.convert import (
     format_task,
     make_columns,
 )
-from handover_marl.evaluation.demonstrations.demonstration import Demonstration, EpisodeMetadata
+from handover_marl.evaluation.demonstrations.demonstration import Demonstration
 from tests.evaluation.demonstrations.recording import SCENES, record
 
 FPS = 10
 NAME = "local/handovers"
-METADATA = EpisodeMetadata(
-    5, "025_mug", "a", "left", "success", 1, 9, 8, "hold", "replay", "fast", "dexycb", "panda", 0, "", "", ""
-)
+METADATA = {"scene_id": 5, "object_name": "025_mug", "outcome": "success"}
 
 
 @pytest.mark.parametrize("obs_mode", OBS_MODES)

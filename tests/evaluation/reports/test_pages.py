@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
+from handover_marl.evaluation.reports.report import find_replay_links, render_report_page
 from tests.evaluation.reports.test_report import report
 from tests.evaluation.test_comparison import folder
 from tests.visualization.outside import dangling, outside, references

@@ -3,10 +3,10 @@ import json
 import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.published import PUBLISHED, SOURCES
+from handover_marl.evaluation.metadata import ResultMetadata
+from handover_marl.evaluation.reports.published import PUBLISHED
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results import EpisodeResult
 
 SETTINGS = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "0.1.0")
 
@@ -44,14 +44,12 @@ def test_official_metrics() -> None:
     )
     found = Report(SETTINGS, episodes, 144)
     assert (found.success_rate, found.contact_rate, found.drop_rate, found.timeout_rate) == (0.4, 0.4, 0.2, 0.2)
-    assert found.time_exec == pytest.approx(5.0)
-    assert found.time_plan == pytest.approx(0.3)
-    assert found.time_total == pytest.approx(5.3)
+    means = [found.official_means[key].mean for key in ("exec_s", "plan_s", "total_s")]
+    assert means == pytest.approx([5.0, 0.3, 5.3])
 
 
 def test_no_success_prints_dashes_and_json_has_null() -> None:
     found = report(2, 4, 8)
-    assert found.time_exec is found.time_plan is found.time_total is None
     titles = ("success %", "exec s", "plan s", "total s")
     assert cells(str(found), "mine", *titles) == ["0.00 (0/3)", "-", "-", "-"]
     assert "nan" not in str(found).lower()
@@ -78,15 +76,6 @@ def test_whole_and_partial_splits() -> None:
     assert (whole.is_partial, part.is_partial) == (False, True)
     assert whole.extent == "all 144 scenes"
     assert part.extent == "1 of 144 scenes (partial)"
-    assert (report(1, wait_s="1.5").wait_label, part.wait_label) == ("1.5", "-")
-
-
-def test_text_describes_the_evaluation() -> None:
-    text = str(report(1, 2))
-    for word in ("s0 test", "2 of 144 scenes (partial)", "mine", "replay", "exact", "DexYCB, 1 object a scene"):
-        assert word in text
-    assert "published: Yang et al." in text
-    assert "a machine" in text
 
 
 @pytest.mark.parametrize(
@@ -133,33 +122,6 @@ def test_tables_show_average_success_and_wait() -> None:
     assert cells(text, "published: GA-DDPG w/o hold", *titles) == ["23.60*", "0"]
     assert cells(text, "published: handover-sim2real", "wait s") == ["1.5"]
     assert cells(str(report(1, 2)), "mine", "wait s") == ["-"]
-
-
-def test_tables_fit_a_terminal_of_100_columns() -> None:
-    names = ("omg_hand_aware", "vision@0123abcd", "learned:best_response_7")
-    for name in names:
-        text = str(report(*([1] * 138), 2, 4, 8, 1, 1, 1, receiver=name))
-        rows = [line for line in text.splitlines() if line.startswith("|")]
-        assert len(rows) > 10
-        assert max(map(len, rows)) <= 100
-
-
-def test_every_published_row_has_its_wait_and_source() -> None:
-    for rows in PUBLISHED.values():
-        for row in rows:
-            assert 0.0 <= row.wait_s <= 3.0
-            assert row.source in SOURCES
-            total = row.success + row.contact + row.drop + row.timeout
-            assert total == pytest.approx(100.0, abs=0.03)
-
-
-@pytest.mark.parametrize(
-    ("counts", "label"),
-    [([1, 1], "1 object a scene"), ([4], "4 objects a scene"), ([5, 3, 4, 3], "3 to 5 objects a scene")],
-)
-def test_number_of_objects_in_the_heading(counts: list[int], label: str) -> None:
-    episodes = tuple(episode(index, 1, n_objects=count) for index, count in enumerate(counts))
-    assert label in Report(SETTINGS, episodes, 144).heading
 
 
 @pytest.mark.parametrize("world", ["another", "~", "A", ""])

@@ -6,23 +6,16 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.episode_tables import (
-    build_fluency_table,
-    format_fluency_row,
-    format_scene_cells,
-)
 from handover_marl.evaluation.reports.tables import (
     FLUENCY,
     TABLE_FORMATS,
     ReportTable,
     TabularResult,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
 from tests.evaluation.quick import write_results
-from tests.evaluation.reports.test_report import episode, report
+from tests.evaluation.reports.test_report import report
 
 TITLES = [column.title for column in FLUENCY]
 WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
@@ -52,11 +45,10 @@ def test_other_formats_are_not_split() -> None:
 def results() -> list[TabularResult]:
     """Return one result of every kind that commands print."""
     first, other = report(1, 2), report(2, 1, physics="fast")
-    pairs = tuple(zip(first.episodes, other.episodes, strict=True))
     both = {("replay", name): first for name in ("hold", "yang2021")}
     return [
         first,
-        Comparison(first, other, pairs),
+        Comparison(first, other),
         Agreement(first, other),
         CrossPlay(both),
     ]
@@ -110,44 +102,3 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
         missing = {*stored, *stored["fluency"]} - {*row}
         assert missing == {"fluency"}
     assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.txt")]) == 2
-
-
-def test_episodes_without_metrics_as_csv() -> None:
-    """Episodes without fluency metrics, such as those of HandoverSim, have the same columns with empty cells."""
-    first = report(1, 2)
-    (header, *rows) = csv.reader(io.StringIO(first.format_episodes_csv()))
-    assert header == next(csv.reader(io.StringIO(report(1).format_episodes_csv())))
-    assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
-
-
-def test_cells_of_fluency_metrics_have_mean_interval_and_n() -> None:
-    metrics = {column.key: 0.25 for column in FLUENCY}
-    known = [episode(index, 1, fluency=FluencyMetrics(**metrics)) for index in range(2)]
-    place = TITLES.index("human idle %")
-    assert format_fluency_row(known)[place] == "25 (25 to 25; n 2)"
-    assert format_fluency_row(known[:1])[place] == "25 (n 1)"
-    unknown = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "handover_time": None}))]
-    assert format_fluency_row(unknown)[TITLES.index("handover time s")] == "-"
-    assert format_fluency_row([episode(0, 1)]) == ["-"] * len(FLUENCY)
-
-
-def test_cells_of_scenes() -> None:
-    one = episode(0, 6, 1234, 0.12345, subject="20200709-subject-01", side="left", release_step=1000)
-    row = ["204", "003_cracker_box", "20200709-subject-01", "left", "contact+drop", "1234", "1000", "0.123"]
-    assert format_scene_cells(one) == row
-    assert format_scene_cells(EpisodeResult(0, one.status, 5, 0.0)) == ["-"] * 4 + ["contact+drop", "5", "-", "0.000"]
-
-
-def test_numbers_of_the_fluency_table_have_three_digits() -> None:
-    metrics = {column.key: 0.0 for column in FLUENCY}
-    cells = {}
-    for value in (0.0, 0.123456, 12.3456, 999.4, 999.5, 1234.56, -1234.56):
-        one = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))]
-        cells[value] = next(row for row in build_fluency_table(one).rows if row[0] == "gripper jerk m/s^3")[1:]
-    texts = ["0", "0.123", "12.3", "999", "1000", "1235", "-1235"]
-    assert list(cells.values()) == [[text, "-", 1] for text in texts]
-    both = [
-        episode(index, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))
-        for index, value in enumerate((0.5, 1500.25))
-    ]
-    assert ["gripper jerk m/s^3", "750", "0 to 1500", 2] in build_fluency_table(both).rows

@@ -12,7 +12,7 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.results.episode_file import format_episode_file, read_episode_file
+from handover_marl.evaluation.results import format_episode_file, read_episode_file
 from tests.evaluation.quick import write_results
 
 

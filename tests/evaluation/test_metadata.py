@@ -8,15 +8,15 @@ import yaml
 
 from handover_marl.config import OFFICIAL_CONFIG, ProtocolConfig, WorldConfig
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_config,
     format_world_label,
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import ResultFolder
+from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.results import ResultFolder
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 
