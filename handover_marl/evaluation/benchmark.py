@@ -28,8 +28,8 @@ from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.episode_tables import format_scene_cells
 from handover_marl.evaluation.reports.report import Report, write_report
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
-from handover_marl.execution.options import PoolConfig, check_pool, forward_signature
-from handover_marl.execution.pool import open_pool, share_pool
+from handover_marl.execution.options import check_pool, forward_signature
+from handover_marl.execution.pool import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.visualization.replay_scene import require_replay_extra
 
@@ -128,7 +128,7 @@ def run_evaluations(
     """
     prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
     reports = []
-    with share_pool(execution) as open_workers:
+    with contextlib.closing(open_pool(execution)) as pool:
         for config, metadata, folder, tasks in prepared:
             writers: list[EpisodeWriter] = []
             if folder is not None:
@@ -144,8 +144,6 @@ def run_evaluations(
                 task: result for task, result in stored.items() if all(writer.contains(result) for writer in writers)
             }
             remaining = [task for task in tasks if task not in results]
-            # Without tasks there is no need to connect to a cluster.
-            pool = open_workers() if remaining else open_pool(PoolConfig(workers=1))
             with (
                 _show_progress(len(tasks), results.values(), execution.progress) as show,
                 contextlib.closing(run_episodes(config, remaining, pool, tuple(writers))) as finished,

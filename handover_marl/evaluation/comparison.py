@@ -3,7 +3,6 @@
 import functools
 import os
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,6 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import EXACT, FAST, PHYSICS, check_physics
-from handover_marl.version import __version__
-from handover_marl.visualization.web_page import render_page
 
 AGREEMENT_FILE = "agreement.md"
 _NOTE = (
@@ -149,28 +146,6 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
         if one.fingerprint and two.fingerprint and one.fingerprint != two.fingerprint:
             raise ResultsError(f"{first} and {second} were computed from different data (scene {one.scene_id})")
     return comparison
-
-
-def render_comparison_page(
-    comparison: Comparison, replays: tuple[Mapping[int, str], Mapping[int, str]] = ({}, {})
-) -> str:
-    """Render a comparison as a self-contained web page.
-
-    Args:
-        comparison: The comparison.
-        replays: Links to replay pages of A and of B by scene number, relative to the page.
-    """
-    names = [report.metadata.receiver for report in (comparison.first, comparison.second)]
-    return render_page(
-        "comparison.html",
-        version=__version__,
-        title=f"{names[0]} (A) and {names[1]} (B)",
-        sides=[("A", comparison.first.heading), ("B", comparison.second.heading)],
-        rates=comparison.build_tables()[0],
-        note=comparison.note,
-        changes=comparison.changes,
-        replays=replays,
-    )
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)

@@ -136,13 +136,15 @@ def run_episodes(
         writers: Writers whose recorders observe the episodes.
 
     Returns:
-        Generator of pairs (index of the task, episode); closing it ends the workers.
+        Generator of pairs (index of the task, episode); closing it ends the tasks that still run.
 
     Raises:
         WorkerError: Two workers died over the same scene, or the cluster cannot be used.
         HandoverError: Error of the library in a worker, raised again with its type.
     """
-    parallelism = " ".join(filter(None, (f"{min(pool.n_workers, len(tasks))} at a time", pool.location)))
+    # Without tasks there is no need to connect to a cluster.
+    n_workers = min(pool.n_workers, len(tasks)) if tasks else 0
+    parallelism = " ".join(filter(None, (f"{n_workers} at a time", pool.location)))
     bundles: tuple[PolicyBundle, ...] = ()
     if pool.is_remote:
         bundles = tuple(map(PolicyBundle.pack, map(require_policy_reference, (config.giver, config.receiver))))

@@ -205,10 +205,8 @@ def verify(
         with contextlib.closing(EpisodeRunner(config)) as runner:
             yield functools.partial(check_episode, runner, path, same_version=is_same_version)
 
-    checked = open_pool(PoolConfig(workers)).map_unordered(
-        open_checker, tasks, lambda task: f"verifying scene {task.scene_id}"
-    )
-    with contextlib.closing(checked) as found:
+    with contextlib.closing(open_pool(PoolConfig(workers))) as pool:
+        found = pool.map_unordered(open_checker, tasks, lambda task: f"verifying scene {task.scene_id}")
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)

@@ -23,10 +23,10 @@ import traceback
 import uuid
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import node
@@ -183,11 +183,10 @@ class LocalPool(Pool):
 
     Args:
         n_workers: Number of processes.
-        keep_workers: Whether processes continue after the last task, until `close` is called.
     """
 
-    def __init__(self, n_workers: int, keep_workers: bool = False) -> None:
-        self.n_workers, self._keep_workers = n_workers, keep_workers
+    def __init__(self, n_workers: int) -> None:
+        self.n_workers = n_workers
         self._executor: ProcessPoolExecutor | None = None
         self._n_processes = 0
 
@@ -253,7 +252,7 @@ class LocalPool(Pool):
                     yield running.pop(future), unpickle_result(answer)
             is_finished = True
         finally:
-            if not (is_finished and self._keep_workers):
+            if not is_finished:
                 self.close()
 
     def _get_executor(self, n_workers: int) -> ProcessPoolExecutor:
@@ -290,17 +289,24 @@ class RayPool(Pool):
 
     Args:
         config: Number of tasks that run at a time, and the cluster's address.
-
-    Raises:
-        WorkerError: The cluster cannot be reached.
     """
 
     location = "on a Ray cluster"
     is_remote = True
 
     def __init__(self, config: PoolConfig) -> None:
+        self._config = config
+
+    @functools.cached_property
+    def n_workers(self) -> int:  # type: ignore[override]
+        """Number of tasks that run at a time, on the cluster to which this connects.
+
+        Raises:
+            WorkerError: The cluster cannot be reached.
+        """
         import ray
 
+        config = self._config
         if not ray.is_initialized():
             address = config.ray_address or os.environ.get("RAY_ADDRESS")
             try:
@@ -313,7 +319,7 @@ class RayPool(Pool):
                     "leave out ray_address for a Ray on this machine"
                 ) from error
         cores = int(ray.cluster_resources().get("CPU", 0))
-        self.n_workers = max(1, cores) if config.workers is None else resolve_worker_count(config.workers)
+        return max(1, cores) if config.workers is None else resolve_worker_count(config.workers)
 
     def map_unordered(
         self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
@@ -321,6 +327,7 @@ class RayPool(Pool):
         """Apply a function to tasks on the cluster, see `Pool.map_unordered`."""
         import ray
 
+        n_workers = self.n_workers
         # Kept in the cluster's object store, so that it is sent to each node once.
         job = ray.put(pickle_by_value((open_worker, describe)))
         spread = ray.remote(num_cpus=1, max_retries=_RETRIES, scheduling_strategy="SPREAD")
@@ -330,7 +337,7 @@ class RayPool(Pool):
         running: dict[Any, int] = {}
         try:
             while waiting or running:
-                while waiting and len(running) < self.n_workers:
+                while waiting and len(running) < n_workers:
                     index = waiting.pop()
                     running[submit(*job_arguments, pickle_by_value(tasks[index]))] = index
                 ((reference, *_), _) = ray.wait(list(running))
@@ -436,35 +443,17 @@ def _check_server(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), _CONNECTION_TIMEOUT_S).close()
 
 
-def open_pool(config: PoolConfig, keep_workers: bool = False) -> Pool:
-    """Return a worker pool with a configuration; for Ray, connect to the cluster.
+def open_pool(config: PoolConfig) -> Pool:
+    """Return a worker pool with a configuration; close it after its last job.
 
-    Args:
-        config: Configuration of the pool.
-        keep_workers: Whether local processes continue after the last task, until the pool is closed.
+    Processes are started, and Ray clusters connected to, for the first task.
 
     Raises:
         UnknownNameError: The backend is unknown.
         OptionError: The configuration is invalid.
-        WorkerError: The Ray cluster cannot be reached.
     """
     check_pool(config)
-    if config.backend == RAY:
-        return RayPool(config)
-    return LocalPool(resolve_worker_count(config.workers), keep_workers)
-
-
-@contextmanager
-def share_pool(config: PoolConfig) -> Iterator[Callable[[], Pool]]:
-    """Yield a function that returns a pool whose processes are used for several jobs, and end at the exit.
-
-    The pool is opened at the first call.
-
-    Raises:
-        HandoverError: As `open_pool`, at the first call.
-    """
-    with ExitStack() as stack:
-        yield functools.cache(lambda: stack.enter_context(closing(open_pool(config, keep_workers=True))))
+    return RayPool(config) if config.backend == RAY else LocalPool(resolve_worker_count(config.workers))
 
 
 def map_with_progress(
@@ -486,10 +475,10 @@ def map_with_progress(
     Raises:
         HandoverError: As `Pool.map_unordered`.
     """
-    finished = open_pool(config).map_unordered(
-        lambda: nullcontext(make_function()), tasks, lambda task: f"{description}: {str(task)[:80]}"
-    )
-    with closing(finished):
+    with closing(open_pool(config)) as pool:
+        finished = pool.map_unordered(
+            lambda: nullcontext(make_function()), tasks, lambda task: f"{description}: {str(task)[:80]}"
+        )
         bar = track(finished, description, len(tasks), console=Console(stderr=True), disable=not progress)
         for index, result in bar:
             yield tasks[index], result

@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import map_with_progress, open_pool, share_pool
+from handover_marl.execution.pool import LocalPool, map_with_progress, open_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -40,7 +40,8 @@ def test_one_worker_is_this_process() -> None:
 
 def test_worker_processes_run_local_functions() -> None:
     """Worker processes run functions that are defined within functions, which no other process can import."""
-    found = sorted(open_pool(PoolConfig(2)).map_unordered(open_worker([]), [1, 2, 3, 4]))
+    with closing(open_pool(PoolConfig(2))) as pool:
+        found = sorted(pool.map_unordered(open_worker([]), [1, 2, 3, 4]))
     assert [result for _, (_, result) in found] == [10, 20, 30, 40]
     processes = {process for _, (process, _) in found}
     assert 1 <= len(processes) <= 2
@@ -122,14 +123,14 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_shared_pool_keeps_its_processes() -> None:
     def run_shared(function: Callable[[int], object]) -> list[object]:
-        found = open_workers().map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
+        found = pool.map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
         return [result for _, result in sorted(found)]
 
     def get_process(task: int) -> int:
         time.sleep(0.2)
         return os.getpid()
 
-    with share_pool(PoolConfig(2)) as open_workers:
+    with closing(LocalPool(2)) as pool:
         first = set(run_shared(get_process))
         assert len(first) == 2
         assert run_shared(lambda task: task + 1) == [1, 2, 3, 4]

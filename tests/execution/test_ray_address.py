@@ -3,6 +3,7 @@
 import socket
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import pytest
 
@@ -17,10 +18,10 @@ def test_ray_that_does_not_run_is_reported_at_once(scheme: str, monkeypatch: pyt
     pytest.importorskip("ray", reason="needs the extra `ray`")
     started = time.perf_counter()
     with pytest.raises(WorkerError, match=rf"Ray cannot be reached at {scheme}127.0.0.1:1 \(ConnectionRefusedError"):
-        open_pool(PoolConfig(backend="ray", ray_address=f"{scheme}127.0.0.1:1"))
+        next(open_pool(PoolConfig(backend="ray", ray_address=f"{scheme}127.0.0.1:1")).map_unordered(nullcontext, [1]))
     monkeypatch.setenv("RAY_ADDRESS", f"{scheme}127.0.0.1:1")
     with pytest.raises(WorkerError, match=f"Ray cannot be reached at {scheme}127.0.0.1:1"):
-        open_pool(PoolConfig(backend="ray"))
+        next(open_pool(PoolConfig(backend="ray")).map_unordered(nullcontext, [1]))
     assert time.perf_counter() - started < 30.0
 
 

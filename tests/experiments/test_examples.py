@@ -17,7 +17,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_examples_are_short() -> None:
     examples = sorted((EXPERIMENTS / "examples").glob("*.py"))
-    assert len(examples) == 3
+    assert len(examples) == 2
     for path in examples:
         assert len(path.read_text().splitlines()) <= MAX_LINES, path.name
 
@@ -27,12 +27,6 @@ def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
     report = example.main(example.Args(dataset="synthetic", scenes=SCENES, workers=1))
     assert [episode.scene_id for episode in report.episodes] == list(SCENES)
     assert "success" in capsys.readouterr().out
-
-
-def test_own_giver(monkeypatch: pytest.MonkeyPatch) -> None:
-    example = script("own_giver", monkeypatch)
-    args = example.Args(receiver="hold", dataset="synthetic", scenes=SCENES, workers=1)
-    assert set(example.main(args)) == {"replay", "meeting"}
 
 
 def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,21 +89,6 @@ class Report(TabularResult):
         """Share of episodes with success and no failure (0..1)."""
         return self.compute_rate(EpisodeStatus.SUCCESS)
 
-    @property
-    def contact_rate(self) -> float:
-        """Share of episodes in which the robot touched the person (0..1)."""
-        return self.compute_rate(EpisodeStatus.HUMAN_CONTACT)
-
-    @property
-    def drop_rate(self) -> float:
-        """Share of episodes in which the object fell (0..1)."""
-        return self.compute_rate(EpisodeStatus.OBJECT_DROP)
-
-    @property
-    def timeout_rate(self) -> float:
-        """Share of episodes that took 13 s without success (0..1)."""
-        return self.compute_rate(EpisodeStatus.TIMEOUT)
-
     @functools.cached_property
     def official_means(self) -> dict[str, MeanEstimate]:
         """Means of average success over all episodes and of times (s) over successes, by key."""
