@@ -203,11 +203,10 @@ def run_strangers_references(
         table_format: Format of the printed table.
     """
     from handover_marl.evaluation.strangers.protocol import update_references
-    from handover_marl.policies.populations import load_population
 
-    summary = update_references(folders, population, out, trust)
-    path = load_population(population, trust).references_path if out is None else Path(out).expanduser()
-    print_tables(summary, table_format, f"References: {path}")
+    table = update_references(folders, population, out, trust)
+    path = table.population.references_path if out is None else Path(out).expanduser()
+    print_tables(table, table_format, f"References: {path}")
 
 
 def _check_path(out: str | None, suffix: str) -> Path | None:

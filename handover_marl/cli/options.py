@@ -93,13 +93,6 @@ class RenderArguments(SceneArguments):
 class ExecutionArguments(ExecutionConfig):
     """Options that configure workers and output."""
 
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    backend: Literal["local", "ray"] = "local"
-    ray_address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    shard: Annotated[str | None, tyro.conf.arg(metavar="K/N")] = None
-    out: _Folder = None
-    replays: Literal["none", "failed", "all"] = "none"
-
     def __post_init__(self) -> None:
         """Do nothing: `make_config` checks the values."""
 

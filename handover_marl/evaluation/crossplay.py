@@ -13,10 +13,8 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
-    FLUENCY_NOTE,
     compute_rate_difference,
     estimate_fluency,
-    format_fluency_row,
 )
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
@@ -46,6 +44,7 @@ from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_
 
 PolicyPair = tuple[str, str]
 CROSSPLAY_CSV = "crossplay.csv"
+_NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
 _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
@@ -86,21 +85,6 @@ class CrossPlay(TabularResult):
         """Success rates (0..1), one row per giver and one column per receiver."""
         return [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
 
-    def compute_gain(
-        self, pair: PolicyPair, baseline: PolicyPair, flag: EpisodeStatus = EpisodeStatus.SUCCESS
-    ) -> tuple[float, float, float]:
-        """Compute the difference of an outcome's rate between two pairs of policies.
-
-        Args:
-            pair: Labels of giver and receiver.
-            baseline: Labels of the giver and the receiver whose rate is subtracted.
-            flag: Outcome whose rate is compared, e.g. success.
-
-        Returns:
-            Difference, lower and upper end of its 95 % interval (-1..1).
-        """
-        return compute_rate_difference(self.reports[pair].episodes, self.reports[baseline].episodes, flag)
-
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
 
@@ -139,7 +123,7 @@ class CrossPlay(TabularResult):
         write_atomically(folder / "crossplay.png", picture)
 
     def build_tables(self) -> list[ReportTable]:
-        """Build the matrix of success rates and the tables of rates, gains and fluency metrics."""
+        """Build the matrix of success rates and the tables of rates and gains."""
         baseline, titles = self.givers[0], [N_EPISODES.title, "success gain, points", "contact gain, points"]
         combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
         giver_gains = [
@@ -152,13 +136,11 @@ class CrossPlay(TabularResult):
             for giver in self.givers
             for receiver, other in combinations
         ]
-        fluency = [[*pair, *format_fluency_row(report.episodes)] for pair, report in self.reports.items()]
         return [
             self._build_matrix(),
             self._build_rate_table(),
             ReportTable(["giver", "other giver", "receiver", *titles], giver_gains, n_keys=3),
             ReportTable(["receiver", "other receiver", "giver", *titles], receiver_gains, n_keys=3),
-            ReportTable(["giver", "receiver", *(column.title for column in FLUENCY)], fluency, n_keys=2),
         ]
 
     def build_sections(self) -> list[str | ReportTable]:
@@ -170,7 +152,7 @@ class CrossPlay(TabularResult):
             f"physics, data: {report.data_label}.\n"
             "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene."
         )
-        return [heading, *self.build_tables(), FLUENCY_NOTE]
+        return [heading, *self.build_tables(), _NOTE]
 
     @property
     def _first_report(self) -> Report:
@@ -198,9 +180,11 @@ class CrossPlay(TabularResult):
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
+        """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
+        episodes, others = self.reports[pair].episodes, self.reports[baseline].episodes
         statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
-        gains = [format_percent_difference(self.compute_gain(pair, baseline, status)) for status in statuses]
-        return [len(self.reports[pair].episodes), *gains]
+        differences = [compute_rate_difference(episodes, others, status) for status in statuses]
+        return [len(episodes), *map(format_percent_difference, differences)]
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))

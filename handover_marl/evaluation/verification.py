@@ -299,15 +299,11 @@ def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]
         pairs = enumerate(zip(stored, expected, strict=True))
         parts = [_compare_json(found, wanted, f"{key}[{index}]") for index, (found, wanted) in pairs]
     else:
-        is_equal = _is_close(stored, expected)
+        is_equal = stored == expected
+        if isinstance(stored, float) and isinstance(expected, (int, float)):
+            is_equal = math.isclose(stored, expected, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
         return [] if is_equal else [Difference(None, key, _format_value(stored), _format_value(expected))]
     return [difference for part in parts for difference in part]
-
-
-def _is_close(first: Any, second: Any) -> bool:
-    if isinstance(first, float) and isinstance(second, (int, float)):
-        return math.isclose(first, second, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
-    return bool(first == second)
 
 
 def _format_value(value: object) -> str:

@@ -112,18 +112,6 @@ def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: 
     assert "world 'official' in the folder, 'initial_joint_noise=0.1' now" in capsys.readouterr().err
 
 
-def test_folders_with_start_noise_are_verified(
-    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = ["--data-dir", str(fake_data), "--workers", "1", "--no-progress"]
-    command = ["pair", "--receiver", "hold", "--scenes", "9", "--physics", "fast", "--initial-joint-noise", "0.1"]
-    assert main([*command, *data, "--out", str(tmp_path)]) == 0
-    assert "World or rules are not the official ones (initial_joint_noise=0.1)." in capsys.readouterr().out
-    assert main(["verify", str(tmp_path), *data]) == 0
-    assert main([*command[:-1], "0.4"]) == 2
-    assert "initial_joint_noise of WorldConfig must be a finite number from 0 to 0.3" in capsys.readouterr().err
-
-
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("handover-marl ")

@@ -129,15 +129,8 @@ def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_pat
             handover_marl.merge([three[0], other, three[2]], out)
     whole = tmp_path / "whole"
     handover_marl.evaluate_pair("noisy", out=whole, scenes=SCENES, **OPTIONS)
-    for paths, reported in (
-        ([whole], "is not a shard: it was evaluated without --shard"),
-        ([tmp_path / "nowhere"], "nowhere does not exist"),
-        ([three[0], tmp_path / "nowhere"], "nowhere does not exist"),
-        ([], "must name at least one shard"),
-        ([*three, out], "out does not exist"),
-    ):
-        with pytest.raises(ResultsError, match=reported):
-            handover_marl.merge(paths, tmp_path / "elsewhere")
+    with pytest.raises(ResultsError, match="is not a shard: it was evaluated without --shard"):
+        handover_marl.merge([whole], tmp_path / "elsewhere")
     with pytest.raises(ResultsError, match="is one of the shards"):
         handover_marl.merge(three, three[0])
     with pytest.raises(ResultsError, match="holds another evaluation"):
@@ -193,12 +186,6 @@ def test_demonstrations(tmp_path: Path) -> None:
     assert str(merged).replace("merged", "whole") == str(whole)
     assert [episode["scene_id"] for episode in merged.read_metadata()] == list(scenes)
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
-    page = next((parts[0] / "demonstrations").glob("*.npz"))
-    page.unlink()
-    page.symlink_to(tmp_path / "whole" / "config.yaml")
-    with pytest.raises(ResultsError, match=rf"{page.name} is not a file in the result folder"):
-        handover_marl.merge(parts, tmp_path / "again")
-    assert not (tmp_path / "again").exists()
 
 
 def test_links_out_of_a_folder_are_not_followed(three: list[Path], tmp_path: Path) -> None:
@@ -210,11 +197,3 @@ def test_links_out_of_a_folder_are_not_followed(three: list[Path], tmp_path: Pat
     with pytest.raises(ResultsError, match=r"009\.html is not a file in the result folder"):
         handover_marl.merge(copies, tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
-    page.unlink()
-    # Links to files in the result folder, and result folders that are links themselves, are accepted.
-    (copies[1] / "episodes" / "page").write_text("a page")
-    page.symlink_to("page")
-    copies[1].rename(tmp_path / "elsewhere")
-    copies[1].symlink_to(tmp_path / "elsewhere")
-    handover_marl.merge(copies, tmp_path / "merged")
-    assert (tmp_path / "merged" / "episodes" / "009.html").read_text() == "a page"

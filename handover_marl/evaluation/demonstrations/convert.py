@@ -132,7 +132,10 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     except (OSError, ValueError) as error:
         raise OptionError(f"name must be a new data set of LeRobot, got {name!r} ({shorten_text(error)})") from error
     for demonstration in demonstrations:
-        columns, task = make_columns(demonstration), format_task(demonstration.metadata["object_name"])
+        columns = make_columns(demonstration)
+        # Class names such as "003_cracker_box" have a number in front.
+        object_name = re.sub(r"^[0-9]+_", "", demonstration.metadata["object_name"]).replace("_", " ")
+        task = f"Take the {object_name} from the person's hand."
         for row in range(len(demonstration)):
             dataset.add_frame({"task": task, **{name: values[row] for name, values in columns.items()}})
         dataset.save_episode()
@@ -174,12 +177,3 @@ def describe_features(columns: dict[str, npt.NDArray[Any]]) -> dict[str, dict[st
         }
         for name, values in columns.items()
     }
-
-
-def format_task(object_name: str) -> str:
-    """Return the text of an episode's task.
-
-    Args:
-        object_name: Class name of the object, e.g. "003_cracker_box"; a number in front is left out.
-    """
-    return f"Take the {re.sub(r'^[0-9]+_', '', object_name).replace('_', ' ')} from the person's hand."

@@ -143,15 +143,6 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
     return ReportTable(["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"], _format_rows(means))
 
 
-def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
-    """Format a table cell for each fluency metric: its mean, interval and number of episodes."""
-    cells = []
-    for _, mean, interval, n in build_fluency_table(episodes).rows:
-        inside = f"n {n}" if interval == NO_VALUE else f"{interval}; n {n}"
-        cells.append(f"{mean} ({inside})" if n else NO_VALUE)
-    return cells or [NO_VALUE] * len(FLUENCY)
-
-
 def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:
     """Format the title, mean, interval and number of values of each metric, by key."""
     rows: list[list[object]] = []

@@ -15,6 +15,7 @@ from handover_marl.evaluation.strangers.references import Condition, load_refere
 from handover_marl.evaluation.strangers.report import (
     NO_REFERENCES_NOTE,
     NOTE,
+    OTHER_AGENT,
     PROXIMITY_NOTE,
     StrangersReport,
     check_code,
@@ -75,7 +76,7 @@ class Leaderboard(TabularResult):
         first = self.reports[0]
         rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
-        other = "giver" if first.agent == "receiver" else "receiver"
+        other = OTHER_AGENT[first.agent]
         title = f"{first.population}\n{self._describe_conditions()}"
         write_atomically(path, draw_heat_map(rates, partners, self.titles, title, (other, first.agent)))
 
@@ -194,7 +195,7 @@ def _check_partners(path: Path, report: StrangersReport, population: Population,
         raise OptionError(
             f"{path} must be of population {population.label}, got {report.population}; pass the population's file"
         )
-    other = "giver" if report.agent == "receiver" else "receiver"
+    other = OTHER_AGENT[report.agent]
     if report.partners != population.select(other, report.partner_split):
         raise ResultsError(f"{path} must have the partners of {report.partner_split!r}, got others; evaluate again")
     found = list_labels(population, other, report.partners, trust)

@@ -16,7 +16,6 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.demonstrations.convert import (
     convert_to_lerobot,
     describe_features,
-    format_task,
     make_columns,
 )
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
@@ -60,10 +59,6 @@ def test_every_observation_is_a_column(obs_mode: str) -> None:
         first = names.index("object_poses.0")
         poses = columns["observation.environment_state"][:, first : first + 35].reshape(2, 5, 7)
         np.testing.assert_array_equal(poses, demonstration.observations["object_poses"][:-1])
-
-
-def test_tasks() -> None:
-    assert format_task("052_extra_large_clamp") == "Take the extra large clamp from the person's hand."
 
 
 @pytest.mark.slow

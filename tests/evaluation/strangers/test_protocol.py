@@ -212,21 +212,13 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     shutil.rmtree(folder)
     with pytest.raises(ResultsError, match="does not exist"):
         make_leaderboard([out], population)
-    # Results of one partner are in the folder of another one; then a partner is left out.
+    # Results of one partner are in the folder of another one.
     shutil.copytree(out / content["folders"]["hold"]["slow"], folder)
     with pytest.raises(ResultsError, match="must have results of 'fast' of the population"):
         make_leaderboard([out], population)
-    for partners, message in (
-        (content["partners"][1:], "must have the partners of 'test', got others"),
-        ([content["partners"][0] | {"name": "renamed"}, content["partners"][1]], "not a readable evaluation"),
-    ):
-        (out / "strangers.json").write_text(json.dumps(content | {"partners": partners}))
-        with pytest.raises(ResultsError, match=message):
-            make_leaderboard([out], population)
-    for policies in ([5], "hold"):
-        (out / "strangers.json").write_text(json.dumps(content | {"policies": policies}))
-        with pytest.raises(ResultsError, match="not a readable evaluation"):
-            make_leaderboard([out], population)
+    (out / "strangers.json").write_text(json.dumps(content | {"partners": content["partners"][1:]}))
+    with pytest.raises(ResultsError, match="must have the partners of 'test', got others"):
+        make_leaderboard([out], population)
     content["folders"]["hold"]["fast"] = "../other"
     (out / "strangers.json").write_text(json.dumps(content))
     with pytest.raises(ResultsError, match="not a readable evaluation"):

@@ -1,4 +1,4 @@
-"""Tests of addresses at which no Ray cluster answers: they are reported at once."""
+"""Tests without a cluster: addresses at which no Ray answers, and nodes with versions that could change results."""
 
 import socket
 import time
@@ -10,7 +10,7 @@ import pytest
 from handover_marl.errors import WorkerError
 from handover_marl.execution import pool as ray_pool
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import open_pool
+from handover_marl.execution.pool import check_versions, get_installed_versions, open_pool
 
 
 @pytest.mark.parametrize("scheme", ["", "ray://"])
@@ -30,3 +30,22 @@ def test_addresses_without_a_port_are_left_to_ray(address: str, monkeypatch: pyt
     connect: Callable[..., None] = lambda *_: pytest.fail("a connection was made")  # noqa: E731
     monkeypatch.setattr(socket, "create_connection", connect)
     ray_pool._check_server(address)
+
+
+def test_equal_versions() -> None:
+    check_versions(get_installed_versions(), get_installed_versions())
+
+
+@pytest.mark.parametrize("name", ["handover_marl", "numpy", "scipy", "pybullet"])
+@pytest.mark.parametrize("there", ["0.0.1", "none"])
+def test_other_versions(name: str, there: str) -> None:
+    with pytest.raises(WorkerError, match=f"node .* has other versions \\({name} {there} there, .* here\\)"):
+        check_versions(get_installed_versions(), {**get_installed_versions(), name: there})
+
+
+def test_mujoco_may_be_missing_but_not_differ() -> None:
+    check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "none"})
+    if get_installed_versions()["mujoco"] == "none":
+        pytest.skip("needs MuJoCo")
+    with pytest.raises(WorkerError, match=r"mujoco 3\.9\.0 there"):
+        check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "3.9.0"})
