@@ -16,7 +16,6 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.execution.options import require_modules
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
@@ -99,17 +98,12 @@ def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None =
         "replay.html",
         version=__version__,
         title=f"Scene {info.scene_id}, {info.target_name}: {outcome}",
-        mark=format_episode_caption(info.scene_id, log.status, steps),
+        mark=f"scene {info.scene_id}, {log.status.label}, {steps} steps",
         facts=facts,
         events=list_events(log),
         key=build_color_legend(log),
         stage=build_viser_page(log, camera or _CAMERA),
     )
-
-
-def format_episode_caption(scene_id: int, status: EpisodeStatus, steps: int) -> str:
-    """Return the caption near the start of a replay page, which identifies the episode."""
-    return f"scene {scene_id}, {status.label}, {steps} steps"
 
 
 def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
