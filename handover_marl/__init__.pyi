@@ -29,7 +29,7 @@ from handover_marl.evaluation.merge import merge as merge
 from handover_marl.evaluation.rendering import render_plan as render_plan
 from handover_marl.evaluation.rendering import render_scene as render_scene
 from handover_marl.evaluation.reports.report import Report as Report
-from handover_marl.evaluation.reports.report_files import evaluate as evaluate
+from handover_marl.evaluation.reports.report import evaluate as evaluate
 from handover_marl.evaluation.strangers.protocol import strangers as strangers
 from handover_marl.evaluation.verification import verify as verify
 from handover_marl.learning.action_scheme import ActionScheme as ActionScheme

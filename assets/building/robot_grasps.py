@@ -17,7 +17,7 @@ from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.engines import make_grasp_validator
 

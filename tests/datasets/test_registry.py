@@ -18,8 +18,8 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.scenes import FIRST_CLASS
 from handover_marl.errors import OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.merge import merge
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results.metadata import CONFIG_FILE, ResultMetadata, format_config, read_result_metadata
+from handover_marl.evaluation.metadata import CONFIG_FILE, ResultMetadata, format_config, read_result_metadata
+from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.policies.policy import make_policy_context

@@ -29,8 +29,8 @@ from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
 from handover_marl.execution.files import has_content, write_arrays, write_atomically
 from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import map_with_progress
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:

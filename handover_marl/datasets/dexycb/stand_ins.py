@@ -33,7 +33,7 @@ from handover_marl.datasets.official_files import (
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA

@@ -8,11 +8,10 @@ import pytest
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results import result_folder
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
-from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result, read_results
+from handover_marl.evaluation import results
+from handover_marl.evaluation.metadata import ResultMetadata, read_result_metadata
+from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result, read_results
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 RESULT = EpisodeResult(
@@ -163,6 +162,6 @@ def test_a_file_without_permission_is_not_to_be_deleted(folder: ResultFolder, mo
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(result_folder, "read_arrays", refuse)
+    monkeypatch.setattr(results, "read_arrays", refuse)
     with pytest.raises(ResultsError, match=r"000\.npz cannot be read \(Permission denied\); check its rights"):
         read_results(folder.path)

@@ -8,15 +8,14 @@ import yaml
 
 from handover_marl.config import OFFICIAL_CONFIG, ProtocolConfig, WorldConfig
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
-    format_config,
     format_world_label,
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import ResultFolder
+from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.results import ResultFolder
 
 SETTINGS = ResultMetadata("s0", "test", "hold", "replay", "exact", "dexycb", "1.0")
 
@@ -32,36 +31,21 @@ def change_config(path: Path, section: str, value: object) -> None:
     (path / "config.yaml").write_text(yaml.safe_dump(config))
 
 
-@pytest.mark.parametrize("key", ["SETUP", "SPLIT"])
-@pytest.mark.parametrize("value", ["s9", ["s0"], None])
-@pytest.mark.parametrize("own", [True, False])
-def test_setup_and_split_must_be_official(folder: ResultFolder, key: str, value: object, own: bool) -> None:
-    change_config(folder.path, "BENCHMARK", {key: value})
-    if not own:
-        change_config(folder.path, "HANDOVER_MARL", None)
-    with pytest.raises(ResultsError, match=rf"config\.yaml: (unknown {key.lower()}|{key.lower()} must be text)"):
-        read_result_metadata(folder.path)
-
-
-@pytest.mark.parametrize("key", ["receiver", "physics"])
-@pytest.mark.parametrize("value", [3, None, ["hold"], "\x1b[2J"])
-def test_values_of_the_library_section_are_text(folder: ResultFolder, key: str, value: object) -> None:
-    change_config(folder.path, "HANDOVER_MARL", {key: value})
-    with pytest.raises(ResultsError, match=rf"config\.yaml: {key} .*must be text"):
-        read_result_metadata(folder.path)
-
-
 @pytest.mark.parametrize(
-    ("key", "value", "fault"),
+    ("section", "key", "value", "fault"),
     [
-        ("physics", "bullet", "unknown physics 'bullet'; valid: exact, fast, mujoco"),
-        ("robot", "ur5", "unknown robot 'ur5'"),
-        ("obs_mode", "tactile", "unknown obs_mode 'tactile'"),
-        ("receiver", "x" * 30_000, "receiver must be text.* at most 20000 characters"),
+        *(
+            ("BENCHMARK", key, value, f"(unknown|) ?{key.lower()}")
+            for key in ("SETUP", "SPLIT")
+            for value in ("s9", None)
+        ),
+        *(("HANDOVER_MARL", "receiver", value, "receiver must be text") for value in (3, "\x1b[2J", "x" * 30_000)),
+        ("HANDOVER_MARL", "physics", "bullet", "unknown physics 'bullet'; valid: exact, fast, mujoco"),
+        ("HANDOVER_MARL", "robot", "ur5", "unknown robot 'ur5'"),
     ],
 )
-def test_unknown_choices_and_long_names(folder: ResultFolder, key: str, value: str, fault: str) -> None:
-    change_config(folder.path, "HANDOVER_MARL", {key: value})
+def test_impossible_values_are_refused(folder: ResultFolder, section: str, key: str, value: object, fault: str) -> None:
+    change_config(folder.path, section, {key: value})
     with pytest.raises(ResultsError, match=rf"config\.yaml: {fault}"):
         read_result_metadata(folder.path)
 
@@ -127,12 +111,6 @@ def test_a_label_states_the_noise_of_the_start(noise: float) -> None:
     rules = ProtocolConfig(goal_radius=9.0)
     without_noise = format_world_label(WorldConfig(protocol=rules))
     assert format_world_label(replace(config, protocol=rules)) == f"{without_noise} {label}"
-
-
-def test_metadata_are_read_as_written(tmp_path: Path) -> None:
-    settings = ResultMetadata("s3", "val", "omg:wait=1.5", "learned: {x}", "fast", "no", "1e5", "12345678", "0", "-1")
-    (tmp_path / "config.yaml").write_text(format_config(settings, OFFICIAL_CONFIG))
-    assert read_result_metadata(tmp_path) == settings
 
 
 @pytest.mark.parametrize(

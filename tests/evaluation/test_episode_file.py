@@ -12,7 +12,7 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation.results.episode_file import format_episode_file, read_episode_file
+from handover_marl.evaluation.results import format_episode_file, read_episode_file
 from tests.evaluation.quick import write_results
 
 
@@ -97,11 +97,3 @@ def test_impossible_files_are_refused(spoil: Callable[[dict[str, Any]], None], f
     path.write_text(json.dumps(content))
     with pytest.raises(ResultsError, match=r"a\.json"):
         handover_marl.evaluate(path)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", "null", "[" * 100_000, "\xff"])
-def test_other_files_are_refused(text: str, folder: Path, tmp_path: Path) -> None:
-    path = tmp_path / "a.json"
-    path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(ResultsError, match="not a readable episode file"):
-        handover_marl.compare(path, folder)
