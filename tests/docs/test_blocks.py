@@ -58,6 +58,9 @@ CHECKED_SCENES = (9,)
 SMALLER = {
     "docs/how_to/demonstrations.md": {"episode.steps[:-1]": "episode.steps[:20]"},
     "docs/how_to/vector_environments.md": {"64": str(ENVIRONMENTS)},
+    "docs/how_to/many_machines.md": {'backend="ray"': 'backend="ray", workers=1'},
+    # Kernels of MuJoCo Warp for three environments are compiled for other tests, too.
+    "docs/how_to/gpu.md": {"    8,": "    3,", "vector_env(4,": "vector_env(3,"},
 }
 
 

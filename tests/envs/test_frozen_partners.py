@@ -30,10 +30,10 @@ SEED = 7
 RUN_SEED = int(seeding.np_random(SEED)[0].integers(2**32))
 #: Scenes of `s0 val`, and control periods of the environment (s).
 SCENES, PERIODS = (9, 14, 19), (0.1, 0.05, 0.01)
-#: Policies that need a file, or only choose one of the others.
-LEFT_OUT = ("gaddpg", "learned", "population")
+#: Policies that need a file, only choose one of the others, or have the class of another one.
+LEFT_OUT = ("gaddpg", "learned", "omg_hand_aware", "omg_unchecked_last", "population")
 #: Policies that decide much more often than an environment, in several scenes; the others are played in one scene.
-OFTEN = ("yang2021", "tired", "noisy")
+OFTEN = ("yang2021", "tired")
 #: Physics steps; within them the givers deviate, and most of the receivers hand over.
 HORIZONS = {"receiver": 5000, "giver": 2500}
 

@@ -77,9 +77,8 @@ def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: Of
     episode.close()
 
 
-@pytest.mark.parametrize("scene_id", [4, 297])
-def test_rays_meet_what_the_engine_draws(scene_id: int, camera_dataset: OfficialDataset) -> None:
-    scene, episode = camera_dataset.load_scene(scene_id), Episode("exact")
+def test_rays_meet_what_the_engine_draws(camera_dataset: OfficialDataset) -> None:
+    scene, episode = camera_dataset.load_scene(297), Episode("exact")
     episode.reset(scene)
     camera = RayCamera(scene.assets, OFFICIAL_CONFIG.physics)
     start = np.array(OFFICIAL_CONFIG.physics.panda.start_joints, dtype=np.float32)
@@ -104,7 +103,7 @@ def test_leaving_the_cameras_body_out_changes_no_picture(
 ) -> None:
     world = SceneRenderer(camera_dataset.load_scene(4), OFFICIAL_CONFIG.physics)
     random = np.random.default_rng(0)
-    robots = [random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32) for _ in range(8)]
+    robots = [random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32) for _ in range(4)]
     moments = [JointSnapshot(robot, None, np.zeros((1, 6), dtype=np.float32)) for robot in robots]
     outside = [world.render_overview(now, CameraConfig()) for now in moments]
     without = [world.render_wrist_camera(now, color=True) for now in moments]

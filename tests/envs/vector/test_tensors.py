@@ -107,7 +107,6 @@ def test_raw_observations_and_actions(
             "receiver",
             {"partner": "cooperative", "features": "close", "schemes": "grasp_servo", "autoreset": "next_step"},
         ),
-        ("receiver", {"partner": "hesitant", "features": "close", "schemes": "grasp_servo", "autoreset": "same_step"}),
         ("receiver", {"partner": "hurried", "features": "close_stack", "schemes": "cartesian_delta"}),
         ("giver", {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "deviation"}),
         (None, {"features": {"giver": "giver", "receiver": "grasp"}, "schemes": {"receiver": "joint_delta"}}),
@@ -124,7 +123,7 @@ def test_features_and_action_schemes(
 
 
 def test_offers_that_last_a_whole_episode(request: pytest.FixtureRequest) -> None:
-    options = {"partner": "yang2021:wait=0.5", "features": "giver", "schemes": "offer", "autoreset": "same_step"}
+    options = {"partner": "hold", "features": "giver", "schemes": "offer", "autoreset": "same_step"}
     compare(request, 3, "giver", {**ENCODED, "max_cycles": 12, **options})
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from handover_marl.errors import OptionError
 from handover_marl.receivers.point_cloud_memory import PointCloudMemoryConfig
-from handover_marl.receivers.vision.config import GraspTrackerConfig, VisionConfig, make_vision_reactive_config
+from handover_marl.receivers.vision.config import GraspTrackerConfig, VisionConfig
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
 from handover_marl.receivers.vision.object_tracking import FilterGains
 
@@ -31,8 +31,3 @@ from handover_marl.receivers.vision.object_tracking import FilterGains
 def test_values_without_meaning(make: Callable[[], object], name: str) -> None:
     with pytest.raises(OptionError, match=name):
         make()
-
-
-def test_tuples_of_any_length_and_defaults_are_accepted() -> None:
-    assert GraspTrackerConfig(tilts=(0.1,)).tilts == (0.1,)
-    assert make_vision_reactive_config().selection.hard_min_clearance == 0.0

@@ -14,7 +14,7 @@ pytest.importorskip("embreex", reason="needs the extra `vision`")
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
@@ -142,17 +142,6 @@ def test_robots_have_the_same_joints() -> None:
     camera.reset(0, scene.assets)
     with pytest.raises(OptionError, match="all robots must have the same joints with backend='warp'"):
         camera.reset(0, replace(scene.assets, panda=scene.assets.hand))
-
-
-def test_closed_cameras_render_nothing(request: pytest.FixtureRequest) -> None:
-    scenes = load_scenes(request, "synthetic")[:1]
-    camera, _ = make_cameras(scenes)
-    now = stack_snapshots([draw_snapshot(scenes[0], CONFIG, np.random.default_rng(0))], TENSORS)
-    camera.close()
-    with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
-        camera.render_targets(TENSORS.arange(1), now)
-    camera.reset(0, scenes[0].assets)
-    assert (camera.render_wrist_camera(TENSORS.arange(1), now, color=False).segmentation > 0).any()
 
 
 # ------------------------------------------------------------------------------------------------------ subsampling

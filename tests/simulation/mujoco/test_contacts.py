@@ -93,38 +93,30 @@ def test_many_worlds_are_read_like_one(scene: SceneModel) -> None:
     np.testing.assert_array_equal(points[0], scene.contact_sensors.compute_finger_points(rows[0], origins[0], turns[0]))
 
 
-def test_other_objects_are_sensed(scene: SceneModel) -> None:
-    data = mujoco.MjData(scene.model)
+def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:
+    model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
     data.mocap_pos[scene.hand] = NOWHERE
     places = [scene.object_qpos.start + 7 * number for number in range(len(scene.objects))]
     for number, place in enumerate(places):
         data.qpos[place : place + 3] = (5.0, float(number), 1.0)
-    mujoco.mj_step(scene.model, data)
-    assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_others
-    data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
-    mujoco.mj_step(scene.model, data)
+    mujoco.mj_step(model, data)
     readings = scene.contact_sensors.read_contacts(data.sensordata)
-    assert readings.robot_touches_others
-    assert readings.robot_object_force == 0.0
-
-
-def test_the_hand_is_sensed(scene: SceneModel) -> None:
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
-    for number in range(len(scene.objects)):
-        place = scene.object_qpos.start + 7 * number
-        data.qpos[place : place + 3] = (5.0, float(number), 1.0)
-    data.mocap_pos[scene.hand] = NOWHERE
-    mujoco.mj_step(scene.model, data)
-    assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
+    assert not readings.robot_touches_others
+    assert not readings.robot_touches_hand
     data.mocap_pos[scene.hand.stop - 3 : scene.hand.stop] = data.xpos[scene.gripper]
-    mujoco.mj_step(scene.model, data)
+    mujoco.mj_step(model, data)
     assert scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
-    model, forces, force = scene.model, [], np.zeros(6)
+    forces, force = [], np.zeros(6)
     for number in range(data.ncon):
         if np.isin(model.geom_bodyid[data.contact[number].geom], np.arange(model.nbody)[scene.hand]).any():
             mujoco.mj_contactForce(model, data, number, force)
             forces.append(force[0])
     assert len(forces) > 3
     assert scene.contact_sensors.read_hand_force(data.sensordata) == pytest.approx(sum(forces))
+    data.mocap_pos[scene.hand] = NOWHERE
+    data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
+    mujoco.mj_step(model, data)
+    readings = scene.contact_sensors.read_contacts(data.sensordata)
+    assert readings.robot_touches_others
+    assert readings.robot_object_force == 0.0

@@ -11,17 +11,13 @@ pytest.importorskip("mujoco")
 import mujoco
 
 from handover_marl.config import PhysicsConfig
-from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import TUNING, SceneModelBuilder
 
 CONFIG = PhysicsConfig()
-
-
-def assets(robot: str) -> SceneAssets:
-    return SyntheticDataset(robot=robot).load_scene(209).assets
+ASSETS = SyntheticDataset().load_scene(209).assets
 
 
 def robot_model(panda: Path) -> mujoco.MjModel:
@@ -47,9 +43,8 @@ def closest(model: mujoco.MjModel, poses: int) -> dict[tuple[int, int], float]:
     return found
 
 
-@pytest.mark.parametrize("robot", ["panda", "panda_camera"])
-def test_sampled_poses_agree(robot: str) -> None:
-    model = robot_model(assets(robot).panda)
+def test_sampled_poses_agree() -> None:
+    model = robot_model(ASSETS.panda)
     assert (model.body_geomnum <= 1).all(), "what is measured here is one geom a body"
     gaps, pairs = closest(model, 400), find_never_colliding_pairs(model)
     assert min(gaps[pair] for pair in pairs) > 0.01
@@ -90,9 +85,8 @@ def test_proofs_on_a_rod(limits: tuple[float, float], length: float, apart: bool
 
 
 def test_scene_models_exclude_the_pairs() -> None:
-    own = assets("panda")
-    scene = load_scene_model(own, CONFIG).model
-    alone = robot_model(own.panda)
+    scene = load_scene_model(ASSETS, CONFIG).model
+    alone = robot_model(ASSETS.panda)
     named = {(alone.body(one).name, alone.body(other).name) for one, other in find_never_colliding_pairs(alone)}
     left_out = {
         (scene.body(sign >> 16).name, scene.body(sign & 0xFFFF).name) for sign in scene.exclude_signature.tolist()

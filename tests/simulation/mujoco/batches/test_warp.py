@@ -18,7 +18,7 @@ import handover_marl
 from handover_marl.config import PandaConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.errors import OptionError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, RolloutEnd
 from handover_marl.simulation.mujoco.batches import warp_group
@@ -227,11 +227,6 @@ def test_a_state_that_is_not_finite_raises_an_error() -> None:
     worlds.reset(0, scenes[0], place_object(scenes[0], (0.4, np.nan, 1.0), 1), PANDA.start_joints)
     with pytest.raises(SimulationError, match="Nan"):
         simulate(worlds, scenes, [2])
-
-
-def test_worlds_without_a_scene_are_refused() -> None:
-    with pytest.raises(ResetNeededError):
-        WarpWorlds(CONFIG, CAPACITY, TENSORS).read_state(TENSORS.asarray([0]))
 
 
 def test_options_of_vector_env() -> None:
