@@ -10,7 +10,7 @@ from handover_marl.assets.shipped import VALIDATION_PATH, ValidationRecord, load
 from handover_marl.datasets import open_dataset
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.receivers.grasp_library import GraspLibrary

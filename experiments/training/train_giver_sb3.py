@@ -27,7 +27,7 @@ from stable_baselines3 import PPO
 import handover_marl
 from handover_marl import givers
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 Vectors: TypeAlias = npt.NDArray[np.float32]

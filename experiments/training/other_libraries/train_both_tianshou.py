@@ -7,6 +7,7 @@ Tianshou's collectors have one agent, so the loop fills a replay buffer for each
 
 import contextlib
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -72,7 +73,9 @@ def main(args: PairArgs) -> None:
             for agent, batch in batches.items():
                 with torch.no_grad():
                     batch.act = algorithms[agent].policy(batch).act.numpy()
-            steps = [env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)]
+            steps: list[Any] = [
+                env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)
+            ]
             for agent, batch in batches.items():
                 batch.update({name: np.stack([step[n][agent] for step in steps]) for n, name in enumerate(names)})
                 batch.done = batch.terminated | batch.truncated
