@@ -23,7 +23,7 @@ import tyro
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.imitation.samples import join_samples
-from handover_marl.learning.imitation.vision.training import GraspLearner, GraspTrainingConfig, ViewBatches
+from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
@@ -75,7 +75,7 @@ def main(args: Args) -> Path:
         extra = open_dataset(name, robot=args.robot)
         training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
     torch.manual_seed(args.seed)
-    learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device, GraspTrainingConfig())
+    learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device)
     run = ImitationRun(args, "vision", setup, args.robot, learner, ("updates",))
     others = load_views(args, run, args.dataset, select_held_out_scenes(scenes))
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)

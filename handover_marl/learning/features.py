@@ -2,9 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-from gymnasium import spaces
-
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory
@@ -34,8 +31,6 @@ class AgentFeatures:
     """Features of one agent in one episode, without the axis of episodes; made by `make_features`.
 
     Args:
-        name: Name of the features.
-        space: Space of the feature vectors.
         features: Features of n = 1 episode.
 
     Attributes:
@@ -43,8 +38,8 @@ class AgentFeatures:
         space: Space of the feature vectors, one-dimensional, float32.
     """
 
-    def __init__(self, name: str, space: spaces.Box, features: ArrayFeatures) -> None:
-        self.name, self.space, self._features = name, space, features
+    def __init__(self, features: ArrayFeatures) -> None:
+        self.name, self.space, self._features = features.name, features.space, features
 
     @property
     def size(self) -> int:
@@ -99,11 +94,7 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> A
         OptionError: User-defined features declare no size, or are for the other agent.
         EncodingError: The constructor of user-defined features fails.
     """
-    found = make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1)
-    if isinstance(found, CustomFeatures):
-        return AgentFeatures(found.name, found.space, found)
-    size = count_features(agent, str(choice))
-    return AgentFeatures(str(choice), spaces.Box(-np.inf, np.inf, (size,), np.float32), found)
+    return AgentFeatures(make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1))
 
 
 def make_array_features(

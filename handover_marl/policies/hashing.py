@@ -12,7 +12,7 @@ import secrets
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
     """Compute a hash (64 hex digits) of a value, function, PyTorch module, class or other object.
 
     Functions and classes count with their package (`hash_package`), functions also with the variables that they use,
-    and objects with their attributes.
+    classes with numbers and texts among their attributes, and objects with their attributes.
 
     Args:
         value: Value to hash.
@@ -134,19 +134,26 @@ def _describe_definition(value: Any) -> tuple[str, list[tuple[str, Any]]]:
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
     text = f"{value.__module__}:{value.__qualname__} {list(map(hash_package, sorted(packages)))}"
     used: dict[str, Any] = {}
+    is_own = not _is_installed(_get_package(value))
     if isinstance(value, FunctionType):
-        # Several functions of a file may have one name, and several lambda expressions one line. Python 3.10 does not
-        # know their columns.
-        code = value.__code__
-        constants = [constant for constant in code.co_consts if isinstance(constant, _PLAIN)]
-        text += repr((code.co_firstlineno, code.co_code, constants, *getattr(code, "co_positions", tuple)()))
-        if not _is_installed(_get_package(value)):
+        # Several functions of a file may have one name, and `eval` may make them of any text.
+        text += _describe_code(value.__code__)
+        if is_own:
             variables = inspect.getclosurevars(value)
             used = {**variables.globals, **variables.nonlocals, "": (value.__defaults__, value.__kwdefaults__)}
-    elif isinstance(value, type) and "<" in value.__qualname__:  # a local class, whose functions may be closures
+    elif isinstance(value, type) and is_own:
+        # A program may change attributes of a class, and the functions of a local class may be closures.
+        kinds = (FunctionType, *_PLAIN) if "<" in value.__qualname__ else _PLAIN
         members = {key: getattr(part, "fget", part) for key, part in vars(value).items()}
-        used = {key: part for key, part in members.items() if isinstance(part, (FunctionType, *_PLAIN))}
+        used = {key: part for key, part in members.items() if isinstance(part, kinds)} | {"": value.__bases__}
     return text, sorted(used.items())
+
+
+def _describe_code(code: CodeType) -> str:
+    """Return compiled code, with that of the functions in it, as text."""
+    constants = [sorted(map(repr, part)) if isinstance(part, frozenset) else part for part in code.co_consts]
+    described = [_describe_code(part) if isinstance(part, CodeType) else repr(part) for part in constants]
+    return f" {code.co_code!r} {code.co_names} {described}"
 
 
 def _list_parts(value: Any) -> list[tuple[str, Any]]:

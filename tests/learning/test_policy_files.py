@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import handover_marl
 from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, OptionError, UnsafeFileError
+from handover_marl.errors import DataFormatError, HandoverError, OptionError, UnsafeFileError
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import read_policy, write_policy
@@ -94,27 +94,6 @@ def test_networks_that_are_none() -> None:
         DenseNetwork((np.full_like(good, np.nan),), (bias,))
     with pytest.raises(DataFormatError, match="unknown activation 'sine'; valid: tanh"):
         DenseNetwork((good,), (bias,), activation="sine")
-
-
-def test_files_that_are_not_there_or_of_no_known_kind(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="no such policy file"):
-        givers.make(f"learned:{tmp_path / 'none.npz'}")
-    (tmp_path / "policy.txt").write_text("hello")
-    with pytest.raises(OptionError, match=r"policy files are \.npz or \.zip"):
-        givers.make(f"learned:{tmp_path / 'policy.txt'}")
-    with pytest.raises(OptionError, match=r"giver 'replay:.*must be key=value"):
-        givers.make(f"replay:{tmp_path / 'policy.npz'}")
-    with pytest.raises(OptionError, match="needs a policy file: learned:FILE"):
-        receivers.make("learned", SyntheticDataset())
-
-
-def test_control_period_is_the_one_of_training(tmp_path: Path) -> None:
-    path = tmp_path / "policy.npz"
-    write_policy(path, PolicySpec("giver", "giver", "offer", 0.2), network(count_features("giver", "giver"), 7))
-    for name in (f"learned:{path}", f"learned:{path}:control_period=0.2"):
-        assert givers.make(name).hold_time == 0.2
-    with pytest.raises(OptionError, match=r"must be 0\.2 as in training, got 0\.1"):
-        givers.make(f"learned:{path}:control_period=0.1")
 
 
 @given(st.binary(max_size=300))

@@ -72,6 +72,7 @@ class Linear:
             lambda: lambda value: [value + part for part in (1, 2)],
             lambda: lambda value: [value + part for part in (1, 3)],
         ),
+        (lambda: eval("lambda value: value.real"), lambda: eval("lambda value: value.imag")),
         (lambda: math.sin, lambda: math.cos),
         (lambda: Linear(1.0), lambda: Linear(2.0)),
         (lambda: Linear(1.0).__call__, lambda: Linear(2.0).__call__),
@@ -93,6 +94,15 @@ def test_variables_of_the_module_count_where_they_are_used(function: Any, monkey
     monkeypatch.setitem(globals(), "WEIGHTS", np.arange(4.0))
     assert hash_object(function) != before
     assert hash_object(make) == other
+
+
+def test_attributes_of_the_class_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Derived(Weighted):
+        pass
+
+    before = hash_object(Weighted), hash_object(Derived)
+    monkeypatch.setattr(Weighted, "control_period", 0.3)
+    assert all(hash_object(kind) != one for kind, one in zip((Weighted, Derived), before, strict=True))
 
 
 @pytest.mark.parametrize("kind", ["array", "tensor", "network", "list", "dictionary", "object"])

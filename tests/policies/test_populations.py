@@ -1,7 +1,6 @@
 """Tests of population files."""
 
 import configparser
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,10 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
-from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, make_content, write_population
+from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
 
 
 def test_own_file(tmp_path: Path) -> None:
@@ -72,18 +71,6 @@ def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: st
 def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(DataFormatError, match=message):
         load_population(write_population(tmp_path, **changes))
-
-
-def test_files_that_are_no_populations(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    with pytest.raises(DataNotFoundError, match="cannot be read"):
-        load_population(path)
-    for text in ("{", "[]", json.dumps(make_content() | {"more": 1})):
-        path.write_text(text)
-        with pytest.raises(DataFormatError, match="not a readable population"):
-            load_population(path)
-    with pytest.raises(UnknownNameError, match="unknown population 'nobody'; valid: "):
-        load_population("nobody")
 
 
 def test_shipped_populations() -> None:

@@ -26,7 +26,7 @@ from torch.distributions import Independent, Normal
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.learning.adapters.export import dense_network_from_layers
+from handover_marl.learning.policy_spec import dense_network_from_layers
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
@@ -77,7 +77,7 @@ def main(args: PairArgs) -> None:
                 env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)
             ]
             for agent, batch in batches.items():
-                batch.update({name: np.stack([step[n][agent] for step in steps]) for n, name in enumerate(names)})
+                batch.update({name: np.array([step[n][agent] for step in steps]) for n, name in enumerate(names)})
                 batch.done = batch.terminated | batch.truncated
                 buffers[agent].add(batch)
             seen = [step[0] if env.agents else env.reset()[0] for env, step in zip(envs, steps, strict=True)]

@@ -140,8 +140,9 @@ def _adapt(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "
             f"write a subclass of handover_marl.{agent}s.{agent.capitalize()}, which makes what it needs itself"
         ) from error
-    packages = () if isinstance(function, DenseNetwork) else (find_package(policy),)
-    return PolicyReference(agent, name or stem, pickled, packages=packages)
+    # Modules of PyTorch's own layers do not depend on its build.
+    packages = {"" if isinstance(function, DenseNetwork) else find_package(policy)} - {"", "torch"}
+    return PolicyReference(agent, name or stem, pickled, packages=tuple(packages))
 
 
 def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:

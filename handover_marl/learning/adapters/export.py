@@ -15,7 +15,7 @@ from handover_marl.geometry.arrays import use_default_torch_settings
 from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import check_policy_path, complete_spec, write_policy
-from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork
+from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, dense_network_from_layers
 from handover_marl.learning.schemes import count_outputs
 
 # Number and scale of the random inputs on which a converted network is compared with its module.
@@ -78,8 +78,8 @@ def export_policy(
                 f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(model).__name__}"
             )
         network = replace(dense_network_from_module(model), normalization=normalization)
-    given = {"agent": agent, "features": features, "actions": action_scheme, "control_period": control_period}
-    spec = complete_spec("model", None, recorded, given | {"origin": origin})
+    given = {"features": features, "actions": action_scheme, "control_period": control_period, "origin": origin}
+    spec = complete_spec("model", agent, recorded, given)
     for value in (spec.features, spec.actions):
         if not isinstance(value, str):
             raise OptionError(f"features and action_scheme must be names or text module:name, got {value!r}")
@@ -127,38 +127,6 @@ def dense_network_from_module(module: Any, activation: str | None = None) -> Den
         f"{type(module).__name__} must consist of linear layers with one activation between them "
         f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
     )
-
-
-def dense_network_from_layers(
-    module: Any, activation: str, output: str = "identity", n_outputs: int | None = None
-) -> DenseNetwork:
-    """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
-
-    The module is not called, so that it may have inputs and outputs of any types; its outputs are not compared.
-
-    Args:
-        module: Module with linear layers.
-        activation: Activation between the layers.
-        output: Activation after the last layer.
-        n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match.
-    """
-    linear = sys.modules["torch"].nn.Linear  # a module can exist only if PyTorch was imported
-    layers = [part for part in module.modules() if isinstance(part, linear)]
-    weights = [_array(layer.weight) for layer in layers]
-    biases = [
-        np.zeros(len(weight), dtype=np.float32) if layer.bias is None else _array(layer.bias)
-        for layer, weight in zip(layers, weights, strict=True)
-    ]
-    if n_outputs is not None:
-        weights[-1], biases[-1] = weights[-1][:n_outputs], biases[-1][:n_outputs]
-    return DenseNetwork(tuple(weights), tuple(biases), activation, output)
-
-
-def _array(tensor: Any) -> npt.NDArray[np.float32]:
-    return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
 
 
 def _evaluate(module: Any, n_inputs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:

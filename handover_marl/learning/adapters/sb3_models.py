@@ -21,8 +21,13 @@ from torch import nn
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.adapters.export import dense_network_from_layers
-from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
+from handover_marl.learning.policy_spec import (
+    RAW_ENCODINGS,
+    DenseNetwork,
+    InputNormalization,
+    OutputBounds,
+    dense_network_from_layers,
+)
 
 Array = npt.NDArray[np.float64]
 

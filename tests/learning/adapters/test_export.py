@@ -11,7 +11,7 @@ import pytest
 import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError, OptionError, UnknownNameError
+from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.learning.adapters.export import dense_network_from_module
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import PolicySpec
@@ -223,20 +223,3 @@ def test_other_modules_are_refused(make: Callable[[], Any], error: type, fault: 
     with pytest.raises(error, match=fault):
         handover_marl.export_policy(make(), tmp_path / "p.npz", **NAMES)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "fault"),
-    [
-        ({"features": None}, OptionError, "features must be given"),
-        ({"features": len}, OptionError, "must be names or text module:name"),
-        ({"features": "smell"}, UnknownNameError, "features of the receiver 'smell'"),
-        ({"action_scheme": "deviation"}, UnknownNameError, "action scheme of the receiver"),
-        ({"path": "policy.pt"}, OptionError, r"must end in \.npz"),
-    ],
-)
-def test_wrong_arguments_are_refused(change: dict[str, Any], error: type, fault: str, tmp_path: Path) -> None:
-    options = {**NAMES, **change}
-    path = tmp_path / options.pop("path", "policy.npz")
-    with pytest.raises(error, match=fault):
-        handover_marl.export_policy(make_net(), path, **options)

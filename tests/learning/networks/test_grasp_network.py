@@ -107,7 +107,7 @@ def test_losses_are_least_for_what_is_good() -> None:
 
 
 def test_settings_in_files_of_earlier_versions_are_read() -> None:
-    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": False, "groups": [4]}
-    expected = GraspNetworkConfig(16, 8, 24, 32, uses_hand_points=False, group_sizes=(4,))
+    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": True, "groups": [4]}
+    expected = GraspNetworkConfig(16, 8, 24, 32, group_sizes=(4,))
     assert GraspNetwork.from_settings(old).config == expected
     assert GraspNetwork.from_settings(network(expected).get_settings()).config == expected

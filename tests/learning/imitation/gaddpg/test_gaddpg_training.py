@@ -13,7 +13,7 @@ pytest.importorskip("igl", reason="needs the extra `planning`")
 pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.learning.imitation.gaddpg.data_generation import (
     DataGenerator,
     DataGeneratorConfig,
@@ -103,10 +103,3 @@ def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
         made.append([*(array for plan in plans.values() for array in plan), *states])
     for first, second in zip(*made, strict=True):
         np.testing.assert_array_equal(first, second)
-
-
-def test_numbers_out_of_range_are_refused(tmp_path: Path, train: ModuleType) -> None:
-    with pytest.raises(OptionError, match="episodes must be at least 1, got 0"):
-        train.Args(**{**QUICK, "episodes": 0, "out": str(tmp_path)})
-    with pytest.raises(OptionError, match="setups"):
-        list_shared_scenes(SyntheticDataset(), ())
