@@ -103,9 +103,7 @@ def test_scene_of_stand_ins_is_marked_in_results(stood_in: Path, tmp_path: Path,
     shutil.copytree(stood_in, folder / "assets", dirs_exist_ok=True)
     write_object_assets(folder / "assets")
     dataset = OfficialDataset(folder, robot)
-    scene = dataset.load_scene(5)
-    assert (
-        dataset.describe_models(5) == "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
-    )
+    notes = "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
+    assert dataset.describe_models(5) == notes
     with contextlib.closing(Episode("exact")) as episode:
-        episode.reset(scene)
+        episode.reset(dataset.load_scene(5))
