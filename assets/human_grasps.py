@@ -105,11 +105,3 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
 def _load_arrays() -> dict[str, npt.NDArray[Any]]:
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}
-
-
-def interpolate_wrist_distance(object_name: str, level: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return the wrist distances (m) of a YCB class at quantile levels from 0 to 1.
-
-    Values between `LEVELS` are interpolated; beyond them the outermost values are returned.
-    """
-    return np.asarray(np.interp(np.asarray(level), LEVELS, WRIST_DISTANCE_QUANTILES[object_name]))

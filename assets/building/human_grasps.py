@@ -17,8 +17,9 @@ from handover_marl.assets.human_grasps import (
     ANGLE_STEP,
     GRASPED_OBJECTS,
     GRASPS_FILE,
+    LEVELS,
+    WRIST_DISTANCE_QUANTILES,
     HumanGrasps,
-    interpolate_wrist_distance,
 )
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps
@@ -84,7 +85,8 @@ def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: i
     The k-th grasp is the best grasp for a wrist distance that is drawn between the quantiles k/count and (k+1)/count
     of DexYCB.
     """
-    goals = interpolate_wrist_distance(name, (np.arange(count) + random.uniforms(count)) / count)
+    shares = (np.arange(count) + random.uniforms(count)) / count
+    goals = np.interp(shares, LEVELS, WRIST_DISTANCE_QUANTILES[name])
     costs = 100.0 * grasps.overlap - 0.35 * grasps.touching.sum(axis=1)
     positions, rotations = grasps.object_from_base[:, :3], Rotation.from_quat(grasps.object_from_base[:, 3:])
     chosen: list[int] = []

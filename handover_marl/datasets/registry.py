@@ -21,8 +21,6 @@ from handover_marl.geometry.panda import PANDA
 DATA_DIR_VARIABLE: Final = "HANDOVER_MARL_DATA"
 #: Name of DexYCB if a data folder is given or set, else of the synthetic scenes.
 AUTO: Final = "auto"
-#: Separates the kind of a data set from the argument.
-SEPARATOR: Final = ":"
 #: Advice for a machine whose data folder is missing or differs.
 DATA_FOLDER_ADVICE = (
     f"Machines share no files: every node needs the same data folder, at the same path or named by {DATA_DIR_VARIABLE} "
@@ -141,8 +139,8 @@ def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
         UnknownNameError: There is no such kind, or the argument is missing or superfluous.
     """
     text = name if isinstance(name, str) else ""
-    kind, separator, argument = text.partition(SEPARATOR)
-    if kind not in KINDS or bool(separator) != (SEPARATOR in KINDS[kind].usage) or (separator and not argument):
+    kind, separator, argument = text.partition(":")
+    if kind not in KINDS or bool(separator) != (":" in KINDS[kind].usage) or (separator and not argument):
         raise UnknownNameError("dataset", name, ("auto", *(each.usage for each in KINDS.values())))
     return KINDS[kind], argument
 

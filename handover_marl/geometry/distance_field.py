@@ -77,23 +77,6 @@ class DistanceField:
         return corners
 
 
-def distance_field_from_mesh(
-    vertices: Array, faces: npt.NDArray[np.int64], margin: float, cell: float
-) -> DistanceField:
-    """Compute the signed distance field of a mesh with libigl (extra `planning`), on a grid `margin` beyond it (m).
-
-    Components may overlap, and have holes.
-    """
-    import igl
-
-    def distance(points: Array) -> Array:
-        # The winding number gives the right sign for overlapping components and meshes with holes.
-        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
-        return np.asarray(found, dtype=np.float64)
-
-    return sample_distance_field(distance, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
-
-
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
     """Sample a function from points (n, 3) to signed distances (n,) in m on a grid over a box."""
     counts = np.ceil((upper - lower) / cell).astype(int) + 1
@@ -119,7 +102,7 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 def load_object_sdf(urdf: Path, margin: float, cell: float = CELL) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
+    The shapes may overlap, and have holes. The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.
@@ -133,7 +116,17 @@ def _load_object_sdf(urdf: Path, changed: int, margin: float, cell: float) -> Di
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:
         return DistanceField(arrays["values"], arrays["lower"], float(arrays["cell"]))
-    field = distance_field_from_mesh(*read_collision_mesh(urdf), margin, cell)
+    # Imported here, since it belongs to the extra `planning`.
+    import igl
+
+    vertices, faces = read_collision_mesh(urdf)
+
+    def compute_distances(points: Array) -> Array:
+        # The winding number gives the right sign for overlapping components and meshes with holes.
+        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
+        return np.asarray(found, dtype=np.float64)
+
+    field = sample_distance_field(compute_distances, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
     content: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
     save_cached_arrays(path, content, "distance field")
     return field

@@ -11,7 +11,6 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
 )
 from handover_marl.config import HandConfig
-from handover_marl.errors import UnknownNameError
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect
@@ -75,10 +74,3 @@ def test_rebuild_gives_the_shipped_hands(tmp_path):
     assert len(written) == 33
     for file in written:
         assert (HANDS_FOLDER / file).read_bytes() == (tmp_path / file).read_bytes(), file
-
-
-def test_unknown_hands_are_refused():
-    with pytest.raises(UnknownNameError, match="subject"):
-        find_hand_urdf(11, "left")
-    with pytest.raises(UnknownNameError, match="side"):
-        make_hand_geometry(1, "middle")

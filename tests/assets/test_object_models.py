@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
-from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.client import BulletClient, connect
@@ -53,15 +52,6 @@ def test_urdf_has_the_official_structure(client: BulletClient, name: str) -> Non
     assert dynamics[:2] == (0.5, 0.9)
     assert [len(client.getCollisionShapeData(body, link)) for link in range(-1, 5)] == [0] * 6
     assert len(client.getVisualShapeData(body)) == 1
-
-
-@pytest.mark.parametrize("name", ["025_mug", "037_scissors", "061_foam_brick"])
-def test_every_convex_part_collides(client: BulletClient, name: str) -> None:
-    body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
-    ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=1e-4))
-    for part in read_solid(find_object_urdf(name)).parts:
-        client.resetBasePositionAndOrientation(ball, part.vertices.mean(axis=0).tolist(), (0, 0, 0, 1))
-        assert client.getClosestPoints(ball, body, 0.0)
 
 
 @pytest.mark.parametrize("name", NAMES)

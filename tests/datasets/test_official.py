@@ -99,26 +99,18 @@ def test_classes_without_grasps(own_data: Path, name: str) -> None:
     assert OfficialDataset(own_data).load_grasps(name).shape == (3, 4, 4)
 
 
-@pytest.mark.parametrize("scene_id", [-1, 1000])
-def test_scene_numbers(fake_data: Path, scene_id: int) -> None:
+def test_scene_numbers(fake_data: Path) -> None:
     with pytest.raises(SceneError, match="0 to 999"):
-        OfficialDataset(fake_data).load_scene(scene_id)
+        OfficialDataset(fake_data).load_scene(1000)
 
 
-def test_fingerprint_depends_on_the_data(own_data: Path) -> None:
-    before = OfficialDataset(own_data).compute_fingerprint(5)
-    assert before == OfficialDataset(own_data).compute_fingerprint(5)
-    assert before != OfficialDataset(own_data).compute_fingerprint(6)
-    edit_meta(own_data, 5, name="20200709-subject-01/other")
-    assert before != OfficialDataset(own_data).compute_fingerprint(5)
-
-
-def test_fingerprint_depends_on_grasps_and_meshes(own_data: Path) -> None:
+def test_fingerprint_depends_on_meta_grasps_and_meshes(own_data: Path) -> None:
     assets = own_data / "assets"
     urdf = assets / "003_cracker_box" / "model_normalized.urdf"
     urdf.write_text(urdf.read_text().replace('<box size="0.05 0.05 0.08"/>', '<mesh filename="box.obj"/>'))
-    seen = [OfficialDataset(own_data).compute_fingerprint(5)]
+    seen = [OfficialDataset(own_data).compute_fingerprint(scene_id) for scene_id in (6, 5)]
     for change in (
+        lambda: edit_meta(own_data, 5, name="20200709-subject-01/other"),
         lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\n"),
         lambda: (assets / "003_cracker_box" / "box.obj").write_text("v 0 0 0\nv 1 0 0\n"),
         lambda: write_grasps(assets / "grasps" / "003_cracker_box.npy", n=5),

@@ -170,8 +170,9 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
         mesh = mesh.simplify_quadric_decimation(face_count=config.max_faces)
         repairs.append(f"simplified from {len(faces)} to {len(mesh.faces)} triangles")
     mesh.merge_vertices()
-    n_faces, is_outward = len(mesh.faces), mesh.is_winding_consistent and mesh.volume >= 0.0
+    n_faces = len(mesh.faces)
     with np.errstate(invalid="ignore"):  # flat bodies have no centre
+        is_outward = mesh.is_winding_consistent and mesh.volume >= 0.0
         mesh.process(validate=True)
     _check_solid(mesh, name)
     if len(mesh.faces) < n_faces:

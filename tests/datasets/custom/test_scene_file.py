@@ -30,7 +30,6 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
 FAULTS: dict[str, tuple[str, Any, str]] = {
     "another format": ("format", "other", "format and version must be"),
     "the name of the folder": ("name", "a/b", "must be 1 to 64 letters"),
-    "no list": ("objects", {"a": 1}, ""),
     "a missing field": ("objects", [{"name": "bottle"}], "number"),
     "a name outside of the folder": ("objects", [{**vars(CONTENT.objects[0]), "name": "../x"}], "must be 1 to 64"),
     "an unknown class": ("objects", [], "unknown class 'bottle'"),

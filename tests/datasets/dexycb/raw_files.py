@@ -61,7 +61,6 @@ class RawScene:
     meta: dict[str, object] = field(default_factory=dict)
     objects: np.ndarray = field(default_factory=lambda: object_poses(n_objects=2))
     hand: np.ndarray = field(default_factory=hand_poses)
-    extrinsics: str = EXTRINSICS
     mano: str = ""  # name of the hand's calibration; empty: a name made of subject and side
 
     def write(self, raw: Path, scene_id: int = 0) -> SequenceFolder:
@@ -70,9 +69,7 @@ class RawScene:
         mano = self.mano or f"20200709_140042_{subject[9:]}_{self.side}"
         folder = raw / subject / self.name
         meta = {
-            "serials": ["1", "2"],
-            "num_frames": len(self.objects),
-            "extrinsics": self.extrinsics,
+            "extrinsics": EXTRINSICS,
             "ycb_ids": [2, 5],
             "ycb_grasp_ind": 1,
             "mano_sides": [self.side],
@@ -82,15 +79,12 @@ class RawScene:
         write_yaml(folder / "meta.yml", {key: value for key, value in meta.items() if value is not None})
         np.savez(folder / "pose.npz", pose_y=self.objects, pose_m=self.hand[:, None])
         write_yaml(mano_file(raw, mano), {"betas": self.betas})
-        write_yaml(
-            extrinsics_file(raw, self.extrinsics),
-            {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"},
-        )
+        write_yaml(extrinsics_file(raw), {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"})
         return SequenceFolder(scene_id, f"{subject}/{self.name}", folder)
 
 
-def extrinsics_file(raw: Path, extrinsics: str = EXTRINSICS) -> Path:
-    return raw / "calibration" / f"extrinsics_{extrinsics}" / "extrinsics.yml"
+def extrinsics_file(raw: Path) -> Path:
+    return raw / "calibration" / f"extrinsics_{EXTRINSICS}" / "extrinsics.yml"
 
 
 def mano_file(raw: Path, mano: str = "20200709_140042_subject-01_right") -> Path:

@@ -11,12 +11,11 @@ from handover_marl.datasets.dexycb.assets import (
     build_hand_urdf,
     format_numbers,
     write_hand_assets,
-    write_missing_files,
     write_object_assets,
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import ManoModel
-from handover_marl.errors import DataFormatError, ResultsError
+from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from tests.datasets.dexycb.mano_files import made_up_hand, made_up_model
@@ -128,14 +127,3 @@ def test_changed_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(assets, "find_table_folder", lambda: tmp_path)
     with pytest.raises(DataFormatError, match=r"1\.5 1 0\.05 1 times instead of 2"):
         write_table_assets(tmp_path / "assets")
-
-
-def test_existing_files_are_compared(tmp_path: Path) -> None:
-    write_missing_files(tmp_path, {"a/b.txt": b"same", "c.txt": b"other"})
-    before = (tmp_path / "a/b.txt").stat().st_mtime_ns
-    write_missing_files(tmp_path, {"a/b.txt": b"same", "d.txt": b"new"})
-    assert (tmp_path / "a/b.txt").stat().st_mtime_ns == before
-    with pytest.raises(ResultsError, match=r"c\.txt exists with other content"):
-        write_missing_files(tmp_path, {"c.txt": b"mine"})
-    assert (tmp_path / "c.txt").read_bytes() == b"other"
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b.txt", "c.txt", "d.txt"]

@@ -169,14 +169,10 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
         "the hand must come within 1 m of the object",
     ),
     "no wrist": ({key: make_recording()[key] for key in ("time", "object")}, {}, "no wrist.*pass hand=None"),
-    "others without poses": (make_recording(), {"others": ["025_mug"]}, "no poses of '025_mug'"),
     "poses of others": ({**make_recording(), "cup": make_recording()["object"]}, {}, "has poses of 'cup'"),
-    "unknown class": (make_recording(), {"object_name": "cup"}, "unknown object 'cup'"),
     "the object twice": (make_recording(), {"others": ["box"]}, "different classes"),
-    "side": (make_recording(), {"side": "both"}, "unknown side"),
     "hand": (make_recording(), {"hand": 11}, "unknown hand"),
     "person": (make_recording(), {"subject": "a/b"}, "subject must be"),
-    "recording": (make_recording(), {"recording": "../x"}, "recording must be"),
     "known recording": (make_recording(), {"recording": "first", "hand": None}, "recording must be new"),
     "motion": (3, {}, "motion must be a path"),
 }
@@ -235,12 +231,14 @@ def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     assert list_files(folders[0]) == list_files(folders[1])
 
 
-def test_damaged_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:
+def test_missing_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
-    (folder / "motion" / "000001.npz").write_bytes(b"PK")
-    with pytest.raises(DataFormatError, match=r"000001\.npz: not a readable motion"):
-        CustomSceneFolder(folder).check()
+    fingerprint = CustomDataset(scenes.folder).compute_fingerprint(0)
+    assert CustomDataset(folder).compute_fingerprint(0) == fingerprint
+    urdf = folder / "objects" / "box" / "model_normalized.urdf"
+    urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
+    assert CustomDataset(folder).compute_fingerprint(0) != fingerprint
     (folder / "motion" / "000001.npz").unlink()
     with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
         CustomSceneFolder(folder).check()
@@ -254,9 +252,7 @@ EDITS: dict[str, tuple[str, str, Any, Any, str]] = {
     "jump": (MOTION, "object_dof", np.s_[1500:, 0, 0], 0.1, "object must not jump, got 100 m/s in frame 1500"),
     "spin": (MOTION, "object_dof", np.s_[1500:, 0, 3], 1.0, "object must not jump, got 1e\\+03 rad/s"),
     "degrees": (MOTION, "object_dof", np.s_[:, 0, 3], 1e4, "angles of object must be in rad"),
-    "below": (MOTION, "object_dof", np.s_[:, 0, 2], -0.5, "object must start above the table"),
     "end below": (MOTION, "object_dof", np.s_[:, 0, 2], -0.5 * DRIFT, "object must end above the table"),
-    "out of reach": (MOTION, "object_dof", np.s_[:, 0, 1], 1.5 * DRIFT, r"must end within 1\.2 m"),
     "hand away": (MOTION, "hand_dof", np.s_[:, 2], 1.3, "hand must come within 1 m of the object"),
     "hand jumps": (MOTION, "hand_dof", np.s_[1000:, 0], 0.2, "the hand must not jump"),
     "fingers": (MOTION, "hand_dof", np.s_[:, 10], 7.0, "finger angles must be at most"),
@@ -264,7 +260,6 @@ EDITS: dict[str, tuple[str, str, Any, Any, str]] = {
     "a hand": ("motion/000002", "hand_span", np.s_[:], 9, "hand_span must be -1"),
     "grasp away": (GRASPS, "grasps", np.s_[3, 0, 3], 1.0, r"within 0\.05 m of the object, .* grasp 3"),
     "stretched": (GRASPS, "grasps", np.s_[3, 0, 0], 0.5, "without a rotation in grasp 3"),
-    "last row": (GRASPS, "grasps", np.s_[3, 3, 3], 1.0, "without a rotation in grasp 3"),
 }
 
 
@@ -301,16 +296,6 @@ def test_impossible_models(
     path.write_text(path.read_text().replace(before, after))
     with pytest.raises(HandoverError, match=message):
         CustomSceneFolder(folder).check()
-
-
-def test_fingerprints_change_with_the_files(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    folder = tmp_path / "copy"
-    shutil.copytree(scenes.folder, folder)
-    before = CustomDataset(scenes.folder).compute_fingerprint(0)
-    assert CustomDataset(folder).compute_fingerprint(0) == before
-    urdf = folder / "objects" / "box" / "model_normalized.urdf"
-    urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
-    assert CustomDataset(folder).compute_fingerprint(0) != before
 
 
 def test_configuration_of_the_frame(scenes: CustomSceneFolder) -> None:

