@@ -128,7 +128,7 @@ assert "handover_marl.simulation.bullet.client" not in sys.modules
 
 def test_policies_play_and_can_be_checked(elsewhere: dict[str, str]) -> None:
     """Shipped policies play in one process; `yang2021` and `reactive` play whole handovers."""
-    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("population", "hold", False)]
+    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("noisy", "hold", False)]
     pairs.append(("tired", "random", False))
     if importlib.util.find_spec("igl") is not None:
         # The number of copies limits the time of the validation of grasps.
