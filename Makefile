@@ -70,7 +70,7 @@ slow-tests: $(VENV)/.tested-with
 
 # These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_homogeneous.py
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_flatten.py
 
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)

@@ -16,13 +16,13 @@ import numpy.typing as npt
 from handover_marl.config import ARM_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.execution.options import require_modules
-from handover_marl.geometry.arm import ArmKinematics
+from handover_marl.geometry.arm import ArmKinematics, IkSolver
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations, transform_points
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
-from handover_marl.planning.ik_solvers import IkSolver, make_ik_solver
+from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.planning.planner import Plan, Planner
 from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle

@@ -5,7 +5,7 @@ last and from a preferred pose. It moves to the best reachable standoff, from th
 fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
 
@@ -16,6 +16,7 @@ from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
+from handover_marl.geometry.arm import IkSolver
 from handover_marl.geometry.arrays import ONLY_ROW, AnyIntegers, Indices
 from handover_marl.geometry.poses import (
     compose,
@@ -24,7 +25,7 @@ from handover_marl.geometry.poses import (
     compute_pose_distances,
     compute_rotation_angles,
 )
-from handover_marl.planning.ik_solvers import IkSolver, make_ik_solver
+from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait, require_reset
@@ -137,13 +138,16 @@ class YangController:
             in_region, at_grasp = self._find_places(rows, approaches, observation["gripper_pose"])
             phase[at_grasp] = YangPhase.CLOSE
             self._close_until[rows[at_grasp]] = np.round(time[at_grasp] + self._config.close_time, 3)
-            _fill(self._move_to_standoffs, approaches & ~in_region, arms, rows, observation)
-            _fill(self._move_to_grasps, in_region & ~at_grasp, arms, rows, observation)
+            for move, flags in (
+                (self._move_to_standoffs, approaches & ~in_region),
+                (self._move_to_grasps, in_region & ~at_grasp),
+            ):
+                if flags.any():
+                    arms[flags] = move(rows[flags], {key: value[flags] for key, value in observation.items()})
         retreats = ~waits & (phase == YangPhase.CLOSE) & (time >= self._close_until[rows])
         if retreats.any():
             phase[retreats] = YangPhase.RETREAT
-            _fill(self._move_to_goal, retreats, arms, rows, observation)
-            self._goals[rows[retreats]] = arms[retreats]
+            self._goals[rows[retreats]] = self._find_goal_joints(observation["robot_joint_position"][retreats])
         self.phase[rows] = phase
         arms = np.where((phase == YangPhase.RETREAT)[:, None], self._goals[rows], arms)
         fingers = np.where(phase >= YangPhase.CLOSE, panda.CLOSED, panda.OPEN)[:, None]
@@ -193,7 +197,9 @@ class YangController:
                 break
             chosen = order[left, rank]
             goals = standoffs[left, chosen]
-            found = self._solve_ik(joints[known[left]], goals[:, :3], goals[:, 3:])
+            found = require_reset(self._ik_solver, "yang2021").solve_many(
+                joints[known[left]], goals[:, :3], goals[:, 3:]
+            )
             is_solved = ~np.isnan(found[:, 0])
             solved = left[is_solved]
             row = rows[known[solved]]
@@ -217,30 +223,17 @@ class YangController:
         # The reference rounds this set-point to float32, like the observed position.
         steps = (hands + offsets / np.maximum(distances, length) * length).astype(np.float32)
         positions = np.where(distances >= length, steps, grasps[:, :3])
-        return self._solve_ik_or_stay(observation, positions, grasps[:, 3:])
+        return self._solve_ik_or_stay(observation["robot_joint_position"], positions, grasps[:, 3:])
 
-    def _move_to_goal(self, rows: Indices, observation: Observation) -> Array:
+    def _find_goal_joints(self, joints: npt.NDArray[np.float32]) -> Array:
         """Return the arm joints (r, 7) at the goal."""
-        goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (len(rows), 1))
-        return self._solve_ik_or_stay(observation, goals)
+        goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (len(joints), 1))
+        return self._solve_ik_or_stay(joints, goals)
 
-    def _solve_ik_or_stay(self, observation: Observation, positions: Array, turns: Array | None = None) -> Array:
+    def _solve_ik_or_stay(self, joints: npt.NDArray[np.float32], positions: Array, turns: Array | None = None) -> Array:
         """Return the solutions (r, 7) of IK queries, and the present joints where there is none."""
-        joints = observation["robot_joint_position"]
-        found = self._solve_ik(joints, positions, turns)
+        found = require_reset(self._ik_solver, "yang2021").solve_many(joints, positions, turns)
         return np.where(np.isnan(found), joints[:, :ARM_DOF], found)
-
-    def _solve_ik(self, joints: npt.NDArray[np.float32], positions: Array, turns: Array | None) -> Array:
-        return require_reset(self._ik_solver, "yang2021").solve_many(joints, positions, turns)
-
-
-def _fill(
-    move: Callable[[Indices, Observation], Array], flags: Flags, arms: Array, rows: Indices, observation: Observation
-) -> None:
-    """Write the arm joints that a method of the controller computes into `arms` (r, 7), where a flag (r,) is set."""
-    some = np.flatnonzero(flags)
-    if len(some):
-        arms[some] = move(rows[some], {key: value[some] for key, value in observation.items()})
 
 
 class Yang2021Receiver(Receiver):

@@ -48,8 +48,7 @@ class DatasetKind:
 
 
 def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    if data_dir is not None:
-        raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
+    _refuse_folder("synthetic", data_dir)
     # DexYCB needs none of the generator's imports, which take long.
     from handover_marl.datasets.synthetic import SyntheticDataset
 
@@ -57,11 +56,15 @@ def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
 
 
 def _open_generated(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    if data_dir is not None:
-        raise OptionError(f"generated scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
+    _refuse_folder("generated", data_dir)
     from handover_marl.datasets.generated.dataset import GeneratedDataset
 
     return GeneratedDataset(argument, robot)
+
+
+def _refuse_folder(kind: str, data_dir: str | None) -> None:
+    if data_dir is not None:
+        raise OptionError(f"{kind} scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
 
 
 def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:

@@ -9,16 +9,15 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, World
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
+from handover_marl.episode.lockstep import make_judge
 from handover_marl.episode.observations import (
-    MotionPreview,
     Observation,
     observe,
-    observe_giver,
+    observe_giver_motion,
     select_receiver_observation,
 )
-from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
-from handover_marl.episode.spaces import STATE, GiverAction, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind, requests_release
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -56,7 +55,6 @@ class Episode:
         self._world: World | None = None
         self._scene: Scene | None = None
         self._motion = GiverMotion(1, config.giver)
-        self._preview: MotionPreview | None = None
         # Contacts of the last step; None if they have not been read from the world.
         self._contacts: Contacts | None = Contacts()
         self._referee = Referee(config.protocol)
@@ -76,7 +74,7 @@ class Episode:
             check_collision_meshes(urdf)
         if self._world is None:
             self._world = make_world(self._physics, self.config.physics, self._window)
-        self._scene = self._preview = None
+        self._scene = None
         self._referee = Referee(self.config.protocol)
         self._contacts = Contacts()
         self._world.reset(scene, self._motion.reset(0, scene), self.config.draw_initial_joints(seed))
@@ -104,9 +102,10 @@ class Episode:
             on_step: Functions that are called after every physics step.
         """
         world, motion, referee = self.world, self._motion, self._referee
+        n_objects = len(self.scene.info.object_ids)
         target = robot_target.tolist()
         camera = self._wrist_camera if self._wrist_camera is not None and self._wrist_camera.has_latency else None
-        if GiverAction.from_array(giver_action).release and motion.holding[0] and not referee.released:
+        if requests_release(giver_action) and motion.holding[0] and not referee.released:
             referee.release_voluntarily()
             world.release_target()
         while steps > 0 and not referee.status:
@@ -115,7 +114,7 @@ class Episode:
             plan = motion.plan(
                 ONLY_ROW, planned, giver_action[None], np.array([referee.released]), np.array([is_opening])
             )
-            world.set_reference(plan.references[0])
+            world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
             if world.has_rollouts and not on_step and camera is None:
                 simulated = self._simulate_rollout(world, target, planned)
@@ -125,10 +124,10 @@ class Episode:
 
     def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int:
         """Simulate up to `steps` physics steps at once; return their number."""
-        states = RefereeStateBatch.from_states([self._referee.get_state()])
+        states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
         simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
-        self._referee.restore(states.select(0))
+        self._referee.restore(states.select_rows(0))
         self._contacts = None
         return int(simulated[0])
 
@@ -183,9 +182,8 @@ class Episode:
         Args:
             state: The full state as `observe` returns it now.
         """
-        if self._preview is None:
-            self._preview = MotionPreview(self.scene, self.config.giver)
-        return observe_giver(state, self._motion, self._preview)
+        own = observe_giver_motion(self._motion, ONLY_ROW)
+        return {**state, **{key: values[0] for key, values in own.items()}}
 
     def seed_camera(self, seed: int) -> None:
         """Seed the random draws of the wrist camera; they depend on this seed, the physics step and the image."""

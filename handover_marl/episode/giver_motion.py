@@ -2,30 +2,134 @@
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OBJECT_DOF, TIME_STEP, GiverConfig
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF, TIME_STEP, GiverConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
-from handover_marl.episode.wrist_offset import apply_wrist_offsets, delay_steps, track_set_points
-from handover_marl.geometry.arrays import AnyArray, AnyIntegers, Indices, get_namespace, make_constant
+from handover_marl.episode.wrist_offset import delay_steps, move_with_wrists, track_set_points
+from handover_marl.geometry.arrays import (
+    NUMPY_ARRAYS,
+    AnyArray,
+    AnyIndices,
+    AnyIntegers,
+    ArrayFactory,
+    Indices,
+    RowBank,
+    get_namespace,
+    make_constant,
+    widen,
+)
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
-
-Array = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
-Flags = npt.NDArray[np.bool_]
+from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
+from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceBatch, ReferenceMotion
 
 #: Number of physics steps for which the giver's motion is planned at a time.
 PLANNED_STEPS = 200
-#: Pick-up frame of objects that are never picked up.
-NEVER = np.iinfo(np.int64).max
 #: Action of the giver that replays the recording.
 NO_DEVIATION = np.zeros(GIVER_ACTION_SIZE, dtype=np.float32)
 NO_DEVIATION.flags.writeable = False
+#: Pick-up frame of objects that are never picked up.
+NEVER = np.iinfo(np.int64).max
 _BASE_LINK = 5
+_HALF = OBJECT_DOF // 2
+
+
+class RecordedFrames(Protocol):
+    """Interface of the recorded frames of n givers."""
+
+    def set_scene(self, row: int, scene: Scene) -> None:
+        """Choose the scene that a giver plays."""
+
+    def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceBatch:
+        """Return copies of the recorded frames (r, k) of r givers."""
+
+
+class HostFrames:
+    """Recorded frames as NumPy arrays, which are read from the scenes.
+
+    Args:
+        count: Number n of givers.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._scenes: list[Scene | None] = [None] * count
+        self._hand_present: list[npt.NDArray[np.bool_]] = [np.zeros(0, dtype=bool)] * count
+
+    def set_scene(self, row: int, scene: Scene) -> None:
+        """Choose the scene that a giver plays."""
+        self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
+
+    def read(self, rows: Indices, frames: Indices) -> ReferenceBatch:
+        """Return copies of the recorded frames (r, k) of r givers."""
+        shape = frames.shape
+        hand, present = np.empty((*shape, HAND_DOF), dtype=np.float32), np.empty(shape, dtype=bool)
+        objects = np.zeros((*shape, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
+        for index, row in enumerate(rows.tolist()):
+            scene, own = self._scenes[row], frames[index]
+            if scene is None:
+                raise ValueError(f"giver {row} has no scene; call reset() first")
+            hand[index], present[index] = scene.hand_dof[own], self._hand_present[row][own]
+            objects[index, :, : scene.object_dof.shape[1]] = scene.object_dof[own]
+        return ReferenceBatch(hand, present, objects)
+
+
+class DeviceFrames:
+    """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 0.9 MB.
+
+    Args:
+        count: Number n of givers.
+        arrays: Creator of tensors on the device.
+    """
+
+    def __init__(self, count: int, arrays: ArrayFactory) -> None:
+        self._firsts = arrays.zeros(count, "int64")
+        self._first_by_scene: dict[int, int] = {}
+        self._hand, self._present = RowBank(arrays, (HAND_DOF,), "float32"), RowBank(arrays, (), "bool")
+        self._objects = RowBank(arrays, (MAX_OBJECTS, OBJECT_DOF), "float32")
+
+    def set_scene(self, row: int, scene: Scene) -> None:
+        """Choose the scene that a giver plays, and copy it to the device unless it is there."""
+        key = scene.info.scene_id
+        if key not in self._first_by_scene:
+            objects = np.zeros((scene.n_frames, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
+            objects[:, : scene.object_dof.shape[1]] = scene.object_dof
+            self._objects.extend(objects)
+            self._present.extend(scene.is_hand_present(np.arange(scene.n_frames)))
+            self._first_by_scene[key] = self._hand.extend(scene.hand_dof)
+        self._firsts[row] = self._first_by_scene[key]
+
+    def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceBatch:
+        """Return copies of the recorded frames (r, k) of r givers."""
+        places = self._firsts[rows][:, None] + frames
+        return ReferenceBatch(self._hand.rows[places], self._present.rows[places], self._objects.rows[places])
+
+
+class GiverState(NamedTuple):
+    """State of the playback of n givers (n, ...), or in each of k planned steps (n, k, ...).
+
+    Attributes:
+        clock: Playback time (frames).
+        frame: Frame of the recording.
+        rate: Playback rate minus 1.
+        opening_progress: Progress of the hand's opening, 0 to 1.
+        offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
+        velocity: Velocity of this offset (..., 2, 3).
+        has_deviated: Whether the wrist has ever had an offset.
+        angles: Last Euler angles (..., 2, 3) of hand base and object, from which the next continue without a jump.
+    """
+
+    clock: AnyArray
+    frame: AnyArray
+    rate: AnyArray
+    opening_progress: AnyArray
+    offset: AnyArray
+    velocity: AnyArray
+    has_deviated: AnyArray
+    angles: AnyArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,25 +138,13 @@ class PlannedMotion:
 
     Attributes:
         rows: Indices (r,) of the givers.
-        references: Reference motion of each giver.
-        clocks: Playback times (r, k) after each step (frames).
-        frames: Frames (r, k) of the recordings.
-        rates: Playback rates minus 1 (r, k).
-        moving: Indices (d,) in `rows` of the givers with an offset of the wrist.
-        offsets: Displacements (m) and rotation vectors (rad) of the wrists, (k, d, 2, 3).
-        velocities: Their velocities (k, d, 2, 3).
-        opening_progress: Progress of the hands' opening (r, k), 0 to 1.
+        reference: Joint targets of hands and objects.
+        states: States (r, k, ...) of the givers after each step.
     """
 
-    rows: Indices
-    references: list[ReferenceMotion]
-    clocks: Array
-    frames: Indices
-    rates: Array
-    moving: Indices
-    offsets: Array
-    velocities: Array
-    opening_progress: Array
+    rows: AnyIndices
+    reference: ReferenceBatch
+    states: GiverState
 
 
 class GiverMotion:
@@ -65,25 +157,30 @@ class GiverMotion:
     Args:
         count: Number n of givers.
         config: Limits of the deviation from the recordings.
+        arrays: Creator of the arrays of the motion.
 
     Attributes:
-        frame: Current frame (n,) of each recording.
-        rate: Playback rates minus 1 (n,).
-        offset: Wrist displacement (m) and rotation vector (rad) of each giver, (n, 2, 3).
-        opening_progress: Progress (n,) of each hand's opening, 0 to 1.
+        state: State of the playback of each giver.
     """
 
-    def __init__(self, count: int, config: GiverConfig) -> None:
-        self._config = config
-        self._scenes: list[Scene | None] = [None] * count
-        self._hand_present: list[Flags] = [np.zeros(0, dtype=bool)] * count
-        self._wrists_in_base = np.zeros((count, 3))
-        self._last_frame, self._pick_up = np.zeros(count, dtype=np.int_), np.full(count, NEVER)
-        self._clock, self.frame, self.rate = np.zeros(count), np.zeros(count, dtype=np.int_), np.zeros(count)
-        self.offset, self._velocity = np.zeros((count, 2, 3)), np.zeros((count, 2, 3))
-        self._has_deviated, self.opening_progress = np.zeros(count, dtype=bool), np.zeros(count)
-        # Last reference of hand base and object; their Euler angles continue from it without a jump.
-        self._last = np.zeros((count, 2, OBJECT_DOF), dtype=np.float32)
+    def __init__(self, count: int, config: GiverConfig, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._config, self._arrays = config, arrays
+        self._recorded: RecordedFrames = HostFrames(count) if arrays.xp is np else DeviceFrames(count, arrays)
+        self._last_frame, self._pick_up = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
+        self._wrists_in_base = arrays.zeros((count, 3))
+        self.state = GiverState(
+            clock=arrays.zeros(count),
+            frame=arrays.zeros(count, "int64"),
+            rate=arrays.zeros(count),
+            opening_progress=arrays.zeros(count),
+            offset=arrays.zeros((count, 2, 3)),
+            velocity=arrays.zeros((count, 2, 3)),
+            has_deviated=arrays.zeros(count, "bool"),
+            angles=arrays.zeros((count, 2, 3), "float32"),
+        )
+        limits = [[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]]
+        self._limits = arrays.asarray(limits, "float64")
+        self._ahead = arrays.asarray([round(time / TIME_STEP) for time in config.preview], "int64")
 
     def reset(self, row: int, scene: Scene) -> ReferenceMotion:
         """Start to play a scene, and return its first frame as a reference motion of one row.
@@ -92,28 +189,47 @@ class GiverMotion:
             row: Index of the giver.
             scene: Scene to play.
         """
-        self._scenes[row] = scene
-        self._hand_present[row] = scene.is_hand_present(np.arange(scene.n_frames))
-        self._wrists_in_base[row] = find_wrist_in_base(scene)
-        pick_up = find_pick_up_frame(scene)
-        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, NEVER if pick_up is None else pick_up
-        self._has_deviated[row] = False
-        for state in (self._clock, self.frame, self.rate, self.offset, self._velocity, self.opening_progress):
-            state[row] = 0
-        self._last[row] = scene.hand_dof[0, :BASE_JOINTS], scene.object_dof[0, 0]
-        return self._read_frames(row, np.array([0]))
+        self._recorded.set_scene(row, scene)
+        self._last_frame[row], self._pick_up[row] = scene.n_frames - 1, find_pick_up_frame(scene)
+        self._wrists_in_base[row] = self._arrays.asarray(find_wrist_in_base(scene))
+        for values in self.state:
+            values[row] = 0
+        angles = np.stack([scene.hand_dof[0, _HALF:BASE_JOINTS], scene.object_dof[0, 0, _HALF:]])
+        self.state.angles[row] = self._arrays.asarray(angles)
+        return ReferenceMotion(scene.object_dof[:1], scene.hand_dof[:1], scene.is_hand_present(np.array([0])))
 
     @property
-    def holding(self) -> Flags:
+    def holding(self) -> AnyArray:
         """Mask (n,) of the persons who have picked up the object, so that displacements take effect."""
-        return np.asarray(self.frame >= self._pick_up)
+        return self.state.frame >= self._pick_up
 
     @property
-    def deviation(self) -> Float32:
-        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad)."""
-        return np.concatenate([self.rate[:, None], self.offset.reshape(-1, 6)], axis=1).astype(np.float32)
+    def deviation(self) -> AnyArray:
+        """(n, 7) playback rates minus 1, wrist displacements (m) and rotation vectors (rad), float32."""
+        xp, state = self._arrays.xp, self.state
+        return xp.astype(xp.concat([state.rate[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
-    def plan(self, rows: Indices, steps: int, actions: Float32, released: Flags, is_opening: Flags) -> PlannedMotion:
+    def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
+        """Return the recorded poses of r givers at the k preview times ahead.
+
+        Returns:
+            (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the objects to be handed over:
+            xyz (m) and quaternion xyzw, float32.
+        """
+        xp = self._arrays.xp
+        frames = xp.minimum(self.state.frame[rows][:, None] + self._ahead, self._last_frame[rows][:, None])
+        recorded = self._recorded.read(rows, frames)
+        bases, objects = widen(recorded.hand[..., :BASE_JOINTS]), widen(recorded.objects[..., 0, :])
+        turns = quaternions_from_euler(bases[..., _HALF:])
+        wrists = bases[..., :_HALF] + rotate_points(turns, self._wrists_in_base[rows][:, None])
+        wrist_poses = xp.concat([wrists, turns], axis=-1)
+        object_poses = xp.concat([objects[..., :_HALF], quaternions_from_euler(objects[..., _HALF:])], axis=-1)
+        wrist_poses = xp.where(recorded.hand_present[..., None], wrist_poses, 0.0)
+        return xp.astype(wrist_poses, xp.float32), xp.astype(object_poses, xp.float32)
+
+    def plan(
+        self, rows: AnyIndices, steps: int, actions: AnyArray, released: AnyArray, is_opening: AnyArray
+    ) -> PlannedMotion:
         """Return the motion of r givers in the next physics steps, without advancing the playback.
 
         Args:
@@ -123,26 +239,41 @@ class GiverMotion:
             released: Whether each object has been released, so that it does not follow the hand, (r,).
             is_opening: Whether each hand opens after a voluntary release, (r,).
         """
-        rates = ramp_rates(self.rate[rows], actions[:, 0].astype(np.float64), self._config.rate_change, steps)
-        clocks = self._clock[rows, None] + np.cumsum(1.0 + rates, axis=1)
+        xp, config, state = self._arrays.xp, self._config, GiverState(*(values[rows] for values in self.state))
+        actions = widen(actions)
+        rates = ramp_rates(state.rate, actions[:, 0], config.rate_change, steps)
+        clocks = state.clock[:, None] + xp.cumsum(1.0 + rates, axis=1)
         # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
-        frames = np.minimum(np.rint(np.round(clocks, 9)), self._last_frame[rows, None]).astype(np.int_)
-        references = [self._read_frames(row, own) for row, own in zip(rows.tolist(), frames, strict=True)]
+        frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
+        frames = xp.minimum(frames, self._last_frame[rows][:, None])
+        reference = self._recorded.read(rows, frames)
+        # The finger angles of opening hands move towards zero, which is a flat hand in MANO.
+        ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * is_opening[:, None]
+        progress = xp.clip(state.opening_progress[:, None] + TIME_STEP / config.opening_time * ticks, 0.0, 1.0)
+        scale = 1.0 - config.opening * progress * is_opening[:, None]
+        reference.hand[..., BASE_JOINTS:] *= xp.astype(scale[..., None], xp.float32)
         # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
-        delays = count_steps_until_pick_up(self._pick_up[rows], self.frame[rows], frames)
-        set_points = np.where(delays[:, None] < steps, actions[:, 1:7].astype(np.float64), 0.0).reshape(-1, 2, 3)
-        moving = np.flatnonzero(self._has_deviated[rows] | set_points.any(axis=(1, 2)))
-        offsets, velocities = np.zeros((steps, 0, 2, 3)), np.zeros((steps, 0, 2, 3))
+        delays = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)
+        set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
+        is_moving = state.has_deviated | xp.any(set_points != 0.0, axis=(1, 2))
+        moving = xp.nonzero(is_moving)[0]
+        offsets, velocities = self._arrays.zeros((2, len(rows), steps, 2, 3))
         if len(moving):
-            who, config = rows[moving], self._config
-            limits = np.array([[config.speed, config.turn_speed], [config.acceleration, config.turn_acceleration]])
-            track = track_set_points(self.offset[who], self._velocity[who], set_points[moving], steps, limits)
-            offsets, velocities = (delay_steps(part, delays[moving]) for part in track)
-            self._apply_offsets(who, moving, references, offsets, released[moving])
-        progress = np.repeat(self.opening_progress[rows, None], steps, axis=1)
-        if is_opening.any():
-            self._open_hands(is_opening, references, progress)
-        return PlannedMotion(rows, references, clocks, frames, rates, moving, offsets, velocities, progress)
+            who = state.offset[moving], state.velocity[moving], set_points[moving]
+            track = track_set_points(*who, steps, self._limits)
+            offsets[moving], velocities[moving] = (delay_steps(part, delays[moving]) for part in track)
+            self._move_with_wrists(rows, moving, reference, offsets[moving], released)
+        states = GiverState(
+            clock=clocks,
+            frame=frames,
+            rate=rates,
+            opening_progress=progress,
+            offset=offsets,
+            velocity=velocities,
+            has_deviated=xp.broadcast_to(is_moving[:, None], frames.shape),
+            angles=xp.stack([reference.hand[..., _HALF:BASE_JOINTS], reference.objects[..., 0, _HALF:]], axis=-2),
+        )
+        return PlannedMotion(rows, reference, states)
 
     def commit(self, motion: PlannedMotion, steps: AnyIntegers) -> None:
         """Advance the playback by the planned steps that were simulated.
@@ -151,74 +282,29 @@ class GiverMotion:
             motion: Motion as returned by `plan`.
             steps: Number of simulated steps (r,) of each giver.
         """
-        simulated = np.flatnonzero(steps)
+        simulated = self._arrays.xp.nonzero(steps)[0]
         rows, last = motion.rows[simulated], steps[simulated] - 1
-        self._clock[rows], self.frame[rows] = motion.clocks[simulated, last], motion.frames[simulated, last]
-        self.rate[rows] = motion.rates[simulated, last]
-        self.opening_progress[rows] = motion.opening_progress[simulated, last]
-        for index, step in zip(simulated.tolist(), last.tolist(), strict=True):
-            reference, row = motion.references[index], motion.rows[index]
-            self._last[row] = reference.hand[step, :BASE_JOINTS], reference.objects[step, 0]
-        moved = steps[motion.moving] > 0
-        index, who = np.flatnonzero(moved), motion.rows[motion.moving[moved]]
-        last = steps[motion.moving[moved]] - 1
-        self.offset[who], self._velocity[who] = motion.offsets[last, index], motion.velocities[last, index]
-        self._has_deviated[who] = True
+        for values, planned in zip(self.state, motion.states, strict=True):
+            values[rows] = planned[simulated, last]
 
-    def _apply_offsets(
-        self, who: Indices, moving: Indices, references: list[ReferenceMotion], offsets: Array, released: Flags
+    def _move_with_wrists(
+        self, rows: AnyIndices, moving: AnyIndices, reference: ReferenceBatch, offsets: AnyArray, released: AnyArray
     ) -> None:
-        """Move hands and held objects with their wrists' offsets, in the reference motions.
+        """Move hands and held objects with the offsets of their wrists, in the reference motion.
 
         Args:
-            who: Numbers (d,) of the givers.
-            moving: Indices (d,) in `references` of the motions that change.
-            references: Reference motions.
-            offsets: Offsets (k, d, 2, 3) of the wrists.
-            released: Whether each object has been released, (d,).
+            rows: Indices (r,) of the givers.
+            moving: Indices (d,) in `rows` of the givers whose wrists have an offset.
+            reference: Reference motion of r givers.
+            offsets: Offsets (d, k, 2, 3) of the wrists.
+            released: Whether each object has been released, (r,).
         """
-        recorded = [references[index] for index in moving.tolist()]
-        bodies = [np.stack([motion.hand[:, :BASE_JOINTS], motion.objects[:, 0]]) for motion in recorded]
-        # At rest, rows are equal from some row on: compute the first of them.
-        counts = [
-            _count_distinct_rows(offsets[:, number].reshape(len(offsets), 6), *both)
-            for number, both in enumerate(bodies)
-        ]
-        moved = apply_wrist_offsets(
-            [both[:, :count] for both, count in zip(bodies, counts, strict=True)],
-            self._wrists_in_base[who],
-            [offsets[:count, number] for number, count in enumerate(counts)],
-            self._last[who],
-        )
-        for number, index in enumerate(moving.tolist()):
-            before, count = recorded[number], counts[number]
-            hand = before.hand.copy()
-            hand[:count, :BASE_JOINTS], hand[count:, :BASE_JOINTS] = moved[number][0], moved[number][0, -1]
-            objects = before.objects
-            if not released[number]:
-                objects = objects.copy()
-                objects[:count, 0], objects[count:, 0] = moved[number][1], moved[number][1, -1]
-            references[index] = ReferenceMotion(objects, hand, before.hand_present)
-
-    def _open_hands(self, is_opening: Flags, references: list[ReferenceMotion], progress: Array) -> None:
-        """Move the finger angles of opening hands towards zero, which is a flat hand in MANO."""
-        steps = progress.shape[1]
-        pace = TIME_STEP / self._config.opening_time
-        progress[is_opening] = np.minimum(progress[is_opening] + pace * np.arange(1, steps + 1), 1.0)
-        for index in np.flatnonzero(is_opening).tolist():
-            before = references[index]
-            hand = before.hand.copy()
-            hand[:, BASE_JOINTS:] *= (1.0 - self._config.opening * progress[index, :, None]).astype(np.float32)
-            references[index] = ReferenceMotion(before.objects, hand, before.hand_present)
-
-    def _read_frames(self, row: int, frames: Indices) -> ReferenceMotion:
-        scene, first, last = self._scenes[row], int(frames[0]), int(frames[-1])
-        if scene is None:
-            raise ValueError(f"giver {row} has no scene; call reset() first")
-        # A slice needs no copy. At the recording's end, and at other speeds, frames are not consecutive.
-        is_consecutive = last - first == len(frames) - 1 and bool((np.diff(frames) == 1).all())
-        part = slice(first, last + 1) if is_consecutive else frames
-        return ReferenceMotion(scene.object_dof[part], scene.hand_dof[part], self._hand_present[row][part])
+        xp, who = self._arrays.xp, rows[moving]
+        bodies = xp.stack([reference.hand[moving][..., :BASE_JOINTS], reference.objects[moving][..., 0, :]], axis=2)
+        moved = move_with_wrists(bodies, offsets, self._wrists_in_base[who], self.state.angles[who])
+        reference.hand[moving, :, :BASE_JOINTS] = moved[:, :, 0]
+        is_held = ~released[moving][:, None, None]
+        reference.objects[moving, :, 0] = xp.where(is_held, moved[:, :, 1], bodies[:, :, 1])
 
 
 def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
@@ -248,14 +334,6 @@ def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int)
     return xp.where(xp.abs(limited) < xp.abs(change), rates[:, None] + limited, targets[:, None])
 
 
-def _count_distinct_rows(*arrays: npt.NDArray[np.floating]) -> int:
-    """Return the number of rows up to the last one that differs from the row before it in any array."""
-    differs = np.zeros(len(arrays[0]), dtype=bool)
-    for array in arrays:
-        differs[1:] |= (array[1:] != array[:-1]).any(axis=1)
-    return int(np.flatnonzero(differs)[-1]) + 1 if differs.any() else 1
-
-
 def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:
     """Return the (3,) position of the human wrist in the frame of the hand's base (m)."""
     wrist_in_base: npt.NDArray[np.float64] = _compute_wrist_in_base(read_tree(scene.assets.hand)).copy()
@@ -269,10 +347,7 @@ def _compute_wrist_in_base(tree: KinematicTree) -> npt.NDArray[np.float64]:
     return wrist_in_base
 
 
-def find_pick_up_frame(scene: Scene, distance: float = 0.005) -> int | None:
-    """Return the first frame with the object farther than `distance` (m) from its start.
-
-    None if the object stays near its start.
-    """
+def find_pick_up_frame(scene: Scene, distance: float = 0.005) -> int:
+    """Return the first frame with the object farther than `distance` (m) from its start, or `NEVER`."""
     moved = np.linalg.norm(scene.object_dof[:, 0, :3] - scene.object_dof[0, 0, :3], axis=1) > distance
-    return int(np.argmax(moved)) if moved.any() else None
+    return int(np.argmax(moved)) if moved.any() else NEVER

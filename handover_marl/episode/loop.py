@@ -204,21 +204,6 @@ class EpisodeAgent:
         self.action = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
 
 
-def _decide(episode: Episode, receiver: EpisodeAgent, giver: EpisodeAgent | None) -> PolicyDecision:
-    """Call the policies that are due, the giver first, and return the actions of both agents."""
-    now = episode.steps
-    receiver_decides, giver_decides = now >= receiver.due, giver is not None and now >= giver.due
-    state = episode.observe() if giver_decides or (receiver_decides and receiver.observes) else {}
-    if giver is not None and giver_decides:
-        giver.decide(state)
-    planning_time = rendering_time = 0.0
-    if receiver_decides:
-        receiver.decide(state)
-        planning_time, rendering_time = receiver.planning_time, receiver.rendering_time
-    giver_action = NO_DEVIATION if giver is None else giver.action
-    return PolicyDecision(receiver.action, giver_action, planning_time, receiver_decides, giver_decides, rendering_time)
-
-
 def run_episode(
     episode: Episode,
     receiver: EpisodePolicy,
@@ -248,17 +233,30 @@ def run_episode(
     end = min(until, horizon) if isinstance(until, int) else horizon
     robot = EpisodeAgent(episode, "receiver", receiver, seed)
     person = None if giver is None else EpisodeAgent(episode, "giver", giver, seed)
+    # The giver acts first.
+    agents = [robot] if person is None else [person, robot]
     step_hooks = [callback.on_step for callback in callbacks]
     for callback in callbacks:
         callback.on_reset(episode)
     while not episode.status and episode.steps < end:
-        decision = _decide(episode, robot, person)
+        deciding = [agent for agent in agents if episode.steps >= agent.due]
+        state = episode.observe() if any(agent.observes for agent in deciding) else {}
+        for agent in deciding:
+            agent.decide(state)
+        decision = PolicyDecision(
+            receiver_action=robot.action,
+            giver_action=NO_DEVIATION if person is None else person.action,
+            planning_time=robot.planning_time if robot in deciding else 0.0,
+            receiver_decided=robot in deciding,
+            giver_decided=person in deciding,
+            rendering_time=robot.rendering_time if robot in deciding else 0.0,
+        )
         if callable(until) and until():
             break
         for callback in callbacks:
             callback.on_decision(episode, decision)
-        due = robot.due if person is None else min(robot.due, person.due)
-        episode.advance(decision.receiver_action, min(end, due) - episode.steps, decision.giver_action, step_hooks)
+        due = min(end, *(agent.due for agent in agents))
+        episode.advance(decision.receiver_action, due - episode.steps, decision.giver_action, step_hooks)
     for callback in callbacks:
         callback.on_end(episode)
 

@@ -9,13 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, TIME_STEP, GiverConfig
-from handover_marl.datasets.dataset import Scene
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.episode.camera_observations import camera_observation_space
-from handover_marl.episode.giver_motion import GiverMotion, find_wrist_in_base
+from handover_marl.episode.giver_motion import GiverMotion
 from handover_marl.episode.spaces import STATE, has_state
-from handover_marl.episode.wrist_offset import compute_wrist_positions
-from handover_marl.geometry.poses import quaternions_from_euler
+from handover_marl.geometry.arrays import AnyIndices, get_namespace
 from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.simulation.world import WorldState
 
@@ -25,8 +23,6 @@ Observation = dict[str, npt.NDArray[Any]]
 PROPRIOCEPTION = ("robot_joint_position", "robot_joint_velocity", "gripper_pose", "time")
 
 _POSE = 7
-# Most episodes end long before the recording, so that poses are computed block by block.
-_BLOCK_FRAMES = 1000
 
 
 def state_space(largest_class: int = LARGEST_YCB_CLASS) -> spaces.Dict:
@@ -106,46 +102,6 @@ def giver_observation_space(
     )
 
 
-class MotionPreview:
-    """Preview of a recording: poses of wrist and object at the times `config.preview` ahead (s).
-
-    Args:
-        scene: Scene with the recording.
-        config: Configuration of the giver, with the times of the preview.
-    """
-
-    def __init__(self, scene: Scene, config: GiverConfig) -> None:
-        self._scene, self._wrist_in_base = scene, find_wrist_in_base(scene)
-        self._ahead = np.array([round(time / TIME_STEP) for time in config.preview])
-        self._first = self._end = 0
-        self._wrist = self._object = np.zeros((0, _POSE), dtype=np.float32)
-
-    def read_poses(self, frame: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Return recorded poses of wrist and object at the k preview times after a frame.
-
-        Args:
-            frame: Current frame of the recording.
-
-        Returns:
-            (k, 7) poses of the wrist, zeros without a hand, and (k, 7) poses of the object to be handed
-            over: xyz (m) and quaternion xyzw.
-        """
-        n_frames = self._scene.n_frames
-        frames: npt.NDArray[np.int_] = np.minimum(frame + self._ahead, n_frames - 1)
-        first, last = int(frames.min()), int(frames.max())
-        if first < self._first or last >= self._end:
-            self._compute_block(first, min(last + _BLOCK_FRAMES, n_frames))
-        return self._wrist[frames - self._first], self._object[frames - self._first]
-
-    def _compute_block(self, first: int, end: int) -> None:
-        scene, self._first, self._end = self._scene, first, end
-        hand, item = scene.hand_dof[first:end], scene.object_dof[first:end, 0]
-        present = scene.is_hand_present(np.arange(first, end))
-        wrist = _stack_poses(compute_wrist_positions(hand, self._wrist_in_base), hand[:, 3:6])
-        self._wrist = np.where(present[:, None], wrist, np.float32(0.0))
-        self._object = _stack_poses(item[:, :3], item[:, 3:])
-
-
 def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:
     """Return the full state of a simulated world as an observation.
 
@@ -189,21 +145,20 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
     return {**own, **camera}
 
 
-def observe_giver(state: Observation, motion: GiverMotion, preview: MotionPreview) -> Observation:
-    """Return the giver's observation: full state, preview of the recording and current deviation.
+def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
+    """Return what only givers observe: previews of their recordings and their deviations (r, ...).
 
     Args:
-        state: The full state as `observe` returns it.
-        motion: Motion of this one giver, with the current deviation.
-        preview: Preview of the recording.
+        motion: Motion of n givers.
+        rows: Indices (r,) of the givers.
     """
-    wrist_poses, object_poses = preview.read_poses(int(motion.frame[0]))
+    wrist_poses, object_poses = motion.read_previews(rows)
+    holding = motion.holding[rows, None]
     return {
-        **state,
         "replay_wrist_poses": wrist_poses,
         "replay_object_poses": object_poses,
-        "deviation": motion.deviation[0],
-        "holding": motion.holding.astype(np.float32),
+        "deviation": motion.deviation[rows],
+        "holding": get_namespace(holding).astype(holding, wrist_poses.dtype),
     }
 
 
@@ -218,8 +173,3 @@ def _unbounded(shape: tuple[int, ...]) -> spaces.Box:
 
 def _flags(shape: tuple[int, ...]) -> spaces.Box:
     return spaces.Box(0.0, 1.0, shape, np.float32)
-
-
-def _stack_poses(positions: npt.NDArray[np.floating], angles: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    poses = np.concatenate([positions, quaternions_from_euler(angles)], axis=1)
-    return poses.astype(np.float32)

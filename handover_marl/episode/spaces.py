@@ -1,13 +1,12 @@
 """Observation modes, action spaces of both agents, and checks of actions."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.errors import ActionError, check_name
+from handover_marl.geometry.arrays import AnyArray
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode: the simulator's state, and the wrist camera's data.
@@ -79,26 +78,9 @@ def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Bo
     return spaces.Box(low, high)
 
 
-@dataclass(frozen=True, eq=False)
-class GiverAction:
-    """Components of a giver's action.
-
-    Attributes:
-        rate: Playback rate minus 1.
-        displacement: (3,) set-point of the wrist's displacement, world frame (m).
-        rotation: (3,) set-point of the rotation vector about the wrist, world frame (rad).
-        release: Whether to release the object.
-    """
-
-    rate: float
-    displacement: npt.NDArray[np.float32]
-    rotation: npt.NDArray[np.float32]
-    release: bool
-
-    @classmethod
-    def from_array(cls, action: npt.NDArray[np.float32]) -> "GiverAction":
-        """Split a giver's action (8,), already checked, into its components."""
-        return cls(float(action[0]), action[1:4], action[4:7], bool(action[7] > 0.5))
+def requests_release(giver_actions: AnyArray) -> AnyArray:
+    """Return whether actions (..., 8) of givers request the release of the object, (...)."""
+    return giver_actions[..., 7] > 0.5
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:

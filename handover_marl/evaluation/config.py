@@ -7,7 +7,7 @@ objects or as keyword arguments.
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal
 
 from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
@@ -24,8 +24,9 @@ from handover_marl.simulation.engines import check_physics
 #: Name of the giver of official results, which replays the recording.
 REPLAY = "replay"
 #: Choices of the episodes that get a replay page.
-REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL = "none", "failed", "all"
-REPLAY_CHOICES = (REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL)
+REPLAYS_NONE: Final = "none"
+REPLAYS_ALL: Final = "all"
+REPLAY_CHOICES = (REPLAYS_NONE, "failed", REPLAYS_ALL)
 #: Fields of `ExecutionConfig` that do not apply to a single scene.
 MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
 
@@ -88,7 +89,7 @@ class ExecutionConfig(PoolConfig):
     progress: bool = True
     trust: bool = False
     fresh: bool = False
-    replays: str = REPLAYS_NONE
+    replays: Literal["none", "failed", "all"] = REPLAYS_NONE
 
     def __post_init__(self) -> None:
         for name in ("progress", "trust", "fresh"):

@@ -11,16 +11,15 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.comparison import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate, write_report
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_merged_config,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.reports.report import Report, evaluate, write_report
+from handover_marl.evaluation.results import (
+    DEMONSTRATIONS,
     find_recordings,
-    get_demonstrations_metadata_path,
     get_result_path,
     prepare_result_folder,
     read_results,
@@ -74,7 +73,7 @@ def merge(
         agreement.write(target)
         return agreement
     (report,) = _merge_subfolders(paths, target, (".",))
-    return Demonstrations(target) if get_demonstrations_metadata_path(target).exists() else report
+    return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else report
 
 
 def _read_pairs(paths: Sequence[Path]) -> list[tuple[str, str]]:

@@ -22,27 +22,27 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.report import describe_episode
-from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_world_label,
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.reports.report import evaluate, format_report_files
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.results import (
     REPORT_FILES,
     REPORT_JSON,
+    EpisodeResult,
+    describe_episode,
     get_result_path,
     load_result_arrays,
     read_result,
 )
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
+from handover_marl.execution.pool import open_pool
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.policies.registry import check_stored_reference, list_available
 from handover_marl.version import __version__
@@ -198,13 +198,20 @@ def verify(
         world_config=world,
     )
     config, _ = resolve_config(config, trust)
-    open_checker = functools.partial(_open_checker, config, path, metadata.version == __version__)
-    with contextlib.closing(open_pool(PoolConfig(workers)).map_unordered(open_checker, tasks, _describe_task)) as found:
+    is_same_version = metadata.version == __version__
+
+    @contextlib.contextmanager
+    def open_checker() -> Iterator[Callable[[SceneTask], list[Difference]]]:
+        with contextlib.closing(EpisodeRunner(config)) as runner:
+            yield functools.partial(check_episode, runner, path, same_version=is_same_version)
+
+    with contextlib.closing(open_pool(PoolConfig(workers))) as pool:
+        found = pool.map_unordered(open_checker, tasks, lambda task: f"verifying scene {task.scene_id}")
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)
     expected = {"giver": reference.label}
-    if metadata.version == __version__:
+    if is_same_version:
         expected["giver_hash"] = reference.code_hash
     stored = {key: getattr(metadata, key) for key in expected}
     differences = [
@@ -213,18 +220,6 @@ def verify(
         *(each for check in checks for each in check),
     ]
     return Verification(metadata, tuple(config.scenes or ()), tuple(differences), len(split))
-
-
-@contextlib.contextmanager
-def _open_checker(
-    config: EvaluationConfig, folder: Path, same_version: bool
-) -> Iterator[Callable[[SceneTask], list[Difference]]]:
-    with contextlib.closing(EpisodeRunner(config, parallelism="")) as runner:
-        yield functools.partial(check_episode, runner, folder, same_version=same_version)
-
-
-def _describe_task(task: SceneTask) -> str:
-    return f"verifying scene {task.scene_id}"
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:
@@ -304,15 +299,11 @@ def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]
         pairs = enumerate(zip(stored, expected, strict=True))
         parts = [_compare_json(found, wanted, f"{key}[{index}]") for index, (found, wanted) in pairs]
     else:
-        is_equal = _is_close(stored, expected)
+        is_equal = stored == expected
+        if isinstance(stored, float) and isinstance(expected, (int, float)):
+            is_equal = math.isclose(stored, expected, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
         return [] if is_equal else [Difference(None, key, _format_value(stored), _format_value(expected))]
     return [difference for part in parts for difference in part]
-
-
-def _is_close(first: Any, second: Any) -> bool:
-    if isinstance(first, float) and isinstance(second, (int, float)):
-        return math.isclose(first, second, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
-    return bool(first == second)
 
 
 def _format_value(value: object) -> str:

@@ -6,9 +6,11 @@ Arrays of `ArmKinematics` have the configurations as last axis, which is contigu
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
@@ -17,7 +19,6 @@ from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import (
     compute_dot_products,
     compute_lengths,
-    inverse_transform_points,
     transform_points,
 )
 
@@ -226,9 +227,35 @@ class ReachabilityBound:
         is_too_far = np.asarray(compute_lengths(target - self._shoulder) > self._arm_length + distance)
         if orientation is None:
             return is_too_far
-        pose = np.concatenate([target, np.asarray(orientation, dtype=np.float64)], axis=-1)
-        shoulder = inverse_transform_points(pose, self._shoulder) - self._circle_center
+        world_from_hand = Rotation.from_quat(np.asarray(orientation, dtype=np.float64))
+        shoulder = world_from_hand.apply(self._shoulder - target, inverse=True) - self._circle_center
         height = compute_dot_products(shoulder, self._axis)
         radius = compute_lengths(shoulder - height[..., None] * self._axis)
         nearest = np.hypot(height, radius - self._circle_radius)
         return np.asarray(is_too_far | (nearest > self._wrist_range + distance + angle * self._wrist_distance))
+
+
+def as_row(values: npt.ArrayLike) -> Array:
+    """Return an array (1, k) of one row."""
+    return np.asarray(values, dtype=np.float64)[None]
+
+
+class IkSolver(Protocol):
+    """Interface of inverse kinematics solvers that iterate until the hand link reaches a pose."""
+
+    def solve(
+        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
+    ) -> Array | None:
+        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None without convergence.
+
+        It starts at joints (9,), whose fingers are ignored; without an orientation, xyzw, the rotation is free.
+        """
+        found: Array = self.solve_many(
+            as_row(start), as_row(position), None if orientation is None else as_row(orientation)
+        )[0]
+        return None if np.isnan(found[0]) else found
+
+    def solve_many(
+        self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
+    ) -> Array:
+        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None."""

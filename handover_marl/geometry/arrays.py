@@ -46,9 +46,10 @@ def as_arrays(*values: Any) -> tuple[Any, ...]:
 
     Numbers and lists become arrays of their own number type.
     """
+    torch = sys.modules.get("torch")
+    if torch is None or not any(isinstance(value, torch.Tensor) for value in values):
+        return np, *map(np.asarray, values)
     xp = get_namespace(*values)
-    if xp is np:
-        return xp, *map(np.asarray, values)
     (device,) = {value.device for value in values if is_tensor(value)}
     return xp, *(value if is_tensor(value) else xp.asarray(np.asarray(value), device=device) for value in values)
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
 from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
@@ -52,35 +51,6 @@ class DistanceField:
         Gradients are zero outside the grid.
         """
         return self._interpolate(points, with_gradients=True)
-
-    def compute_clamped_distances(self, points: Array) -> Array:
-        """Interpolate signed distances (...) in m at points (..., 3).
-
-        Points outside the grid get the distance of the nearest point on the grid's border.
-        """
-        nodes = (points.reshape(-1, 3) - self.lower).T / self.cell
-        found = map_coordinates(self.values, nodes, order=1, mode="nearest", output=np.float64)
-        return np.asarray(found.reshape(points.shape[:-1]))
-
-    def compute_outward_normals(self, points: Array) -> Array:
-        """Compute unit vectors (..., 3) away from the surface at points (..., 3).
-
-        They are gradients of the distance field, by central differences.
-        """
-        h = self.cell
-        gradients = np.stack(
-            [
-                self.compute_clamped_distances(points + h * e) - self.compute_clamped_distances(points - h * e)
-                for e in np.eye(3)
-            ],
-            axis=-1,
-        )
-        return np.asarray(gradients / np.maximum(np.linalg.norm(gradients, axis=-1, keepdims=True), 1e-12))
-
-    def mirror(self) -> "DistanceField":
-        """Return the distance field of the surface mirrored in x."""
-        last = self.lower[0] + self.cell * (self.values.shape[0] - 1)
-        return DistanceField(self.values[::-1], np.array([-last, *self.lower[1:]]), self.cell)
 
     def _interpolate(self, points: Floats, with_gradients: bool) -> tuple[Floats, Floats]:
         nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)

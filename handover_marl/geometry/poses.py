@@ -25,13 +25,7 @@ def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
     xp, first, second = as_arrays(first, second)
     if is_tensor(first):
         return xp.sum(first * second, axis=-1)
-    if hasattr(np, "vecdot"):
-        return np.asarray(np.vecdot(first, second))
-    # NumPy before 2.0.
-    first, second = np.broadcast_arrays(first, second)
-    pairs = zip(first.reshape(-1, first.shape[-1]), second.reshape(-1, first.shape[-1]), strict=True)
-    products = np.array([np.dot(one, other) for one, other in pairs], np.result_type(first, second))
-    return products.reshape(first.shape[:-1])
+    return np.asarray(np.vecdot(first, second))
 
 
 def compute_lengths(vectors: AnyArray) -> AnyArray:
@@ -186,28 +180,6 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
     x, y, z, w = sx * cy, cx * sy, sx * sy, cx * cy
     quaternions = xp.stack([x * cz + y * sz, y * cz - x * sz, z * cz + w * sz, w * cz - z * sz], axis=-1)
     return quaternions.reshape(*given.shape[:-1], 4)
-
-
-def unwrap_euler(angles: Array, previous: Array) -> Array:
-    """Return XYZ Euler angles (n, 3) of the same rotations without jumps from row to row, from `previous` (3,) on.
-
-    Of all Euler angles that describe a rotation, those nearest to the previous row are chosen, by the sum of
-    absolute differences.
-    """
-    rows = np.empty(angles.shape)
-    done = 0
-    # Vectorized: rows with the same solution and full turns as the first row are taken at once.
-    while done < len(angles):
-        rest = angles[done:]
-        solution, turns = select_nearest_euler(rest[:1], previous[None])
-        guess = _euler_solutions(rest)[:, solution[0]] + 2.0 * np.pi * turns[0]
-        before = np.concatenate([previous[None], guess[:-1]])
-        nearest, nearest_turns = select_nearest_euler(rest, before)
-        is_right = (nearest == solution[0]) & (nearest_turns == turns[0]).all(axis=1)
-        count = len(rest) if is_right.all() else int(is_right.argmin())
-        rows[done : done + count] = guess[:count]
-        done, previous = done + count, guess[count - 1]
-    return rows
 
 
 def _euler_solutions(angles: AnyArray) -> AnyArray:

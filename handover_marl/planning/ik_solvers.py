@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PANDA_DOF, PandaConfig
 from handover_marl.execution.options import is_pybullet_installed
-from handover_marl.geometry.arm import ArmKinematics, IndependentArmKinematics, ReachabilityBound
+from handover_marl.geometry.arm import ArmKinematics, IkSolver, IndependentArmKinematics, ReachabilityBound, as_row
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
@@ -129,30 +129,6 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
     return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])
-
-
-def _as_row(values: npt.ArrayLike) -> Array:
-    """Return an array (1, k) of one row."""
-    return np.asarray(values, dtype=np.float64)[None]
-
-
-class IkSolver(Protocol):
-    """Interface of inverse kinematics solvers that iterate until the hand link reaches a pose."""
-
-    def solve(
-        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
-    ) -> Array | None:
-        """Return arm joints (7,) in rad that bring the hand link to a world pose, or None without convergence.
-
-        It starts at joints (9,), whose fingers are ignored; without an orientation, xyzw, the rotation is free.
-        """
-        found: Array = self.solve_many(
-            _as_row(start), _as_row(position), None if orientation is None else _as_row(orientation)
-        )[0]
-        return None if np.isnan(found[0]) else found
-
-    def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None."""
 
 
 class IkStepper(Protocol):
@@ -299,7 +275,7 @@ class PandaIkSolver(IkSolver):
 
         Seven arm joints (rad) are followed by two finger positions, which are zero.
         """
-        query = _as_row(joints), _as_row(position), None if orientation is None else _as_row(orientation)
+        query = as_row(joints), as_row(position), None if orientation is None else as_row(orientation)
         closest, _ = self._search(*query, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)
         return np.concatenate([closest[0], np.zeros(PANDA_DOF - ARM_DOF)])
 

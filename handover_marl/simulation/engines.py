@@ -12,11 +12,10 @@ from handover_marl.geometry.arrays import ArrayFactory
 from handover_marl.simulation.clearance import DistanceQuery
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.world import World
+from handover_marl.simulation.worlds import HostWorlds, Worlds
 
 if TYPE_CHECKING:
-    from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
-    from handover_marl.simulation.mujoco.world import MujocoWorld
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
 #: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
@@ -117,40 +116,29 @@ def check_backend(backend: BatchBackend) -> None:
         )
 
 
-def make_batch_worlds(config: PhysicsConfig, count: int) -> "list[MujocoWorld]":
-    """Create simulated worlds of MuJoCo without scenes, which are simulated in batches.
+def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
+    """Create worlds of MuJoCo or MuJoCo Warp without scenes, which are simulated together.
 
     Args:
         config: Constants of the worlds.
         count: Number of worlds.
-
-    Raises:
-        OptionError: MuJoCo is not installed.
-    """
-    check_physics(MUJOCO)
-    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-    from handover_marl.simulation.mujoco.world import MujocoWorld
-
-    simulation = BatchSimulation()
-    return [MujocoWorld(config, simulation=simulation) for _ in range(count)]
-
-
-def make_device_worlds(config: PhysicsConfig, count: int, arrays: ArrayFactory) -> "WarpWorlds":
-    """Create worlds of MuJoCo Warp without scenes, whose state is on a device.
-
-    Args:
-        config: Constants of the worlds.
-        count: Number of worlds.
-        arrays: Creator of PyTorch tensors on the device.
+        backend: Engine and device.
+        arrays: Creator of arrays on this device: NumPy arrays, or with MuJoCo Warp tensors.
 
     Raises:
         OptionError: A package or the device is missing.
     """
     check_physics(MUJOCO)
-    check_backend(BatchBackend(WARP, arrays.device.type))
-    from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
+    check_backend(backend)
+    if backend.name == WARP:
+        from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 
-    return WarpWorlds(config, count, arrays)
+        return WarpWorlds(config, count, arrays)
+    from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
+    from handover_marl.simulation.mujoco.world import MujocoWorld
+
+    simulation = BatchSimulation()
+    return HostWorlds([MujocoWorld(config, simulation=simulation) for _ in range(count)], arrays)
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:

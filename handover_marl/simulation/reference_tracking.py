@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, TIME_STEP, HandConfig, MotorConfig, ObjectConfig
+from handover_marl.geometry.arrays import AnyArray
 from handover_marl.geometry.kinematic_tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
@@ -40,6 +41,29 @@ class ReferenceMotion:
             row if present else None
             for row, present in zip(self.hand.tolist(), self.hand_present.tolist(), strict=True)
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceBatch:
+    """Joint targets of hands and objects of n worlds in each of k physics steps (world frame, m, rad).
+
+    Attributes:
+        hand: Joint targets (n, k, 51) of the hands, float32.
+        hand_present: Whether the hand is in the scene in each step, (n, k).
+        objects: Joint targets (n, k, 5, 6) of the objects: xyz, Euler angles; zeros for no object, float32.
+    """
+
+    hand: AnyArray
+    hand_present: AnyArray
+    objects: AnyArray
+
+    def select_rows(self, rows: AnyArray) -> "ReferenceBatch":
+        """Return the targets of worlds with these indices."""
+        return ReferenceBatch(self.hand[rows], self.hand_present[rows], self.objects[rows])
+
+    def select(self, number: int, n_objects: int) -> ReferenceMotion:
+        """Return the reference motion of one world with some number of objects."""
+        return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
 
 class MotorModel:

@@ -1,4 +1,4 @@
-"""Motion and state of many worlds whose arrays are PyTorch tensors on one device."""
+"""Device that Warp and PyTorch share, and poses of bodies as tensors on it."""
 
 import contextlib
 from collections.abc import Iterator
@@ -42,46 +42,6 @@ class WarpDevice:
                 # A graph cannot be captured in the default stream.
                 stack.enter_context(warp.ScopedStream(warp.stream_from_torch(self.stream)))
             yield
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceBatch:
-    """Targets of hands and objects of n worlds in each of k physics steps (world frame, m, rad).
-
-    Attributes:
-        hand: Joint targets (n, k, 51) of the hands.
-        hand_present: Whether the hand is in the scene in each step, (n, k).
-        object_positions: Target positions (n, k, m, 3) of m objects; zeros for absent objects.
-        object_orientations: Target orientations (n, k, m, 4) of m objects, quaternions xyzw.
-    """
-
-    hand: AnyArray
-    hand_present: AnyArray
-    object_positions: AnyArray
-    object_orientations: AnyArray
-
-
-@dataclass(frozen=True, eq=False)
-class WorldStateBatch:
-    """State of n worlds, tensors of float32 and bool (world frame, m, rad); quaternions are xyzw.
-
-    Attributes:
-        robot_joint_position: Positions (n, 9) of the Pandas' arm and finger joints.
-        robot_joint_velocity: Velocities (n, 9) of these joints.
-        gripper_pose: Poses (n, 7) of the Pandas' hand links.
-        object_poses: Poses (n, m, 7) of m objects, the target first; those of absent objects are undefined.
-        hand_present: Whether there is a hand, (n,).
-        hand_dof_position: Positions (n, 51) of the hands' joints, undefined without a hand.
-        hand_keypoints: Positions (n, 16, 3) of wrists and finger-joint origins, undefined without a hand.
-    """
-
-    robot_joint_position: AnyArray
-    robot_joint_velocity: AnyArray
-    gripper_pose: AnyArray
-    object_poses: AnyArray
-    hand_present: AnyArray
-    hand_dof_position: AnyArray
-    hand_keypoints: AnyArray
 
 
 @dataclass(frozen=True, eq=False)

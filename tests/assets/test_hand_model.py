@@ -66,7 +66,7 @@ def test_hand_lengths_are_those_of_the_table(subject):
 def test_rebuild_gives_the_shipped_hands(tmp_path):
     pytest.importorskip("trimesh")
     pytest.importorskip("manifold3d")
-    from handover_marl.assets.building.build_hands import write_hand_urdf, write_meshes
+    from handover_marl.assets.building.hands import write_hand_urdf, write_meshes
 
     write_meshes(tmp_path, "left")
     path = write_hand_urdf(tmp_path, 3, "left")

@@ -51,18 +51,8 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
         (["add-object", "mine", "box", "gone.stl", *OBJECT], "does not exist"),
         (["add-object", "mine", "025_mug", "box.stl", *OBJECT], "must not be the name of a YCB class"),
         (["add-motion", "mine", "motion.csv", "--object", "box", "--subject", "a"], "unknown object 'box'"),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "1,2"],
-            "frame must be",
-        ),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "up"],
-            "frame must be",
-        ),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--hand", "big"],
-            "hand must be",
-        ),
+        ([*MUG, "--frame", "1,2"], "frame must be"),
+        ([*MUG, "--hand", "big"], "hand must be"),
         (["add-split", "mine", "people"], "does not exist"),
         (["check", "mine"], "is no folder of custom scenes"),
         (["preview", "mine", "0", "--out", "x.png"], "does not exist"),

@@ -50,12 +50,11 @@ def make() -> HandoverEnv:
         Cost,
         lambda env: handover_marl.flatten(Cost(env)),
         lambda env: handover_marl.encode(Cost(env)),
-        lambda env: handover_marl.homogeneous(Cost(env)),
         lambda env: Cost(handover_marl.freeze(BaseParallelWrapper(env), "receiver", "replay")),
         lambda env: handover_marl.encode(Cost(handover_marl.freeze(Cost(env), "receiver", "replay"))),
         lambda env: handover_marl.encode(EpisodeReturns(Cost(env))),
     ],
-    ids=["alone", "flatten", "encode", "homogeneous", "freeze", "twice", "returns"],
+    ids=["alone", "flatten", "encode", "freeze", "twice", "returns"],
 )
 def test_wrappers_of_any_origin_can_be_mixed(wrap: Callable[[Any], Any]) -> None:
     env = wrap(make())

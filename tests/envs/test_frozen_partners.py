@@ -177,7 +177,7 @@ def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[i
     return {giver_seed: asked[:-1]}
 
 
-@pytest.mark.parametrize("api", ["parallel", "aec", "gymnasium", "homogeneous"])
+@pytest.mark.parametrize("api", ["parallel", "aec", "gymnasium"])
 def test_partners_keep_their_own_period(api: str) -> None:
     env: Any = handover_marl.freeze(make_env("giver"), "receiver", Irregular)
     Irregular.decisions.clear()
@@ -185,8 +185,6 @@ def test_partners_keep_their_own_period(api: str) -> None:
         env = parallel_to_aec(env)
     elif api == "gymnasium":
         env = SingleAgentEnv(env)
-    elif api == "homogeneous":
-        env = handover_marl.homogeneous(env)
     env.reset(seed=SEED, options={"scene_id": 9})
     for _ in range(4):
         env.step(START if api in ("aec", "gymnasium") else {"receiver": START})

@@ -30,7 +30,7 @@ from handover_marl.errors import (
     UnknownNameError,
     WorkerError,
 )
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from tests.failing import Failing
 
 #: The objects are boxes, cylinders and balls, so that models of several layouts are simulated together.
@@ -529,16 +529,16 @@ def test_malformed_resets_change_nothing(three: HandoverVectorEnv, arguments: di
 
 def test_two_threads_at_once_are_refused(three: HandoverVectorEnv, monkeypatch: pytest.MonkeyPatch) -> None:
     three.reset(seed=1)
-    batch = three._batch
-    simulate = batch._map
+    envs = three._batch._envs
+    simulate = envs.step
 
-    def step_twice(function: Any) -> Any:
+    def step_twice(rows: Any, actions: Any) -> Any:
         for call in (lambda: three.step(STILL), lambda: three.reset(seed=1)):
             with pytest.raises(SimulationError, match="another thread is using the vector environment"):
                 call()
-        return simulate(function)
+        return simulate(rows, actions)
 
-    monkeypatch.setattr(batch, "_map", step_twice)
+    monkeypatch.setattr(envs, "step", step_twice)
     after, *_ = three.step(STILL)
     np.testing.assert_allclose(after["time"], 0.1, atol=1e-6)
 

@@ -20,7 +20,7 @@ class OneGiver:
 
     def __init__(self, scene: Scene) -> None:
         self.motion = GiverMotion(1, CONFIG)
-        self.motion.reset(0, scene)
+        self._n_objects = self.motion.reset(0, scene).objects.shape[1]
         self._planned: PlannedMotion | None = None
 
     def plan(
@@ -28,7 +28,7 @@ class OneGiver:
     ) -> ReferenceMotion:
         flags = np.array([[released], [is_opening]])
         self._planned = self.motion.plan(ROWS[:1], steps, action[None], *flags)
-        return self._planned.references[0]
+        return self._planned.reference.select(0, self._n_objects)
 
     def commit(self, steps: int) -> None:
         assert self._planned is not None
@@ -36,7 +36,7 @@ class OneGiver:
 
     @property
     def frame(self) -> int:
-        return int(self.motion.frame[0])
+        return int(self.motion.state.frame[0])
 
     @property
     def holding(self) -> bool:
@@ -48,4 +48,10 @@ class OneGiver:
 
     @property
     def opening_progress(self) -> float:
-        return float(self.motion.opening_progress[0])
+        return float(self.motion.state.opening_progress[0])
+
+    def preview(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the preview poses of wrist and object at a frame of the recording."""
+        self.motion.state.frame[0] = frame
+        wrists, objects = self.motion.read_previews(ROWS[:1])
+        return wrists[0], objects[0]

@@ -17,8 +17,8 @@ def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
     for set_point, steps in targets:
         goals = np.tile(np.array(set_point, dtype=float), (1, 2, 1))
         values, velocities = track_set_points(value, velocity, goals, steps, LIMITS)
-        value, velocity = values[-1], velocities[-1]
-        parts.append(values[:, 0, 0])
+        value, velocity = values[:, -1], velocities[:, -1]
+        parts.append(values[0, :, 0])
     return np.concatenate(parts)
 
 
@@ -51,6 +51,6 @@ def test_the_number_of_steps_per_call_does_not_matter() -> None:
 def test_an_offset_that_passes_its_set_point_returns() -> None:
     value, velocity = np.array([[[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]]]), np.array([[[0.5, 0.0, 0.0], [0.0, 0.0, -1.0]]])
     path, speeds = track_set_points(value, velocity, value, 1000, LIMITS)
-    assert np.abs(path - value).max() > 0.01
-    np.testing.assert_array_equal(path[-1], value)
-    assert not speeds[-1].any()
+    assert np.abs(path - value[:, None]).max() > 0.01
+    np.testing.assert_array_equal(path[:, -1], value)
+    assert not speeds[:, -1].any()

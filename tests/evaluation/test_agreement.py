@@ -6,9 +6,9 @@ from handover_marl.cli import main
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import UnknownNameError
 from handover_marl.evaluation.comparison import Agreement, compare_physics
+from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata
+from handover_marl.evaluation.results import EpisodeResult
 
 SUCCESS, CONTACT, DROP = EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP
 
@@ -27,13 +27,6 @@ def example() -> Agreement:
     exact = report("exact", [(SUCCESS, 4000), (CONTACT, 3500), (DROP, 4100), (SUCCESS, 4200)])
     fast = report("fast", [(SUCCESS, 4003), (CONTACT, 3500), (SUCCESS, 4900), (SUCCESS, 4199)])
     return Agreement(exact, fast)
-
-
-def test_counts(example: Agreement) -> None:
-    assert example.n_same_outcome == 3
-    assert example.rate == 0.75
-    assert example.step_differences == [3, 0, -1]
-    assert example.confusion == {("success", "success"): 2, ("contact", "contact"): 1, ("drop", "success"): 1}
 
 
 def test_text_of_an_agreement(example: Agreement) -> None:

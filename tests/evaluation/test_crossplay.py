@@ -7,8 +7,7 @@ from PIL import Image
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation import benchmark
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.evaluation.crossplay import format_pair_folder
 
 SCENES = "9"
@@ -43,15 +42,6 @@ def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_
     for givers in ([], None, 5):
         with pytest.raises(OptionError, match="givers must name at least one giver, got"):
             handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
-
-
-def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(benchmark, "run_episodes", lambda *_: pytest.fail("a scene was simulated"))
-    (tmp_path / "replay-random").write_text("")
-    with pytest.raises(ResultsError, match=r"cannot use .*replay-random as result folder"):
-        handover_marl.crossplay(["replay"], ["hold", "random"], dataset="synthetic", out=tmp_path)
 
 
 @pytest.mark.parametrize("letter", ["x", "é"])

@@ -9,12 +9,11 @@ import yaml
 
 from handover_marl.cli import main
 from handover_marl.config import PhysicsConfig, ProtocolConfig, WorldConfig
-from handover_marl.errors import HandoverError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import read_result
+from handover_marl.evaluation.results import EpisodeResult, read_result
 from handover_marl.evaluation.verification import (
     StoredActions,
     check_episode,
@@ -232,15 +231,3 @@ def test_another_world_must_be_passed(tmp_path: Path) -> None:
     with pytest.raises(ResultsError, match="world_config"):
         verify(tmp_path, workers=1, progress=False)
     assert verify(tmp_path, workers=1, progress=False, world_config=config).is_verified
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("seed", "x"), ("physics", "bullet"), ("dataset", "mine"), ("robot", "ur5"), ("giver", "none")]
-)
-def test_unknown_names_in_a_folder_are_errors(key: str, value: str, folder: Path) -> None:
-    path = folder / "config.yaml"
-    content = yaml.safe_load(path.read_text())
-    content["HANDOVER_MARL"][key] = value
-    path.write_text(yaml.safe_dump(content))
-    with pytest.raises(HandoverError):
-        verify(folder, workers=1, progress=False)

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.errors import PolicyError
 from tests.evaluation import quick
-from tests.evaluation.quick import QuickReceiver
 
 
 def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ...]]:
@@ -71,20 +69,6 @@ def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
     assert time.monotonic() - started < 2.0
     assert "resumes from here" in str(process.stderr and process.stderr.read())
     assert waited_for(lambda: all(ended(int(child)) for child in children), 2.0)
-
-
-class QuitsActing(QuickReceiver):
-    name = "quits"
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        sys.exit(3)
-
-
-@pytest.mark.parametrize("n_workers", [1, 2])
-def test_receiver_that_exits(fake_data: Path, tmp_path: Path, n_workers: int) -> None:
-    with pytest.raises(PolicyError, match=r"(?s)receiver 'quits' in scene (9|14): .*SystemExit: 3"):
-        run(fake_data, n_workers, receiver=QuitsActing, out=tmp_path / "out")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
 
 
 SLEEPING = """

@@ -1,6 +1,5 @@
 """Tests of atomic writing of files, and of locks."""
 
-import fcntl
 import os
 import threading
 import time
@@ -123,15 +122,3 @@ def test_locks_of_folders(tmp_path: Path) -> None:
             exclusive_lock(tmp_path),
         ):
             pass
-
-
-def test_lock_that_cannot_be_made_has_no_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with wait_for_lock(tmp_path / "nowhere" / "a.lock", pytest.fail):
-        pass
-
-    def refuse(*_: object) -> None:
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with wait_for_lock(tmp_path / "a.lock", pytest.fail), wait_for_lock(tmp_path / "a.lock", pytest.fail):
-        pass

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.poses import quaternions_from_euler, unwrap_euler
+from handover_marl.geometry.poses import quaternions_from_euler
 
 ANGLES = arrays(np.float64, st.tuples(st.integers(1, 8), st.just(3)), elements=st.floats(-7.0, 7.0))
 
@@ -27,13 +27,3 @@ def test_quaternions_are_bit_equal_to_scipy() -> None:
         Rotation.from_euler("XYZ", single.astype(np.float64)).as_quat(),
         "float32 counts in full",
     )
-
-
-@given(ANGLES, arrays(np.float64, 3, elements=st.floats(-7.0, 7.0)))
-def test_unwrapped_angles_keep_rotations(angles: npt.NDArray[np.float64], before: npt.NDArray[np.float64]) -> None:
-    found = unwrap_euler(angles, before)
-    same = np.abs((quaternions_from_euler(found) * quaternions_from_euler(angles)).sum(axis=1))
-    np.testing.assert_allclose(same, 1.0, atol=1e-12)
-    jumps = np.abs(np.diff(found, axis=0, prepend=before[None])).sum(axis=1)
-    recorded = np.abs(angles - np.concatenate([before[None], found[:-1]])).sum(axis=1)
-    assert (jumps <= recorded + 1e-9).all()

@@ -61,23 +61,11 @@ def test_written_policy_is_read_back(tmp_path: Path) -> None:
     spec = PolicySpec("receiver", "grasp", "cartesian_delta", 0.2, "a test")
     wanted = network(count_features("receiver", "grasp"), 7, activation="relu", output="tanh")
     write_policy(tmp_path / "policy.npz", spec, wanted)
-    found = read_policy(tmp_path / "policy.npz", "receiver")
-    assert found.spec == spec
-    assert found.label.startswith("policy@")
+    found, function, label = read_policy(tmp_path / "policy.npz", "receiver")
+    assert found == spec
+    assert label.startswith("policy@")
     seen = np.linspace(-1, 1, wanted.n_inputs, dtype=np.float32)
-    np.testing.assert_array_equal(found.function(seen), wanted(seen))
-
-
-def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
-    first, second = offer_file(tmp_path / "policy.npz"), tmp_path / "other" / "policy.npz"
-    second.parent.mkdir()
-    write_policy(
-        second, PolicySpec("giver", "giver", "offer", origin="another"), network(count_features("giver", "giver"), 7)
-    )
-    labels = [givers.make(f"learned:{path}").label for path in (first, second)]
-    assert labels[0] != labels[1]
-    assert all(label.startswith("learned:policy@") for label in labels)
-    assert givers.make("learned").label == "learned"
+    np.testing.assert_array_equal(function(seen), wanted(seen))
 
 
 @pytest.mark.parametrize(
@@ -85,10 +73,9 @@ def test_label_depends_on_the_content_of_the_file(tmp_path: Path) -> None:
     [
         ({"features": "smell"}, "features of the giver 'smell'; valid: giver"),
         ({"actions": "cartesian_delta"}, "action scheme of the giver"),
-        ({"actions": "deviation"}, "8 outputs for actions 'deviation', got 39 and 7"),
+        ({"actions": "deviation"}, r"outputs of shape \(1, 8\) for action scheme 'deviation', got shape \(7,\)"),
         ({"agent": "receiver"}, "policy must be for the giver, got one for the receiver"),
         ({"control_period": -1.0}, "control_period must be a time from 0.001 to 60 s, got -1.0"),
-        ({"control_period": "soon"}, "control_period must be a time from 0.001 to 60 s, got 'soon'"),
     ],
 )
 def test_policies_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any], message: str) -> None:
@@ -119,16 +106,6 @@ def test_files_that_are_not_there_or_of_no_known_kind(tmp_path: Path) -> None:
         givers.make(f"replay:{tmp_path / 'policy.npz'}")
     with pytest.raises(OptionError, match="needs a policy file: learned:FILE"):
         receivers.make("learned", SyntheticDataset())
-
-
-@pytest.mark.parametrize("agent", ["giver", "receiver"])
-@pytest.mark.parametrize("name", ["learned:", "learned::control_period=0.1"])
-def test_empty_file_name_is_refused(agent: str, name: str) -> None:
-    module = givers if agent == "giver" else receivers
-    with pytest.raises(OptionError, match=rf"{agent} '{name}' must name a file; write learned:FILE"):
-        module.make(name, SyntheticDataset())
-    with pytest.raises(OptionError, match="must name a file"):
-        module.make((name, {"control_period": 0.1}), SyntheticDataset())
 
 
 def test_control_period_is_the_one_of_training(tmp_path: Path) -> None:
@@ -256,5 +233,5 @@ def test_models_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataFormatError, match="not a model of Stable-Baselines3"):
         make_policy(path, "giver")
     rescaled = gymnasium.wrappers.RescaleAction(view("Receiver"), -1.0, 1.0)
-    with pytest.raises(DataFormatError, match="does not record features and action scheme"):
+    with pytest.raises(OptionError, match="features must be given, because the model does not record it"):
         make_policy(trained(path, rescaled), "receiver")

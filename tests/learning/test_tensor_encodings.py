@@ -14,7 +14,7 @@ import handover_marl
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme

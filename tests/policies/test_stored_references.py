@@ -15,9 +15,8 @@ from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import HandoverError, UnsafeFileError
 from handover_marl.evaluation.comparison import compare
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.strangers.protocol import strangers
-from handover_marl.evaluation.strangers.reference_update import update_references
+from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.strangers.protocol import strangers, update_references
 from handover_marl.evaluation.verification import verify
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import write_policy
@@ -30,7 +29,7 @@ MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
 from handover_marl.givers.timing import HurriedGiver
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.receivers.hold import HoldReceiver
 
 Path("imported").touch()

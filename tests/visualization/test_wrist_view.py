@@ -13,18 +13,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.visualization.figures import draw_wrist_view
 
 CAMERA = CameraConfig(width=320, height=240)
-COMMAND = [
-    "render",
-    "--scene",
-    "209",
-    "--dataset",
-    "synthetic",
-    "--physics",
-    "fast",
-    "--view",
-    "wrist",
-    "--no-progress",
-]
+COMMAND = ["render", "--scene", "209", "--dataset", "synthetic", "--view", "wrist", "--no-progress"]
 
 
 def near(pixels: np.ndarray, color: tuple[int, int, int]) -> int:

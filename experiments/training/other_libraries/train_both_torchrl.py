@@ -20,7 +20,7 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.learning.adapters.export import dense_network_from_layers
 from handover_marl.learning.training.dense_networks import make_mlp
 
 

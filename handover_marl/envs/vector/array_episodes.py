@@ -15,13 +15,12 @@ from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
-from handover_marl.episode.batch.camera_observations import WristCameraBatch
-from handover_marl.episode.batch.episodes import Episodes, MujocoEpisodes
-from handover_marl.episode.batch.tensor_episodes import WarpEpisodes
+from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
+from handover_marl.episode.wrist_camera_batch import WristCameraBatch
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.array_schemes import ArrayScheme
@@ -30,7 +29,7 @@ from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import PolicyBatch
 from handover_marl.policies.reference import PolicyLike, parse_policy
-from handover_marl.simulation.engines import WARP, BatchBackend
+from handover_marl.simulation.engines import BatchBackend
 
 Flags: TypeAlias = AnyArray
 
@@ -68,11 +67,7 @@ class ArrayEpisodes:
         self._base = base
         config = base.config
         self._agents = list(template.possible_agents)
-        self._episodes: Episodes
-        if backend.name == WARP:
-            self._episodes = WarpEpisodes(config.world_config, count, backend.device)
-        else:
-            self._episodes = MujocoEpisodes(config.world_config, count)
+        self._episodes = Episodes(config.world_config, count, backend)
         arrays = self.arrays = self._episodes.arrays
         self._rewards = RewardBatch(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)

@@ -1,11 +1,10 @@
-"""Batch of handover environments: seeds, resets after an episode's end, and threads."""
+"""Batch of handover environments: seeds, and resets after an episode's end."""
 
 import contextlib
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, NoReturn, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from handover_marl.envs.vector.results import (
     EnvResult,
     copy_containers,
+    make_final_infos,
     mask_infos,
     merge_results,
     replace_rows,
@@ -30,7 +30,7 @@ _BUSY = "another thread is using the vector environment; call reset() and step()
 
 
 class Envs(Protocol):
-    """Interface of the environments that one thread simulates; `rows` are indices of environments, a NumPy array.
+    """Interface of environments that are simulated together; `rows` are indices of environments, a NumPy array.
 
     Attributes:
         arrays: Creator of the arrays that `reset` and `step` return.
@@ -54,93 +54,13 @@ class Envs(Protocol):
         """Free the simulation."""
 
 
-class BatchStep(NamedTuple):
-    """Result of a step of all n environments.
-
-    Attributes:
-        result: Result of the step; for environments that were reset, it has the observations and infos
-            of the reset.
-        reset_rows: Numbers (e,) of the environments whose episodes ended and that were reset in this step, a NumPy
-            array; empty unless the mode of the resets is "same_step".
-        final: Result (e, ...) of the step that ended these episodes; None if there are none.
-    """
-
-    result: EnvResult
-    reset_rows: Indices
-    final: EnvResult | None
-
-    def make_infos(self, agent: str, arrays: ArrayFactory) -> dict[str, Any]:
-        """Return an agent's infos in Gymnasium's form, with the last observations and infos of ended episodes."""
-        count = len(self.result.rewards[agent])
-        infos = mask_infos(self.result.infos[agent], np.ones(count, dtype=bool), arrays)
-        if self.final is None:
-            return infos
-        final_obs = np.full(count, None, dtype=object)
-        for place, number in enumerate(self.reset_rows.tolist()):
-            final_obs[number] = select_rows(self.final.observations[agent], place)
-        mask = np.isin(np.arange(count), self.reset_rows)
-        last, rows = {}, arrays.asarray(self.reset_rows)
-        for key, values in self.final.infos[agent].items():
-            last[key] = arrays.xp.zeros((count, *values.shape[1:]), dtype=values.dtype, device=arrays.device)
-            last[key][rows] = values
-        infos |= {"final_obs": final_obs, "_final_obs": mask}
-        return infos | {"final_info": mask_infos(last, mask, arrays), "_final_info": arrays.asarray(mask.copy())}
-
-
-class _ThreadEnvs:
-    """Environments of one thread, with the resets after an episode's end.
+class EnvBatch:
+    """Batch of n environments, with the resets after an episode's end.
 
     Args:
         envs: The environments.
-        rows: Their numbers in the batch.
-        autoreset: Mode of the resets.
-    """
-
-    def __init__(self, envs: Envs, rows: Indices, autoreset: AutoresetMode) -> None:
-        self.envs, self.rows, self._autoreset = envs, rows, autoreset
-        self._ended = np.zeros(len(rows), dtype=bool)
-
-    def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in some of the environments."""
-        result = self.envs.reset(rows, seeds, options)
-        self._ended[rows] = False
-        return result
-
-    def has_ended(self) -> bool:
-        """Return whether any episode has ended."""
-        return bool(self._ended.any())
-
-    def step(self, actions: ByAgent) -> BatchStep:
-        """Step the environments, and reset those whose episode has ended as the mode specifies."""
-        count = len(self.rows)
-        waiting = np.flatnonzero(self._ended)
-        row_results = []
-        if len(waiting):
-            row_results.append((waiting, self.reset(waiting, [None] * len(waiting), None)))
-        running = np.setdiff1d(np.arange(count), waiting)
-        if len(running):
-            row_results.append((running, self.envs.step(running, select_rows(actions, running))))
-        result = merge_results(count, row_results)
-        ended = np.flatnonzero(result.ended)
-        if self._autoreset is not AutoresetMode.SAME_STEP or not len(ended):
-            self._ended = result.ended
-            return BatchStep(result, ended[:0], None)
-        first = self.reset(ended, [None] * len(ended), None)
-        observations = replace_rows(result.observations, ended, first.observations)
-        infos = replace_rows(result.infos, ended, first.infos)
-        return BatchStep(
-            result._replace(observations=observations, infos=infos), self.rows[ended], select_rows(result, ended)
-        )
-
-
-class EnvBatch:
-    """Batch of n environments, divided among threads.
-
-    Args:
-        make: Function that makes a number of environments.
         num_envs: Number n of environments.
         autoreset: Gymnasium's mode of the reset after an episode's end.
-        threads: Number of threads.
 
     Attributes:
         num_envs: Number n of environments.
@@ -149,13 +69,11 @@ class EnvBatch:
         is_running: Whether every environment has been reset, and no reset or step has failed since.
     """
 
-    def __init__(self, make: Callable[[int], Envs], num_envs: int, autoreset: AutoresetMode, threads: int) -> None:
+    def __init__(self, envs: Envs, num_envs: int, autoreset: AutoresetMode) -> None:
         self.num_envs, self.autoreset, self.is_running = num_envs, autoreset, False
         self._is_closed, self._process, self._lock = False, os.getpid(), threading.Lock()
-        rows_by_thread = np.array_split(np.arange(num_envs), min(threads, num_envs))
-        self._thread_envs = [_ThreadEnvs(make(len(rows)), rows, autoreset) for rows in rows_by_thread]
-        self.arrays = self._thread_envs[0].envs.arrays
-        self._pool = ThreadPoolExecutor(len(rows_by_thread)) if len(rows_by_thread) > 1 else None
+        self._envs, self.arrays = envs, envs.arrays
+        self._ended = np.zeros(num_envs, dtype=bool)
         self._latest: EnvResult | None = None
 
     def __reduce__(self) -> NoReturn:
@@ -166,7 +84,7 @@ class EnvBatch:
         seed: int | Sequence[int | None] | None,
         options: dict[str, Any] | None,
         chosen: Flags | None = None,
-    ) -> EnvResult:
+    ) -> tuple[ByAgent, ByAgent]:
         """Start an episode in every environment, or in some.
 
         Args:
@@ -176,7 +94,8 @@ class EnvBatch:
             chosen: (n,) mask of the environments to reset; default: all.
 
         Returns:
-            Result of all environments; environments that were not reset keep their last result.
+            Observations of all environments by agent; those that were not reset keep their last ones. And their infos
+            in Gymnasium's form, of the environments that were reset.
 
         Raises:
             OptionError: The number of seeds is not the number of environments, a seed is not an integer from
@@ -187,25 +106,19 @@ class EnvBatch:
         self._require_usable()
         if options is not None and not isinstance(options, Mapping):
             raise OptionError(f"options must be a dict, got {options!r}")
-        rows = np.arange(self.num_envs) if chosen is None else np.flatnonzero(chosen)
+        chosen = np.ones(self.num_envs, dtype=bool) if chosen is None else chosen
+        rows = np.flatnonzero(chosen)
         seeds = self._spread_seeds(seed)
-        # If a task fails, the states of the others are undefined: all must be reset.
         with self._exclude_other_threads():
             is_running, self.is_running = self.is_running or len(rows) == self.num_envs, False
-
-            def reset(envs: _ThreadEnvs) -> tuple[Indices, EnvResult] | None:
-                reset_rows = envs.rows[np.isin(envs.rows, rows)]
-                if not len(reset_rows):
-                    return None
-                own_seeds = [seeds[row] for row in reset_rows.tolist()]
-                return reset_rows, envs.reset(reset_rows - envs.rows[0], own_seeds, options or None)
-
-            row_results = [row_result for row_result in self._map(reset) if row_result is not None]
+            row_results = [(rows, self._envs.reset(rows, [seeds[row] for row in rows.tolist()], options or None))]
             if self._latest is not None and len(rows) < self.num_envs:
                 row_results.insert(0, (np.arange(self.num_envs), self._latest))
-            self.is_running, result = is_running, merge_results(self.num_envs, row_results)
+            result = merge_results(self.num_envs, row_results)
+            infos = {agent: mask_infos(own, chosen, self.arrays) for agent, own in result.infos.items()}
+            self.is_running, self._ended[rows] = is_running, False
         self._latest = copy_containers(result)
-        return result
+        return result.observations, infos
 
     def require_running(self) -> None:
         """Check that every environment can be stepped.
@@ -217,55 +130,61 @@ class EnvBatch:
         """
         self._require_usable()
         is_disabled = self.autoreset is AutoresetMode.DISABLED
-        if not self.is_running or (is_disabled and any(envs.has_ended() for envs in self._thread_envs)):
+        if not self.is_running or (is_disabled and self._ended.any()):
             raise ResetNeededError("no episode is running; call reset() before step()")
 
-    def step(self, actions: ByAgent) -> BatchStep:
+    def step(self, actions: ByAgent) -> EnvResult:
         """Step every environment, and reset those whose episode has ended as `autoreset` specifies.
 
         Args:
             actions: Actions (n, ...) by agent.
 
+        Returns:
+            Result of all environments; those that were reset have the observations of the reset. The infos have
+            Gymnasium's form, with the last observations and infos of episodes that ended and were reset.
+
         Raises:
             ActionError: An action is malformed; no environment has advanced.
         """
-        checked = self._thread_envs[0].envs.check_actions(actions)
+        checked = self._envs.check_actions(actions)
         with self._exclude_other_threads():
             self.is_running = False
-            steps: list[BatchStep] = self._map(lambda envs: envs.step(select_rows(checked, envs.rows)))
+            waiting, running = np.flatnonzero(self._ended), np.flatnonzero(~self._ended)
+            row_results = []
+            if len(waiting):
+                row_results.append((waiting, self._envs.reset(waiting, [None] * len(waiting), None)))
+            if len(running):
+                row_results.append((running, self._envs.step(running, select_rows(checked, running))))
+            result, final = merge_results(self.num_envs, row_results), None
+            self._ended = result.ended
+            if self.autoreset is AutoresetMode.SAME_STEP and self._ended.any():
+                final, rows = result, np.flatnonzero(self._ended)
+                first = self._envs.reset(rows, [None] * len(rows), None)
+                result = result._replace(
+                    observations=replace_rows(result.observations, rows, first.observations),
+                    infos=replace_rows(result.infos, rows, first.infos),
+                )
+            every, infos = np.ones(self.num_envs, dtype=bool), {}
+            for agent, own in result.infos.items():
+                infos[agent] = mask_infos(own, every, self.arrays)
+                if final is not None:
+                    last = final.observations[agent], final.infos[agent]
+                    infos[agent] |= make_final_infos(*last, self._ended, self.arrays)
+            if final is not None:
+                self._ended = np.zeros(self.num_envs, dtype=bool)
             self.is_running = True
-        row_results = [(envs.rows, step.result) for envs, step in zip(self._thread_envs, steps, strict=True)]
-        result = merge_results(self.num_envs, row_results)
         self._latest = copy_containers(result)
-        reset_rows, final = np.concatenate([step.reset_rows for step in steps]), None
-        if len(reset_rows):
-            places = np.split(np.arange(len(reset_rows)), np.cumsum([len(step.reset_rows) for step in steps])[:-1])
-            finals = [(rows, step.final) for rows, step in zip(places, steps, strict=True) if step.final is not None]
-            final = merge_results(len(reset_rows), finals)
-        return BatchStep(result, reset_rows, final)
+        return result._replace(infos=infos)
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
-        images = [image for envs in self._thread_envs for image in envs.envs.render() or ()]
-        return tuple(images) if images else None
+        images = self._envs.render()
+        return None if images is None else tuple(images)
 
     def close(self) -> None:
         """Free the simulations of all environments."""
         self.is_running, self._is_closed = False, True
-        for envs in self._thread_envs:
-            envs.envs.close()
-        if self._pool is not None:
-            self._pool.shutdown()
-
-    def _map(self, function: Callable[[_ThreadEnvs], Any]) -> list[Any]:
-        if self._pool is None:
-            return [function(envs) for envs in self._thread_envs]
-        futures = [self._pool.submit(function, envs) for envs in self._thread_envs]
-        # All threads finish before the first error is raised.
-        errors = [error for future in futures if (error := future.exception()) is not None]
-        if errors:
-            raise errors[0]
-        return [future.result() for future in futures]
+        self._envs.close()
 
     def _require_usable(self) -> None:
         if self._is_closed:

@@ -2,17 +2,14 @@
 
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvBatch, check_action_array
-from handover_marl.envs.vector.results import mask_infos
+from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import ActionError
-
-ParallelBatchStep = tuple[ByAgent, ByAgent, ByAgent, ByAgent, ByAgent]
 
 
 class ParallelVectorEnv:
@@ -90,12 +87,9 @@ class ParallelVectorEnv:
         Raises:
             OptionError: The number of seeds is not the number of environments.
         """
-        result = self._batch.reset(seed, options)
-        mask = np.ones(self.num_envs, dtype=bool)
-        infos = {agent: mask_infos(own, mask, self._batch.arrays) for agent, own in result.infos.items()}
-        return result.observations, infos
+        return self._batch.reset(seed, options)
 
-    def step(self, actions: ByAgent) -> ParallelBatchStep:
+    def step(self, actions: ByAgent) -> EnvResult:
         """Step every environment with the actions of both agents.
 
         Args:
@@ -111,16 +105,11 @@ class ParallelVectorEnv:
         self._batch.require_running()
         if not isinstance(actions, dict) or actions.keys() != set(self.possible_agents):
             raise ActionError(f"actions must be a dict of arrays for {' and '.join(self.possible_agents)}")
-        step = self._batch.step(
-            {
-                agent: check_action_array(
-                    values, self.single_action_space(agent), self.num_envs, agent, self._batch.arrays
-                )
-                for agent, values in actions.items()
-            }
-        )
-        infos = {agent: step.make_infos(agent, self._batch.arrays) for agent in self.possible_agents}
-        return (*step.result[:4], infos)
+        arrays, checked = self._batch.arrays, {}
+        for agent, values in actions.items():
+            space = self.single_action_space(agent)
+            checked[agent] = check_action_array(values, space, self.num_envs, agent, arrays)
+        return self._batch.step(checked)
 
     def close(self) -> None:
         """Free the simulations of all environments."""

@@ -104,6 +104,24 @@ def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory)
     return masked
 
 
+def make_final_infos(
+    observations: Any, infos: Mapping[str, AnyArray], ended: Flags, arrays: ArrayFactory
+) -> dict[str, Any]:
+    """Return an agent's infos in Gymnasium's form about episodes that ended in a step and were reset in it.
+
+    Args:
+        observations: Observations (n, ...) of the agent after the step, before the resets.
+        infos: Infos (n,) of the agent after the step, before the resets.
+        ended: Mask (n,) of the environments that were reset.
+        arrays: Creator of the environments' arrays.
+    """
+    final_obs = np.full(len(ended), None, dtype=object)
+    for row in np.flatnonzero(ended).tolist():
+        final_obs[row] = select_rows(observations, row)
+    masked, mask = mask_infos(infos, ended, arrays), arrays.asarray(ended.copy())
+    return {"final_obs": final_obs, "_final_obs": ended.copy(), "final_info": masked, "_final_info": mask}
+
+
 def _first_array(values: Any) -> AnyArray:
     while isinstance(values, (Mapping, tuple)):
         values = next(iter(values.values())) if isinstance(values, Mapping) else values[0]

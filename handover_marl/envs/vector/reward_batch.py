@@ -16,7 +16,7 @@ from handover_marl.envs.rewards import PresetRewards, RewardConfig, Terms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
-from handover_marl.episode.batch.episodes import Episodes
+from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, to_numpy

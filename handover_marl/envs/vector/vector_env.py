@@ -15,16 +15,15 @@ from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvBatch, check_action_array
 from handover_marl.envs.vector.env_factory import EnvFactory
+from handover_marl.envs.vector.grouped_envs import GroupedEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
 from handover_marl.envs.vector.process_envs import ProcessEnvs
-from handover_marl.envs.vector.results import mask_infos
 from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import count_available_cores, forward_signature
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import CPU, MUJOCO, THREADS, WARP, BatchBackend, check_backend
 
@@ -97,8 +96,8 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         chosen = np.ones(self.num_envs, dtype=bool) if mask is None else to_numpy(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
             raise OptionError(f"reset_mask must be {self.num_envs} truth values with at least one True, got {mask!r}")
-        result = self._batch.reset(seed, reset_options, chosen)
-        return result.observations[self._agent], mask_infos(result.infos[self._agent], chosen, self._batch.arrays)
+        observations, infos = self._batch.reset(seed, reset_options, chosen)
+        return observations[self._agent], infos[self._agent]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
@@ -114,9 +113,10 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
         self._batch.require_running()
         agent = self._agent
         values = check_action_array(actions, self.single_action_space, self.num_envs, agent, self._batch.arrays)
-        step = self._batch.step({agent: values})
-        observations, rewards, terminated, truncated, _ = (part[agent] for part in step.result)
-        return observations, rewards, terminated, truncated, step.make_infos(agent, self._batch.arrays)
+        observations, rewards, terminated, truncated, infos = (
+            part[agent] for part in self._batch.step({agent: values})
+        )
+        return observations, rewards, terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -205,7 +205,9 @@ def vector_env(
         make = functools.partial(ProcessEnvs, replace(factory).make)
     else:
         n_groups = (threads or count_available_cores()) if factory.uses_arrays and backend == THREADS else 1
-    batch = EnvBatch(make, count, AutoresetMode[autoreset.upper()], n_groups)
+    n_groups = min(n_groups, count)
+    envs = make(count) if n_groups == 1 else GroupedEnvs(make, count, n_groups)
+    batch = EnvBatch(envs, count, AutoresetMode[autoreset.upper()])
     return ParallelVectorEnv(batch, template) if agent is None else HandoverVectorEnv(batch, template)
 
 

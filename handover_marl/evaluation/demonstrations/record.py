@@ -22,16 +22,18 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.demonstrations.demonstration import (
     Demonstration,
     Demonstrations,
-    EpisodeMetadata,
+    describe_demonstration,
     encode_demonstration,
     hold_actions,
     read_episode_metadata,
 )
-from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import (
-    get_demonstration_path,
-    get_demonstrations_metadata_path,
+from handover_marl.evaluation.results import (
+    DEMONSTRATIONS,
+    DEMONSTRATIONS_METADATA,
+    EpisodeRecorder,
+    EpisodeResult,
+    EpisodeWriter,
+    get_result_path,
     prepare_subfolder,
     read_results,
 )
@@ -45,9 +47,8 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
 _TRAIN = "train"
-_STEPS_PER_SECOND = round(1.0 / TIME_STEP)
 #: Largest frame rate: one frame for each physics step.
-MAX_FPS = _STEPS_PER_SECOND
+MAX_FPS = round(1.0 / TIME_STEP)
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
@@ -105,7 +106,7 @@ def demonstrate(
     for result in read_results(execution.folder):
         # An earlier run may have recorded it.
         if not recording.includes(result.status):
-            get_demonstration_path(execution.folder, result.index).unlink(missing_ok=True)
+            get_result_path(execution.folder / DEMONSTRATIONS, result.index).unlink(missing_ok=True)
     return Demonstrations(execution.folder)
 
 
@@ -170,7 +171,8 @@ class DemonstrationRecorder(EpisodeRecorder):
     def on_step(self, episode: Episode) -> None:
         """Record an observation if a frame falls on this physics step."""
         fps = self._recording.fps
-        if fps and not episode.status and episode.steps == compute_frame_step(len(self._steps), fps):
+        # The physics step nearest to the frame's time; the later one if two steps are equally near.
+        if fps and not episode.status and episode.steps == (2 * len(self._steps) * MAX_FPS + fps) // (2 * fps):
             self._record_observation(episode)
 
     def on_end(self, episode: Episode) -> None:
@@ -204,7 +206,7 @@ class DemonstrationRecorder(EpisodeRecorder):
             giver_actions=np.array([action for _, action in self._giver], dtype=np.float32).reshape(
                 -1, GIVER_ACTION_SIZE
             ),
-            metadata=EpisodeMetadata.from_result(result, self._config),
+            metadata=describe_demonstration(result, self._config),
         )
 
 
@@ -221,12 +223,11 @@ class DemonstrationWriter(EpisodeWriter):
     """
 
     def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
-        self._folder, self._config, self._recording = folder, config, recording
-        path = get_demonstrations_metadata_path(folder)
-        prepare_subfolder(path.parent)
+        self._folder, self._config, self._recording = folder / DEMONSTRATIONS, config, recording
+        prepare_subfolder(self._folder)
         largest_class = max(config.open_dataset().object_names)
         description = {"obs_mode": recording.obs_mode, "fps": recording.fps, "largest_class": largest_class}
-        write_atomically(path, json.dumps(description) + "\n")
+        write_atomically(self._folder / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
@@ -240,18 +241,8 @@ class DemonstrationWriter(EpisodeWriter):
             stored = read_episode_metadata(self.get_path(result))
         except Exception:  # damaged files raise exceptions of many types; their episodes are simulated again
             return False
-        return stored == EpisodeMetadata.from_result(result, self._config)
+        return stored == describe_demonstration(result, self._config)
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the file of an episode."""
-        return get_demonstration_path(self._folder, result.index)
-
-
-def compute_frame_step(number: int, fps: int) -> int:
-    """Return the physics step nearest to a frame's time; the later one if two steps are equally near.
-
-    Args:
-        number: Number of the frame in its episode.
-        fps: Frames per second.
-    """
-    return (2 * number * _STEPS_PER_SECOND + fps) // (2 * fps)
+        return get_result_path(self._folder, result.index)

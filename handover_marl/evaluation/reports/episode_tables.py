@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_paired_difference, estimate_mean
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
@@ -12,13 +11,16 @@ from handover_marl.evaluation.reports.tables import (
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
+    MeanEstimate,
     ReportTable,
+    compute_paired_difference,
+    estimate_mean,
     format_interval,
     format_percent_difference,
     format_percent_mean,
     format_percent_rate,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results import EpisodeResult
 
 EpisodePair = tuple[EpisodeResult, EpisodeResult]
 
@@ -139,15 +141,6 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
         values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
         means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
     return ReportTable(["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"], _format_rows(means))
-
-
-def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
-    """Format a table cell for each fluency metric: its mean, interval and number of episodes."""
-    cells = []
-    for _, mean, interval, n in build_fluency_table(episodes).rows:
-        inside = f"n {n}" if interval == NO_VALUE else f"{interval}; n {n}"
-        cells.append(f"{mean} ({inside})" if n else NO_VALUE)
-    return cells or [NO_VALUE] * len(FLUENCY)
 
 
 def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:

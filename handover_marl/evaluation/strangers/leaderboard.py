@@ -10,15 +10,17 @@ import numpy.typing as npt
 
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
-from handover_marl.evaluation.strangers.protocol import check_code, read_report
-from handover_marl.evaluation.strangers.reference_update import list_labels
-from handover_marl.evaluation.strangers.references import Condition, load_population_references
+from handover_marl.evaluation.strangers.protocol import list_labels
+from handover_marl.evaluation.strangers.references import Condition, load_references
 from handover_marl.evaluation.strangers.report import (
     NO_REFERENCES_NOTE,
     NOTE,
+    OTHER_AGENT,
     PROXIMITY_NOTE,
     StrangersReport,
+    check_code,
     format_estimate,
+    read_report,
 )
 from handover_marl.evaluation.strangers.scores import Statistic, compute_mean, compute_proximity, estimate_difference
 from handover_marl.execution.files import write_atomically
@@ -74,7 +76,7 @@ class Leaderboard(TabularResult):
         first = self.reports[0]
         rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
-        other = "giver" if first.agent == "receiver" else "receiver"
+        other = OTHER_AGENT[first.agent]
         title = f"{first.population}\n{self._describe_conditions()}"
         write_atomically(path, draw_heat_map(rates, partners, self.titles, title, (other, first.agent)))
 
@@ -174,7 +176,7 @@ def make_leaderboard(
         _check_partners(path, report, found, trust)
     _check_comparable(paths, methods, reports)
     partners = [partner.name for partner in reports[0].partners]
-    table = load_population_references(found, None if references is None else check_path("references", references))
+    table = load_references(found, references)
     reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
     rows = [
@@ -193,7 +195,7 @@ def _check_partners(path: Path, report: StrangersReport, population: Population,
         raise OptionError(
             f"{path} must be of population {population.label}, got {report.population}; pass the population's file"
         )
-    other = "giver" if report.agent == "receiver" else "receiver"
+    other = OTHER_AGENT[report.agent]
     if report.partners != population.select(other, report.partner_split):
         raise ResultsError(f"{path} must have the partners of {report.partner_split!r}, got others; evaluate again")
     found = list_labels(population, other, report.partners, trust)

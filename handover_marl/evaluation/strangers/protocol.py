@@ -1,36 +1,28 @@
-"""Protocol of the evaluation with partners that a policy has not met, and its output folder.
+"""Protocol of the evaluation with partners that a policy has not met, and update of its reference scores."""
 
-In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
-"""
-
-import json
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
-from handover_marl.evaluation.crossplay import crossplay, format_pair_folder, resolve_policies
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
-from handover_marl.evaluation.strangers.references import Condition, load_population_references
-from handover_marl.evaluation.strangers.report import OTHER_AGENT, StrangersReport
-from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.evaluation.crossplay import crossplay, resolve_policies
+from handover_marl.evaluation.metadata import CONFIG_FILE, OFFICIAL_WORLD
+from handover_marl.evaluation.reports.report import Report, evaluate
+from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
+from handover_marl.evaluation.strangers.report import ENTRY_FILE, OTHER_AGENT, StrangersReport, read_entry
+from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, forward_signature
-from handover_marl.execution.reading import read_plain_file
-from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
-from handover_marl.policies.reference import PolicyLike
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
-ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
-_MAX_BYTES = 10_000_000
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -89,7 +81,7 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
-    table = load_population_references(found, None if references is None else check_path("references", references))
+    table = load_references(found, references)
     folder = execution.folder
     if folder is not None and not execution.fresh and (folder / ENTRY_FILE).is_file():
         entry = read_entry(folder)
@@ -115,103 +107,99 @@ def strangers(
     report = StrangersReport(found.label, partners, agent, names, chosen, reports)
     report = replace(report, references=table.find_all(report.condition, [each.name for each in chosen]))
     if folder is not None:
-        _write_entry(folder, report)
+        report.write(folder)
     return report
 
 
-def _write_entry(folder: Path, report: StrangersReport) -> None:
-    """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
-    folders: dict[str, dict[str, str]] = {policy: {} for policy in report.policies}
-    for (policy, partner), pair in report.reports.items():
-        folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
-    content = {
-        "population": report.population,
-        "partner_split": report.partner_split,
-        "agent": report.agent,
-        "policies": report.policies,
-        "partners": [asdict(partner) for partner in report.partners],
-        "folders": folders,
-        **report.to_json(),
+def update_references(
+    folders: Iterable[str | os.PathLike[str]],
+    population: str | os.PathLike[str] = DEFAULT_POPULATION,
+    out: str | os.PathLike[str] | None = None,
+    trust: bool = False,
+) -> ReferenceTable:
+    """Update the references of a population from result folders and write them.
+
+    Args:
+        folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
+            without a partner of the population are ignored. In a folder of `strangers`, only the evaluated
+            policy can become a reference; in other folders, giver and receiver can.
+        population: Name of a shipped population, or path of a file.
+        out: File of references to update; default: that of the population.
+        trust: Whether modules that the population names may be imported, and code in policy files may run.
+
+    Raises:
+        ResultsError: A folder has no result, or the file cannot be written.
+        HandoverError: The population or its references cannot be read.
+    """
+    found = load_population(population, trust)
+    path = found.references_path if out is None else check_path("out", out)
+    table = load_references(found, out, is_new=True)
+    labels = {
+        "giver": list_labels(found, "giver", found.givers, trust),
+        "receiver": list_labels(found, "receiver", found.receivers, trust),
     }
-    write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{report}\n")
+    for report, agents in _read_reports(folders):
+        for agent in agents:
+            other = OTHER_AGENT[agent]
+            partner = labels[other].get(getattr(report.metadata, other))
+            if partner is not None and report.metadata.world == OFFICIAL_WORLD:
+                condition, reference = _make_reference(agent, report, partner.policy)
+                table = table.update(condition, partner.name, reference)
+    write_atomically(path, table.to_json())
+    return table
 
 
-def read_entry(folder: Path) -> dict[str, Any]:
-    """Read the content of `strangers.json`, which identifies an evaluation.
+def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[Report, tuple[str, ...]]]:
+    """Yield every report, and the agents whose policies may become references.
 
-    Returns:
-        Texts `population`, `partner_split` and `agent`, labels of `policies`, `partners` of the class `Partner`, and
-        `folders`, names of result folders by policy and partner.
-
-    Raises:
-        ResultsError: The file is missing or malformed.
+    A result folder of `strangers` has one evaluated agent; in other result folders both agents count.
     """
-    path = folder / ENTRY_FILE
-    try:
-        content = json.loads(read_plain_file(path, _MAX_BYTES))
-        partners = tuple(Partner(**partner) for partner in content["partners"])
-        entry = {key: content[key] for key in ("population", "partner_split", "agent", "policies", "folders")}
-        names = [entry["folders"][policy][partner.name] for policy in entry["policies"] for partner in partners]
-        if not names or entry["agent"] not in OTHER_AGENT:
-            raise ValueError("it must have an agent, policies and partners")
-        if any(Path(name).name != name for name in names):
-            raise ValueError("folders must be names of folders beside strangers.json")
-        return {**entry, "policies": tuple(entry["policies"]), "partners": partners}
-    except FileNotFoundError as error:
-        raise ResultsError(
-            f"{path} does not exist: the evaluation is not finished; run the same command to resume"
-        ) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
+    for folder in folders:
+        path = check_path("folder", folder)
+        results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
+        if not results:
+            raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
+        for result in results:
+            is_entry = (result.parent / ENTRY_FILE).is_file()
+            yield evaluate(result), (read_entry(result.parent)["agent"],) if is_entry else tuple(OTHER_AGENT)
 
 
-def read_report(folder: Path) -> StrangersReport:
-    """Compute the report of a folder from its result folders, without references.
+def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:
+    """Return the condition of a report, and the agent's policy with its scores and the command of the evaluation."""
+    metadata = report.metadata
+    policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
+    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
+    options = {**policies, **{name: getattr(metadata, name) for name in names}}
+    options["scenes"] = ",".join(str(episode.scene_id) for episode in report.episodes)
+    reference = Reference(
+        policy,
+        version=f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip(),
+        command=f"handover-marl pair {' '.join(f'--{name} {value}' for name, value in options.items())}",
+        scores=tuple(episode.speed_score for episode in report.episodes),
+    )
+    return Condition.from_report(agent, report), reference
 
-    Every value is computed from the results of the episodes; `strangers.json` only lists them.
 
-    Raises:
-        ResultsError: A result folder is missing or malformed, or does not fit to the others.
+def list_labels(
+    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
+) -> dict[str, Partner]:
+    """Return partners by the label that they have in result folders.
+
+    Partners that cannot be made here, for example for lack of an optional package, are left out.
+
+    Args:
+        population: Population.
+        agent: Agent of the partners, "giver" or "receiver".
+        partners: Partners of this agent.
+        trust: Whether code in policy files may run.
     """
-    entry = read_entry(folder)
-    agent, policies, partners = entry["agent"], entry["policies"], entry["partners"]
-    reports: dict[tuple[str, str], Report] = {}
-    for policy in policies:
-        for partner in partners:
-            path = folder / entry["folders"][policy][partner.name]
-            report = reports[policy, partner.name] = evaluate(path)
-            first, metadata = next(iter(reports.values())), report.metadata
-            if getattr(metadata, agent) != policy:
-                raise ResultsError(f"{path} must have results of {policy!r}, got {getattr(metadata, agent)!r}")
-            if metadata.world != OFFICIAL_WORLD:
-                raise ResultsError(f"{path} must have the official world and rules, got world {metadata.world!r}")
-            differences = Condition.from_report(agent, report).list_differences(Condition.from_report(agent, first))
-            differences += ["robot"] if metadata.robot != first.metadata.robot else []
-            if differences:
-                raise ResultsError(
-                    f"{path} must have the {' and '.join(differences)} of the other pairs; run the same command to "
-                    "resume"
-                )
-    codes = check_code(folder, reports.values())
-    if len({codes[agent, policy] for policy in policies}) < len(policies):
-        raise ResultsError(f"{folder} must have different policies, got two with the same code and weights")
-    return StrangersReport(entry["population"], entry["partner_split"], agent, policies, partners, reports)
-
-
-def check_code(where: object, reports: Iterable[Report]) -> dict[tuple[str, str], str]:
-    """Return the hashes of code and weights by agent and label, checked so that each label has one.
-
-    Raises:
-        ResultsError: Two reports have different policies of the same label.
-    """
-    found: dict[tuple[str, str], str] = {}
-    for report in reports:
-        for agent in OTHER_AGENT:
-            label, code = getattr(report.metadata, agent), getattr(report.metadata, f"{agent}_hash")
-            if found.setdefault((agent, label), code) != code:
-                raise ResultsError(
-                    f"{where} must have results of one version of {label!r}, got {found[agent, label]} and {code}; "
-                    "evaluate again in a new folder"
-                )
-    return found
+    # Labels do not depend on the data set.
+    dataset = open_dataset("synthetic")
+    labels: dict[str, Partner] = {}
+    for partner in partners:
+        try:
+            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
+        except OptionError:
+            continue
+        labels[reference.label] = partner
+    return labels

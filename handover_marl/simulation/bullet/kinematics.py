@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import ARM_DOF, HandConfig, PandaConfig
-from handover_marl.geometry.arm import ReachabilityBound
+from handover_marl.geometry.arm import IkSolver, ReachabilityBound
 from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.geometry.poses import compute_rotation_angle, invert_pose, multiply_quaternions, transform_points
+from handover_marl.geometry.poses import compute_rotation_angles, invert_pose, multiply_quaternions, transform_points
 from handover_marl.simulation.bullet.bodies import INERTIAL_POSE, HandBody, PandaBody, reset_base
 from handover_marl.simulation.bullet.client import CONTACT_DISTANCE, connect, load_urdf
 from handover_marl.simulation.bullet.sleepable_bodies import read_bounding_spheres
@@ -80,7 +80,7 @@ class BulletIKStep:
         return np.array([*position, *orientation])
 
 
-class BulletIKSolver:
+class BulletIKSolver(IkSolver):
     """Iterative inverse kinematics of the Panda by PyBullet, as in HandoverSim's baselines.
 
     Args:
@@ -101,50 +101,32 @@ class BulletIKSolver:
         self._mass_from_hand = invert_pose(hand_from_mass)
         self._reachability = ReachabilityBound(tree, self._hand_link, world_from_base)
 
-    def solve(
-        self, start: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
-    ) -> Array | None:
-        """Return arm joints that move the hand link to a world pose; None if not converged.
-
-        Bullet's damped steps are repeated until the hand is within 1 mm and 0.1 rad of the target. Joint limits are
-        ignored, as in HandoverSim.
-
-        Args:
-            start: Nine joint positions to start from (rad, m); finger positions are ignored.
-            position: (3,) world position of the hand link (m).
-            orientation: (4,) world orientation; None leaves it free.
-
-        Returns:
-            (7,) arm joint positions (rad).
-        """
-        target = np.asarray(position, dtype=np.float64)
-        # The iteration would not converge either, but take minutes for an object that stays out of reach.
-        if self._reachability.is_unreachable(target, orientation, 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE):
-            return None
-        goal = [np.asarray(part, np.float64).tolist() for part in (target, orientation) if part is not None]
-        self._reset_arm(np.asarray(start, np.float64).tolist())
-        for _ in range(_MAX_ROUNDS):
-            joints = self._client.calculateInverseKinematics(self._body, self._hand_link, *goal)
-            self._reset_arm(joints)
-            if self._is_hand_at(target, orientation):
-                return np.array(joints[:ARM_DOF])
-        return None
-
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return the arm joints (n, 7) of n queries in rad, solved one after another; nan where `solve` returns None.
+        """Return arm joints (n, 7) in rad that move the hand link to world poses; nan where not converged.
+
+        Queries are solved one after another. Bullet's damped steps are repeated until the hand is within 1 mm and
+        0.1 rad of the target. Joint limits are ignored, as in HandoverSim.
 
         Args:
-            starts: (n, 9) joint positions to start from (rad, m).
+            starts: (n, 9) joint positions to start from (rad, m); finger positions are ignored.
             positions: (n, 3) world positions of the hand link (m).
             orientations: (n, 4) world orientations; None leaves them free.
         """
-        found = np.full((len(starts), ARM_DOF), np.nan)
-        for row, start in enumerate(starts):
-            arm = self.solve(start, positions[row], None if orientations is None else orientations[row])
-            if arm is not None:
-                found[row] = arm
+        found, targets = np.full((len(starts), ARM_DOF), np.nan), positions.astype(np.float64)
+        # The iteration would not converge either, but take minutes for an object that stays out of reach.
+        tolerances = 2.0 * _POSITION_TOLERANCE, 1.1 * _ANGLE_TOLERANCE
+        for row in np.flatnonzero(~self._reachability.is_unreachable(targets, orientations, *tolerances)).tolist():
+            orientation = None if orientations is None else orientations[row]
+            goal = [np.asarray(part, np.float64).tolist() for part in (targets[row], orientation) if part is not None]
+            self._reset_arm(starts[row].astype(np.float64).tolist())
+            for _ in range(_MAX_ROUNDS):
+                joints = self._client.calculateInverseKinematics(self._body, self._hand_link, *goal)
+                self._reset_arm(joints)
+                if self._is_hand_at(targets[row], orientation):
+                    found[row] = joints[:ARM_DOF]
+                    break
         return found
 
     def _reset_arm(self, joints: Sequence[float]) -> None:
@@ -158,7 +140,7 @@ class BulletIKSolver:
         if np.linalg.norm(hand - target) >= _POSITION_TOLERANCE:
             return False
         turned = multiply_quaternions(rotation, self._mass_from_hand[3:])
-        return orientation is None or compute_rotation_angle(turned, orientation) < _ANGLE_TOLERANCE
+        return orientation is None or bool(compute_rotation_angles(turned, orientation) < _ANGLE_TOLERANCE)
 
 
 class BulletDistanceQuery(DistanceQuery):

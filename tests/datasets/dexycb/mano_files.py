@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csc_matrix
 
-from handover_marl.datasets.dexycb.mano import N_FACES, N_JOINTS, N_VERTICES, PARENTS
+from handover_marl.datasets.dexycb.mano import N_FACES, N_JOINTS, N_VERTICES, PARENTS, ManoModel
 
 Array = npt.NDArray[Any]
 Content = dict[str, Any]
@@ -33,6 +33,21 @@ def made_up_hand(seed: int = 0) -> Content:
         "hands_components": rng.uniform(-0.4, 0.4, (45, 45)),
         "hands_mean": rng.uniform(-0.1, 0.1, 45),
     }
+
+
+def made_up_model(side: str = "right", seed: int = 0) -> ManoModel:
+    """Return the model of a file with the content of `made_up_hand`."""
+    content = made_up_hand(seed)
+    return ManoModel(
+        side=side,
+        v_template=content["v_template"],
+        shapedirs=content["shapedirs"],
+        j_regressor=content["J_regressor"].toarray(),
+        weights=content["weights"],
+        faces=content["f"].astype(np.int64),
+        hands_components=content["hands_components"],
+        hands_mean=content["hands_mean"],
+    )
 
 
 def text(value: str | bytes) -> bytes:

@@ -7,7 +7,6 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official
@@ -49,23 +48,6 @@ def hand_poses(n_keyframes: int = N_KEYS, first: int = 0, last: int | None = Non
     poses[:first] = 0.0
     poses[n_keyframes if last is None else last + 1 :] = 0.0
     return poses
-
-
-def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
-    """Return a hand model whose arrays have MANO's shapes and arbitrary values."""
-    rng = np.random.default_rng(seed)
-    vertices = rng.normal(scale=0.05, size=(778, 3))
-    regressor = np.where(rng.random((16, 778)) < 0.02, rng.random((16, 778)), 0.0)
-    return ManoModel(
-        side=side,
-        v_template=vertices,
-        shapedirs=rng.normal(scale=0.002, size=(778, 3, 10)),
-        j_regressor=regressor,
-        weights=np.full((778, 16), 1.0 / 16.0),
-        faces=np.zeros((1538, 3), dtype=np.int64),
-        hands_components=rng.normal(scale=0.3, size=(45, 45)),
-        hands_mean=rng.normal(scale=0.1, size=45),
-    )
 
 
 @dataclass

@@ -1,9 +1,7 @@
 """Tests of the whole import, with one subject of a hundred short invented recordings."""
 
-import hashlib
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +12,7 @@ from handover_marl.datasets.official_files import list_required_files
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, SceneError, UnsafeFileError
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official, write
-from tests.datasets.dexycb.raw_files import RawScene, mano_file, write_yaml
+from tests.datasets.dexycb.raw_files import RawScene, all_files, mano_file, write_yaml
 
 SCENES = (300, 301, 399)
 
@@ -32,14 +30,6 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -> None:
     found = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=2, progress=False)
     assert found.scenes == SCENES
@@ -51,27 +41,27 @@ def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -
     dataset = OfficialDataset(tmp_path)
     info = dataset.load_info(301)
     assert (info.name, info.side, info.object_ids) == (f"{SUBJECTS[3]}/20200903_100001", "left", (5, 2))
-    before = files(tmp_path)
+    before = all_files(tmp_path)
     assert {"assets/table/table.urdf", "assets/003_cracker_box/model_normalized.urdf"} <= set(before)
     # A second import, with one process, restores removed files and changes no other.
     (tmp_path / "dex-ycb-cache/meta_301.json").unlink()
     shutil.rmtree(tmp_path / "assets" / f"{SUBJECTS[3]}_left")
     again = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=1, progress=False)
     assert again.scenes == SCENES
-    assert files(tmp_path) == before
+    assert all_files(tmp_path) == before
 
 
 def test_models_of_other_data_are_kept(given: Path, tmp_path: Path) -> None:
     options = {"scenes": (300,), "workers": 1, "progress": False}
     import_dexycb(given / "dex-ycb", given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
-    before = files(tmp_path / "out")
+    before = all_files(tmp_path / "out")
     raw = tmp_path / "dex-ycb"
     shutil.copytree(given / "dex-ycb", raw)
     for side in ("right", "left"):
         write_yaml(mano_file(raw, f"20200709_140042_{SUBJECTS[3][9:]}_{side}"), {"betas": [0.3] * 10})
     with pytest.raises(ResultsError, match="exists with other content"):
         import_dexycb(raw, given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
-    assert files(tmp_path / "out") == before
+    assert all_files(tmp_path / "out") == before
 
 
 def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
@@ -84,15 +74,10 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
         import_dexycb(raw, mano, out, scenes=[1000])
     with pytest.raises(OptionError, match=r"workers must be .* got 0"):
         import_dexycb(raw, mano, out, workers=0)
-    for scenes in (300, [300.5], [None]):
-        with pytest.raises(SceneError, match="scenes must be scene numbers"):
-            import_dexycb(raw, mano, out, scenes=scenes)  # type: ignore[arg-type]
-    for wrong in (None, 5, "", "a\0b"):
-        for position, name in enumerate(("dexycb", "mano", "out")):
-            arguments: list[Any] = [raw, mano, out]
-            arguments[position] = wrong
-            with pytest.raises(OptionError, match=f"{name} must be a path"):
-                import_dexycb(*arguments)
+    with pytest.raises(SceneError, match="scenes must be scene numbers"):
+        import_dexycb(raw, mano, out, scenes=[300.5])  # type: ignore[list-item]
+    with pytest.raises(OptionError, match="dexycb must be a path"):
+        import_dexycb("", mano, out)
     hostile = tmp_path / "mano"
     shutil.copytree(mano / "models", hostile)
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")

@@ -25,7 +25,7 @@ def test_models_can_be_loaded(root: Path) -> None:
         assert abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 2e-4
     person = draw_person(dataset.config, 3)
     check_model(model_files.write_hand_model(person, "left"), n_joints=51)
-    assert not list(root.glob(".tmp-*"))
+    assert not list(root.rglob("*.part"))
 
 
 def test_models_are_written_once(root: Path) -> None:

@@ -73,7 +73,7 @@ class CountingEnvs:
 
 
 def make_env(agents: Sequence[str], autoreset: str, arrays: ArrayFactory) -> HandoverVectorEnv | ParallelVectorEnv:
-    batch = EnvBatch(lambda count: CountingEnvs(agents, arrays, count), COUNT, AutoresetMode[autoreset.upper()], 1)
+    batch = EnvBatch(CountingEnvs(agents, arrays, COUNT), COUNT, AutoresetMode[autoreset.upper()])
     template: Any = SimpleNamespace(
         possible_agents=list(agents),
         observation_space=lambda agent: spaces.Dict({"sum": ACTIONS, "time": ACTIONS}),

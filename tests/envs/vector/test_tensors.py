@@ -17,14 +17,14 @@ import torch
 import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
-from handover_marl.envs.vector import array_episodes
 from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from tests.envs.vector.comparison import assert_same
-from tests.envs.vector.tensor_episodes import TensorEpisodes
+from tests.envs.vector.tensor_worlds import TensorWorlds
 from tests.fake_device import DEVICE, FakeDevice
 
 COUNT = 4
@@ -39,8 +39,10 @@ ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
 def on_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[ArrayFactory]:
     """Make vector environments simulate tensors on a device."""
     with FakeDevice(), monkeypatch.context() as patch:
-        patch.setattr(array_episodes, "MujocoEpisodes", TensorEpisodes)
-        yield make_tensor_factory(DEVICE.type)
+        arrays = make_tensor_factory(DEVICE.type)
+        patch.setattr(episodes, "make_worlds", TensorWorlds)
+        patch.setattr(episodes, "NUMPY_ARRAYS", arrays)
+        yield arrays
 
 
 def rollout(arrays: ArrayFactory, steps: int, agent: str | None, options: dict[str, Any]) -> list[Any]:

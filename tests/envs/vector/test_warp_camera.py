@@ -13,10 +13,10 @@ import torch
 import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.vector import array_episodes
-from handover_marl.episode.batch import camera_observations
+from handover_marl.episode import wrist_camera_batch
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.simulation.camera.warp_camera import WarpCamera
 from tests.envs.vector.test_warp import COUNT, OPTIONS
 from tests.fake_device import DEVICE, DeviceTensor
@@ -110,11 +110,11 @@ def test_observations_of_ended_episodes() -> None:
 
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
-    monkeypatch.setattr(camera_observations, "N_POINTS", 32)
-    monkeypatch.setitem(camera_observations.camera_observation_space.__globals__, "N_POINTS", 32)
+    monkeypatch.setattr(wrist_camera_batch, "N_POINTS", 32)
+    monkeypatch.setitem(wrist_camera_batch.camera_observation_space.__globals__, "N_POINTS", 32)
     found = []
     for chunk in (64, 2):
-        monkeypatch.setattr(camera_observations, "_CHUNK", chunk)
+        monkeypatch.setattr(wrist_camera_batch, "_CHUNK", chunk)
         envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
         observations, _ = envs.reset(seed=[SEED, SEED, SEED + 1])
         found.append(read_rows(observations))
@@ -144,7 +144,7 @@ def test_user_defined_features_observe_the_camera() -> None:
 def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.MonkeyPatch) -> None:
     made, rendered = [], []
 
-    class CountingCamera(camera_observations.WristCameraBatch):
+    class CountingCamera(wrist_camera_batch.WristCameraBatch):
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
             made.append(self)

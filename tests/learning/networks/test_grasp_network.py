@@ -3,7 +3,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.learning.networks.grasp_losses import (
     GraspTargets,
     compute_grasp_distances,
@@ -69,16 +68,6 @@ def test_points_of_the_hand_that_do_not_count_do_not_matter() -> None:
         torch.testing.assert_close(one, other)
     shown = predict(net, views._replace(hand_points=views.hand_points + 0.1))
     assert not torch.allclose(shown.quality[0], predict(net, views).quality[0])
-
-
-def test_poses_become_grasps() -> None:
-    poses = random_poses(20)
-    good = grasp_targets_from_poses(poses[None], torch.ones(1, 20))
-    turns = Rotation.from_quat(poses[:, 3:].numpy()).as_matrix()
-    np.testing.assert_allclose(good.rotations[0].numpy(), turns, atol=1e-5)
-    np.testing.assert_allclose(
-        good.positions[0].numpy(), poses[:, :3].numpy() + PAD_DISTANCE * turns[:, :, 2], atol=1e-6
-    )
 
 
 def grasps_at(good: GraspTargets) -> GraspOutputs:

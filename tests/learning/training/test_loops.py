@@ -38,4 +38,4 @@ def test_training_writes_policies_that_run(
     for agent, package in (("giver", givers), ("receiver", receivers)):
         path = tmp_path / f"{agent}.npz"
         package.make(f"learned:{path}", SyntheticDataset())  # type: ignore[attr-defined]
-        assert name in read_policy(path, agent).spec.origin
+        assert name in read_policy(path, agent)[0].origin

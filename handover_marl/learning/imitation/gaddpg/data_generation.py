@@ -17,9 +17,8 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
-from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
-from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
-from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig, ImitationScenarios
+from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRollouts, StepPolicy
+from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarios
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.policies.policy import make_policy_context
@@ -39,20 +38,14 @@ class DataGeneratorConfig:
         dataset: Dataset: dexycb, synthetic, or auto.
         data_dir: Folder in HandoverSim's layout.
         seed: Seed of all random numbers.
-        scenarios: Distribution of the scenarios.
-        costs: Configuration of the costs of grasps.
         expert: Configuration of the expert's selection of grasps.
-        rollouts: Configuration of the rollouts.
     """
 
     scenes: tuple[int, ...]
     dataset: str = "auto"
     data_dir: str | None = None
     seed: int = 0
-    scenarios: ImitationScenarioConfig = field(default_factory=ImitationScenarioConfig)
-    costs: GraspCostConfig = field(default_factory=GraspCostConfig)
     expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
-    rollouts: ImitationRolloutConfig = field(default_factory=ImitationRolloutConfig)
 
 
 class RolloutTask(NamedTuple):
@@ -83,15 +76,11 @@ class DataGenerator:
         self._data, self._seed = open_dataset(config.dataset, config.data_dir, PANDA_CAMERA), config.seed
         context = make_policy_context(self._data)
         arm = KinematicArm(context)
-        self._scenarios = ImitationScenarios(
-            self._data, config.scenes, arm.arm, context.panda, config.seed, config.scenarios
-        )
-        self._expert = GraspExpert(context, GraspCostTable(context, config.costs), arm, config.expert)
+        self._scenarios = ImitationScenarios(self._data, config.scenes, arm.arm, context.panda, config.seed)
+        self._expert = GraspExpert(context, arm, config.expert)
         scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
         load_assets = functools.cache(lambda name: self._load_assets(scenes[name]))
-        self._rollouts = ImitationRollouts(
-            arm, self._expert, OFFICIAL_CONFIG.physics, load_assets, config.rollouts, config.expert
-        )
+        self._rollouts = ImitationRollouts(arm, self._expert, OFFICIAL_CONFIG.physics, load_assets)
 
     def plan(self, number: int) -> ExpertPlan:
         """Return the expert's plan in a scenario by number, without goals if no grasp is reachable."""

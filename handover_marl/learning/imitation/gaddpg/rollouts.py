@@ -18,7 +18,7 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.geometry.panda import OPEN
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
+from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, KinematicArm
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario, find_occluded_points
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
@@ -31,27 +31,14 @@ Array = npt.NDArray[np.float64]
 StepPolicy = Callable[[Array, Array], npt.NDArray[np.floating]]
 
 
-@dataclass(frozen=True)
-class ImitationRolloutConfig:
-    """Configuration of the imitation rollouts.
-
-    Attributes:
-        max_decisions: Largest number of decisions in a rollout.
-        start_on_path_probability: Probability that the arm starts at a waypoint of the planned trajectory.
-        expert_decisions: Largest number of the expert's decisions before the network acts.
-        expert_start_probability: Probability that the expert makes the first decisions of a rollout of the network.
-        noisy_step_probability: Probability that random noise is added to a step of the expert.
-        position_noise_std: Standard deviation of this noise on the translation along each axis (m).
-        rotation_noise_std: Standard deviation of this noise on the rotation about each axis (rad).
-    """
-
-    max_decisions: int = 24
-    start_on_path_probability: float = 0.3
-    expert_decisions: int = 10
-    expert_start_probability: float = 0.5
-    noisy_step_probability: float = 0.3
-    position_noise_std: float = 0.025
-    rotation_noise_std: float = 0.12
+# Largest number of decisions in a rollout.
+_MAX_DECISIONS = 24
+# Probability that the arm starts at a waypoint of the planned trajectory.
+_START_ON_PATH_PROBABILITY = 0.3
+# Probability that the expert makes the first decisions of a rollout of the network, and their largest number.
+_EXPERT_START_PROBABILITY, _EXPERT_DECISIONS = 0.5, 10
+# Probability of random noise on a step of the expert, and its standard deviation on translation (m) and rotation (rad).
+_NOISY_STEP_PROBABILITY, _POSITION_NOISE_STD, _ROTATION_NOISE_STD = 0.3, 0.025, 0.12
 
 
 @dataclass(eq=False)
@@ -76,8 +63,6 @@ class ImitationRollouts:
         expert: Expert that labels states.
         physics: Poses of robot and table.
         load_assets: Function that returns the models to render for a YCB class name.
-        config: Configuration of the rollouts.
-        expert_config: Configuration of the expert's selection of grasps.
     """
 
     def __init__(
@@ -86,11 +71,8 @@ class ImitationRollouts:
         expert: GraspExpert,
         physics: PhysicsConfig,
         load_assets: Callable[[str], SceneAssets],
-        config: ImitationRolloutConfig,
-        expert_config: GraspExpertConfig,
     ) -> None:
         self._arm, self._expert, self._physics, self._load_assets = arm, expert, physics, load_assets
-        self._config, self._expert_config = config, expert_config
 
     def run(
         self, scenarios: Sequence[ImitationScenario], plans: Sequence[ExpertPlan], policy: StepPolicy | None, seed: int
@@ -108,7 +90,7 @@ class ImitationRollouts:
             for scenario, plan in zip(scenarios, plans, strict=True)
         ]
         states: list[StateRow] = []
-        for number in range(self._config.max_decisions):
+        for number in range(_MAX_DECISIONS):
             running = [rollout for rollout in rollouts if not rollout.is_over]
             observed = [
                 (rollout, cloud) for rollout in running if (cloud := self._observe(rollout, states)) is not None
@@ -123,16 +105,16 @@ class ImitationRollouts:
     def _start_rollout(
         self, scenario: ImitationScenario, plan: ExpertPlan, has_network: bool, rng: np.random.Generator
     ) -> _Rollout:
-        config, joints = self._config, scenario.joints
+        joints = scenario.joints
         memory = PointCloudMemory(PointCloudMemoryConfig(seed=int(rng.integers(2**31))))
-        if rng.random() < config.start_on_path_probability:
+        if rng.random() < _START_ON_PATH_PROBABILITY:
             # At the last waypoints the fingers already enclose the object.
             first = int(rng.integers(max(1, len(plan.trajectory) - 3)))
             joints, memory.remaining = plan.trajectory[first], max(3, memory.remaining - first)
-        n_expert = config.max_decisions
+        n_expert = _MAX_DECISIONS
         if has_network:
-            starts = rng.random() < config.expert_start_probability
-            n_expert = int(rng.integers(config.expert_decisions + 1)) if starts else 0
+            starts = rng.random() < _EXPERT_START_PROBABILITY
+            n_expert = int(rng.integers(_EXPERT_DECISIONS + 1)) if starts else 0
         camera = RayCamera(self._load_assets(scenario.object_name), self._physics)
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
@@ -153,7 +135,7 @@ class ImitationRollouts:
             return None
         cloud = memory.make_network_input(base_from_hand)[:, GRIPPER_POINTS.shape[1] :]
         n_distinct = min(memory.cloud.shape[1], cloud.shape[1])
-        goal = compose(invert_pose(hand), rollout.plan.choose_goal(hand, self._expert_config))
+        goal = compose(invert_pose(hand), rollout.plan.choose_goal(hand))
         states.append((cloud[:3, :n_distinct].T, goal, memory.remaining))
         return cloud
 
@@ -175,12 +157,12 @@ class ImitationRollouts:
 
     def _compute_expert_step(self, rollout: _Rollout) -> Array:
         """Return the expert's step, with a random disturbance in some decisions."""
-        config, rng = self._config, rollout.rng
+        rng = rollout.rng
         hand = self._arm.arm.compute_hand_pose(rollout.joints)
-        goal = rollout.plan.choose_goal(hand, self._expert_config)
+        goal = rollout.plan.choose_goal(hand)
         step = self._expert.compute_step(hand, goal, rollout.memory.remaining)
-        noise = rng.standard_normal(6) * np.repeat([config.position_noise_std, config.rotation_noise_std], 3)
-        disturbed: Array = step + noise * (rng.random() < config.noisy_step_probability)
+        noise = rng.standard_normal(6) * np.repeat([_POSITION_NOISE_STD, _ROTATION_NOISE_STD], 3)
+        disturbed: Array = step + noise * (rng.random() < _NOISY_STEP_PROBABILITY)
         return disturbed
 
     def _base_from_hand(self, rollout: _Rollout) -> Array:

@@ -10,18 +10,23 @@ import numpy.typing as npt
 from handover_marl.config import HAND_DOF, OBJECT_DOF, TIME_STEP, HandConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory, make_constant
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.poses import quaternion_from_matrix
+from handover_marl.geometry.poses import quaternion_from_matrix, quaternions_from_euler
 from handover_marl.geometry.tree_bank import TreeBank
-from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
+from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
 from handover_marl.simulation.mujoco.engine import configure_engine
 from handover_marl.simulation.mujoco.quaternions import WXYZ, bullet_xyzw_from_wxyz
-from handover_marl.simulation.reference_tracking import ReferenceMotion, list_hand_motors, select_keypoint_links
-from handover_marl.simulation.tensor_state import ReferenceBatch, WorldStateBatch
+from handover_marl.simulation.reference_tracking import (
+    ReferenceBatch,
+    ReferenceMotion,
+    list_hand_motors,
+    select_keypoint_links,
+)
+from handover_marl.simulation.worlds import Worlds, WorldStateBatch
 
 
 class HandTrajectoryBatch(NamedTuple):
@@ -129,11 +134,10 @@ class HandBatch:
 _CHUNK_STEPS = 25
 
 
-class WarpWorlds:
+class WarpWorlds(Worlds):
     """Worlds of n episodes, simulated together by MuJoCo Warp.
 
-    The argument `rows` (r,) of methods has the numbers of the worlds to which a method applies. Worlds whose models
-    have different layouts are in different groups; rows of one call must be in one group, see `split`.
+    Worlds whose models have different layouts are in different groups, which are simulated one after another.
 
     Args:
         config: Constants of the worlds.
@@ -147,7 +151,7 @@ class WarpWorlds:
         self._hands = HandBatch(count, config.hand, arrays)
         self._groups: dict[tuple[object, ...], WarpGroup] = {}
         self._group_of: list[WarpGroup | None] = [None] * count
-        self._steps = arrays.zeros(count, "int64")
+        self._steps, self._n_objects = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start.
@@ -168,23 +172,8 @@ class WarpWorlds:
             self._groups[layout] = WarpGroup(model, self._count, self._config, self._arrays)
         group = self._group_of[row] = self._groups[layout]
         group.reset(row, model, robot_joints, start.objects[0])
-        self._steps[row] = 0
+        self._steps[row], self._n_objects[row] = 0, start.objects.shape[1]
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
-
-    def split(self, rows: npt.NDArray[np.int_]) -> list[npt.NDArray[np.int_]]:
-        """Return the indices in `rows` (on the host) of the worlds of each group.
-
-        Raises:
-            ResetNeededError: A world has no scene.
-        """
-        groups = [self._group_of[row] for row in rows.tolist()]
-        if None in groups:
-            raise ResetNeededError("a world has no scene; call reset() first")
-        return [
-            np.array([place for place, world_group in enumerate(groups) if world_group is group])
-            for group in self._groups.values()
-            if group in groups
-        ]
 
     def release_targets(self, rows: AnyArray) -> None:
         """Release the target objects of worlds, from the next step on."""
@@ -193,109 +182,118 @@ class WarpWorlds:
 
     def rollout(
         self,
-        rows: npt.NDArray[np.int_],
+        rows: AnyArray,
         reference: ReferenceBatch,
         robot_targets: AnyArray,
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyArray:
-        """Simulate the worlds of one group until all have ended, or for all steps of their references.
+        """Simulate worlds for the steps of their reference motion, or to their ends; see `Worlds.rollout`.
 
-        Args:
-            rows: Numbers (r,) of the worlds, on the host.
-            reference: Targets of hands and objects in k steps.
-            robot_targets: Joint targets (r, 9) of the robots (rad, m).
-            judge: Function that applies the rules to single steps; worlds that have ended keep their last state.
-            rules: Bounds of the grasp region of the fingers.
-
-        Returns:
-            Number (r,) of simulated steps of each world.
-
-        Raises:
-            SimulationError: The engine failed; the states of these worlds are invalid.
+        The function `judge` gets single steps; worlds that have ended keep their last state.
         """
-        xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
-        hands = self._hands.track(index, reference.hand, reference.hand_present)
-        rollout, simulated = group.start_rollout(index), self._arrays.zeros(len(rows), "int64")
-        places = self._arrays.arange(len(rows))
-        steps = reference.hand.shape[1]
-        for first in range(0, steps, _CHUNK_STEPS):
-            controls = self._make_controls(group, index, reference, hands, slice(first, first + _CHUNK_STEPS))
-            controls.targets[..., group.scene.robot_ctrl] = robot_targets[:, None]
-            for step in range(controls.targets.shape[1]):
-                contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
-                end = judge(places, contacts)
-                group.store_states(rollout, end.steps > 0)
-                group.release_targets(rollout, end.released)
-                simulated += end.steps
-            if bool(xp.all(end.ended)):
-                break
-        reason = group.finish(rollout)
-        if reason is not None:
-            seconds = TIME_STEP * int(self._steps[index].max())
-            raise SimulationError(
-                f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
-                "backend='threads', and report this."
-            )
-        self._hands.store(index, hands, simulated)
-        self._steps[index] += simulated
+        simulated = self._arrays.zeros(len(rows), "int64")
+        for group, places in self._split(rows):
+            index, own = rows[places], reference.select_rows(places)
+            hands = self._hands.track(index, own.hand, own.hand_present)
+            rollout = group.start_rollout(index)
+            for first in range(0, own.hand.shape[1], _CHUNK_STEPS):
+                controls = self._make_controls(group, index, own, hands, slice(first, first + _CHUNK_STEPS))
+                controls.targets[..., group.scene.robot_ctrl] = robot_targets[places][:, None]
+                for step in range(controls.targets.shape[1]):
+                    contacts = group.step(rollout, StepControls(*(array[:, step] for array in controls)), rules)
+                    end = judge(places, contacts)
+                    group.store_states(rollout, end.steps > 0)
+                    group.release_targets(rollout, end.released)
+                    simulated[places] += end.steps
+                if bool(self._arrays.xp.all(end.ended)):
+                    break
+            reason = group.finish(rollout)
+            if reason is not None:
+                seconds = TIME_STEP * int(self._steps[index].max())
+                raise SimulationError(
+                    f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
+                    "backend='threads', and report this."
+                )
+            self._hands.store(index, hands, simulated[places])
+        self._steps[rows] += simulated
         return simulated
 
-    def read_state(self, rows: npt.NDArray[np.int_]) -> WorldStateBatch:
-        """Return the state of worlds of one group, whose numbers (r,) are on the host."""
-        xp, group, index = self._arrays.xp, self._find_group(rows), self._arrays.asarray(rows)
-        scene, qpos = group.scene, group.state["qpos"][index]
-        positions, quaternions = group.compute_body_poses(index, [scene.gripper])
-        objects = qpos[:, scene.object_qpos.start :].reshape(len(rows), -1, 7)
-        poses = xp.concat([xp.concat([positions, quaternions], axis=-1), objects], axis=1)
-        poses = xp.concat([poses[..., :3], bullet_xyzw_from_wxyz(poses[..., 3:])], axis=-1)
-        return WorldStateBatch(
-            robot_joint_position=qpos[:, scene.robot_qpos],
-            robot_joint_velocity=group.state["qvel"][index][:, scene.robot_qvel],
-            gripper_pose=poses[:, 0],
-            object_poses=poses[:, 1:],
-            hand_present=self._hands.present[index],
-            hand_dof_position=xp.astype(self._hands.joints[index], xp.float32),
-            hand_keypoints=xp.astype(self._hands.compute_keypoints(index), xp.float32),
-        )
+    def read_state(self, rows: AnyArray) -> WorldStateBatch:
+        """Return the state of r worlds."""
+        xp, batch = self._arrays.xp, WorldStateBatch.from_zeros(len(rows), self._arrays)
+        for group, places in self._split(rows):
+            index, scene = rows[places], group.scene
+            qpos = group.state["qpos"][index]
+            positions, quaternions = group.compute_body_poses(index, [scene.gripper])
+            objects = qpos[:, scene.object_qpos.start :].reshape(len(index), -1, 7)
+            poses = xp.concat([xp.concat([positions, quaternions], axis=-1), objects], axis=1)
+            poses = xp.concat([poses[..., :3], bullet_xyzw_from_wxyz(poses[..., 3:])], axis=-1)
+            is_object = self._arrays.arange(objects.shape[1]) < self._n_objects[index][:, None]
+            batch.robot_joint_position[places] = qpos[:, scene.robot_qpos]
+            batch.robot_joint_velocity[places] = group.state["qvel"][index][:, scene.robot_qvel]
+            batch.gripper_pose[places] = poses[:, 0]
+            batch.object_poses[places, : objects.shape[1]] = xp.where(is_object[..., None], poses[:, 1:], 0.0)
+        present = self._hands.present[rows][:, None]
+        batch.hand_present[:] = present
+        for values, found in (
+            (batch.hand_dof_position, self._hands.joints[rows]),
+            (batch.hand_keypoints, self._hands.compute_keypoints(rows)),
+        ):
+            values[:] = xp.where(expand_mask(present, found), found, 0.0)
+        return batch
 
-    def read_contact_batch(self, rows: npt.NDArray[np.int_], rules: ProtocolConfig) -> ContactBatch:
-        """Return the contacts (1, r) of worlds of one group in their last physics steps."""
-        return self._find_group(rows).read_contact_batch(self._arrays.asarray(rows), rules)
+    def are_grasped(self, rows: AnyArray, rules: ProtocolConfig) -> AnyArray:
+        """Return whether both fingers touched the target object in the last physics step, (r,)."""
+        grasped = self._arrays.zeros(len(rows), "bool")
+        for group, places in self._split(rows):
+            contacts = group.read_contact_batch(rows[places], rules)
+            grasped[places] = self._arrays.xp.all(contacts.fingers_touch[0], axis=-1)
+        return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
         """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
-        return self._find_group(np.array([row])).read_contacts(row, released)
+        ((group, _),) = self._split(self._arrays.asarray([row]))
+        return group.read_contacts(row, released)
 
     def close(self) -> None:
         """Free the memory of all worlds; none can be simulated until its next reset."""
         self._groups.clear()
         self._group_of = [None] * self._count
 
-    def _find_group(self, rows: npt.NDArray[np.int_]) -> WarpGroup:
-        group = self._group_of[int(rows[0])]
-        if group is None:
-            raise ResetNeededError("the world has no scene; call reset() first")
-        return group
+    def _split(self, rows: AnyArray) -> list[tuple[WarpGroup, AnyArray]]:
+        """Return the groups of worlds, each with the indices in `rows` of its worlds.
+
+        Raises:
+            ResetNeededError: A world has no scene.
+        """
+        groups = [self._group_of[row] for row in to_numpy(rows).tolist()]
+        if None in groups:
+            raise ResetNeededError("a world has no scene; call reset() first")
+        return [
+            (group, self._arrays.asarray([place for place, own in enumerate(groups) if own is group]))
+            for group in self._groups.values()
+            if group in groups
+        ]
 
     def _make_controls(
         self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, hands: HandTrajectoryBatch, steps: slice
     ) -> StepControls:
         """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
         xp, scene = self._arrays.xp, group.scene
-        wanted, present = reference.object_positions[:, steps], hands.present[:, steps, None, None]
+        wanted, present = reference.objects[:, steps], hands.present[:, steps, None, None]
         shape = wanted.shape[:2]
         n_objects = (scene.model.nu - scene.object_ctrl.start) // OBJECT_DOF
         targets = self._arrays.zeros((*shape, scene.model.nu), "float32")
         # Actuators drive objects to world positions; the target orientation is that of a mocap body.
         own = targets[..., scene.object_ctrl.start :].reshape(*shape, n_objects, OBJECT_DOF)
-        own[..., : OBJECT_DOF // 2] = wanted[..., :n_objects, :]
+        own[..., : OBJECT_DOF // 2] = wanted[..., :n_objects, : OBJECT_DOF // 2]
         targets[..., scene.object_ctrl.start :] = own.reshape(*shape, -1)
         start = scene.rotation_references.start
         positions, quaternions = (
             xp.broadcast_to(array[:, None], (*shape, *array.shape[1:])).clone() for array in group.get_mocap_poses(rows)
         )
-        turns = reference.object_orientations[:, steps, :n_objects]
+        turns = quaternions_from_euler(wanted[..., :n_objects, OBJECT_DOF // 2 :])
         quaternions[..., start : start + n_objects, :] = turns[..., WXYZ]
         links = self._arrays.asarray(scene.hand_links, "int64")
         origins, rotations = self._hands.compute_link_poses(rows, hands.joints[:, steps], links)

@@ -23,7 +23,6 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     make_plans,
 )
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.receivers import make
 from tests.learning.training.scripts import script
@@ -39,8 +38,7 @@ QUICK: dict[str, Any] = {
     "batch_size": 4,
     "val_scenes": 1,
     "workers": 1,
-    "costs": GraspCostConfig(validated=False),
-    "expert": GraspExpertConfig(use_planner=False, candidates=3),
+    "expert": GraspExpertConfig(use_validation=False, use_planner=False, candidates=3),
 }
 
 
@@ -81,7 +79,7 @@ def test_interrupted_run_is_resumed(
 
 def test_states_depend_on_the_seed_only() -> None:
     scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:2]
-    generator = DataGenerator(DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"]))
+    generator = DataGenerator(DataGeneratorConfig(scenes, "synthetic", expert=QUICK["expert"]))
     plans = {number: plan for number in range(3) if len((plan := generator.plan(number)).goals)}
     both, other = (
         generator.collect_states(RolloutTask(list(plans), list(plans.values()), repetition), None)
@@ -96,7 +94,7 @@ def test_states_depend_on_the_seed_only() -> None:
 
 def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
     scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:1]
-    config = DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"])
+    config = DataGeneratorConfig(scenes, "synthetic", expert=QUICK["expert"])
     made = []
     for workers in (1, 2):
         plans = make_plans(tmp_path / f"plans {workers}", config, 2, workers)

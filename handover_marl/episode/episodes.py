@@ -1,0 +1,149 @@
+"""Handover episodes that are advanced together, with observations, motion and rules as arrays."""
+
+from handover_marl.config import TIME_STEP, WorldConfig
+from handover_marl.datasets.dataset import Scene
+from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion
+from handover_marl.episode.lockstep import make_judge
+from handover_marl.episode.observations import Observation, observe_giver_motion, state_space
+from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.spaces import requests_release
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
+from handover_marl.geometry.model_files.meshes import check_collision_meshes
+from handover_marl.simulation.contacts import Contacts
+from handover_marl.simulation.engines import WARP, BatchBackend, make_worlds
+
+_VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
+
+
+class Episodes:
+    """Simulator of n handover episodes in MuJoCo or MuJoCo Warp, which are advanced together.
+
+    An episode does not depend on the other episodes; in MuJoCo it equals an episode of
+    `handover_marl.episode.episode.Episode`, in MuJoCo Warp it agrees to single precision. The argument `rows` (r,) of
+    methods has the indices of the episodes to which a method applies. All arrays are in one namespace: NumPy arrays,
+    or PyTorch tensors on the device of MuJoCo Warp. Memory of the device is free after `close`, once nothing refers to
+    its tensors.
+
+    Args:
+        config: Simulated world, protocol and limits of the givers.
+        count: Number n of episodes.
+        backend: Engine and device of the simulation.
+
+    Attributes:
+        config: Simulated world, protocol and limits of the givers.
+        arrays: Creator of arrays.
+        motion: Motion of the givers.
+        referees: Referee states.
+        state: Full state of all episodes after their last `observe`: arrays (n, ...) by the keys of
+            `state_space`.
+    """
+
+    def __init__(self, config: WorldConfig, count: int, backend: BatchBackend) -> None:
+        self.config = config
+        arrays = self.arrays = make_tensor_factory(backend.device) if backend.name == WARP else NUMPY_ARRAYS
+        self.motion = GiverMotion(count, config.giver, arrays)
+        self._worlds = make_worlds(config.physics, count, backend, arrays)
+        self._start = Referee(config.protocol).get_state()
+        self.referees = RefereeState(*(arrays.full(count, value, "int64") for value in self._start))
+        self.state: Observation = {
+            key: arrays.zeros((count, *(space.shape or ())), "float32") for key, space in state_space().items()
+        }
+        self._scene_ids = arrays.full(count, -1, "int64")
+
+    @property
+    def released(self) -> AnyArray:
+        """Whether each person has released the object, (n,)."""
+        return self.referees.release_reason >= 0
+
+    def reset(self, row: int, scene: Scene, seed: int = 0) -> None:
+        """Start an episode of a scene.
+
+        Args:
+            row: Index of the episode.
+            scene: Scene of the episode.
+            seed: Seed of the robot's initial joint positions, if the configuration has noise on them.
+
+        Raises:
+            DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
+            SimulationError: The engine cannot load a model.
+        """
+        for urdf in scene.urdfs:
+            check_collision_meshes(urdf)
+        self._worlds.reset(row, scene, self.motion.reset(row, scene), self.config.draw_initial_joints(seed))
+        self.referees.assign_rows(row, self._start)
+        self._scene_ids[row], count = scene.info.scene_id, len(scene.info.object_ids)
+        for key in ("object_mask", "object_classes"):
+            self.state[key][row] = 0.0
+        self.state["object_mask"][row, :count] = 1.0
+        self.state["object_classes"][row, :count] = self.arrays.asarray(scene.info.object_ids, "float32")
+
+    def advance(self, rows: AnyIndices, robot_targets: AnyArray, steps: int, giver_actions: AnyArray) -> None:
+        """Simulate up to `steps` physics steps with constant actions, or to each episode's end.
+
+        Args:
+            rows: Indices (r,) of running episodes.
+            robot_targets: (r, 9) target joint positions, 7 arm (rad) and 2 fingers (m).
+            steps: Number of physics steps (1 ms).
+            giver_actions: (r, 8) deviations from the recordings.
+
+        Raises:
+            SimulationError: The engine failed; the states of all episodes are invalid.
+        """
+        referees, rules = self.referees, self.config.protocol
+        held = rows[requests_release(giver_actions) & self.motion.holding[rows]]
+        held = held[referees.release_reason[held] < 0]
+        referees.release_reason[held], referees.release_step[held] = _VOLUNTARY, referees.steps[held]
+        self._worlds.release_targets(held)
+        for first in range(0, steps, PLANNED_STEPS):
+            if not len(rows):
+                break
+            states, planned = referees.select_rows(rows), min(steps - first, PLANNED_STEPS)
+            reasons = states.release_reason
+            plan = self.motion.plan(rows, planned, giver_actions, reasons >= 0, reasons == _VOLUNTARY)
+            judge = make_judge(states, rules)
+            self.motion.commit(plan, self._worlds.rollout(rows, plan.reference, robot_targets, judge, rules))
+            referees.assign_rows(rows, states)
+            running = states.status == 0
+            rows, robot_targets, giver_actions = rows[running], robot_targets[running], giver_actions[running]
+
+    def observe(self, rows: AnyIndices) -> None:
+        """Read the full state of episodes from the simulation into `state`."""
+        for key, values in self._worlds.read_state(rows)._asdict().items():
+            self.state[key][rows] = values
+        xp = self.arrays.xp
+        self.state["released"][rows, 0] = xp.astype(self.released[rows], xp.float32)
+        times = xp.astype(self.referees.steps[rows], xp.float64) * TIME_STEP
+        self.state["time"][rows, 0] = xp.astype(times, xp.float32)
+
+    def select_state(self, rows: AnyIndices) -> Observation:
+        """Return copies (r, ...) of the full state of episodes at their last `observe`."""
+        return {key: values[rows] for key, values in self.state.items()}
+
+    def select_giver_observation(self, rows: AnyIndices) -> Observation:
+        """Return the givers' observations (r, ...): state, preview of the recording, deviation."""
+        return {**self.select_state(rows), **observe_giver_motion(self.motion, rows)}
+
+    def are_grasped(self, rows: AnyIndices) -> AnyArray:
+        """Return whether both fingers touched the object in the last physics step, in each of r episodes."""
+        return self._worlds.are_grasped(rows, self.config.protocol) & (self.referees.steps[rows] > 0)
+
+    def read_contacts(self, row: int) -> Contacts:
+        """Return the contacts of an episode in the last physics step."""
+        if int(self.referees.steps[row]) == 0:
+            return Contacts()
+        return self._worlds.read_contacts(row, bool(self.released[row]))
+
+    def make_infos(self, rows: AnyIndices) -> dict[str, AnyArray]:
+        """Return arrays (r,) of scene numbers, status bits, physics steps, and steps and reasons of release."""
+        referees = self.referees
+        return {
+            "scene_id": self._scene_ids[rows],
+            "status": referees.status[rows],
+            "steps": referees.steps[rows],
+            "release_step": referees.release_step[rows],
+            "release": referees.release_reason[rows],
+        }
+
+    def close(self) -> None:
+        """Free the simulation."""
+        self._worlds.close()
