@@ -69,6 +69,7 @@ def test_every_block_says_what_it_is(page: Path) -> None:
     assert {block.language.partition(" ")[0] for block in blocks(page)} <= LANGUAGES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", SHELL)
 def test_commands_are_taken(block: Block, monkeypatch: pytest.MonkeyPatch) -> None:
     found = list(commands(block.text))

@@ -36,6 +36,7 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "policy",
     [
@@ -86,6 +87,7 @@ def test_files_that_are_no_populations(tmp_path: Path) -> None:
         load_population("nobody")
 
 
+@pytest.mark.slow
 def test_shipped_populations() -> None:
     """All partners of the default population can be parsed, and all givers made; train and test share no family."""
     assert DEFAULT_POPULATION in list_populations()
@@ -104,6 +106,7 @@ def test_shipped_populations() -> None:
             assert len(set(labels)) == len(labels)
 
 
+@pytest.mark.slow
 def test_learned_givers_act_and_are_installed() -> None:
     found = load_population()
     learned = [giver for giver in found.givers if giver.family == "learned"]

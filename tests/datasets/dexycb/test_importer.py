@@ -30,6 +30,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -> None:
     found = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=2, progress=False)
     assert found.scenes == SCENES

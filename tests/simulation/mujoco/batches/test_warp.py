@@ -158,6 +158,7 @@ def grasps() -> npt.NDArray[np.float64]:
     return read_device_poses(worlds, [0, 1, 2])
 
 
+@pytest.mark.slow
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:
     worlds = start_batch_worlds(load_small_objects())
     for world in worlds:
