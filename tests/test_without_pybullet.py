@@ -80,6 +80,7 @@ def rollout() -> str:
     return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not is_pybullet_installed(), reason="there is nothing to compare with")
 def test_an_episode_is_the_same_to_the_bit(elsewhere: dict[str, str]) -> None:
     reported = python(elsewhere, "from tests.test_without_pybullet import *; print(rollout())").strip()
@@ -126,9 +127,10 @@ assert "handover_marl.simulation.bullet.client" not in sys.modules
 """
 
 
+@pytest.mark.slow
 def test_policies_play_and_can_be_checked(elsewhere: dict[str, str]) -> None:
     """Shipped policies play in one process; `yang2021` and `reactive` play whole handovers."""
-    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("population", "hold", False)]
+    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("noisy", "hold", False)]
     pairs.append(("tired", "random", False))
     if importlib.util.find_spec("igl") is not None:
         # The number of copies limits the time of the validation of grasps.
@@ -141,6 +143,7 @@ def test_policies_play_and_can_be_checked(elsewhere: dict[str, str]) -> None:
         assert line.endswith(" success") == is_whole, line
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
 def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
     """GA-DDPG moves the gripper without PyBullet's inverse kinematics; the network always predicts a step forwards."""
@@ -191,6 +194,7 @@ for options in (*refused, dict(physics="mujoco", obs_mode="state+pointcloud", re
 """
 
 
+@pytest.mark.slow
 def test_environments_run_and_say_what_they_cannot(elsewhere: dict[str, str]) -> None:
     has_rays = importlib.util.find_spec("embreex") is not None
     python(elsewhere, ENVIRONMENT.format(obs_modes=["state", "state+pointcloud"] if has_rays else ["state"]))
@@ -226,6 +230,7 @@ print(json.dumps(found))
     return [(status, errors) for status, errors in json.loads(reported)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(REFUSED)), ids=[arguments[0] for arguments, _ in REFUSED])
 def test_commands_say_what_they_cannot(refusals: list[tuple[int, str]], number: int) -> None:
     status, errors = refusals[number]
@@ -241,6 +246,7 @@ def test_the_doctor_says_what_can_be_played(elsewhere: dict[str, str]) -> None:
     assert "--physics mujoco" in reported
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not is_pybullet_installed(), reason="there is no result with PyBullet")
 def test_results_with_and_without_do_not_share_a_folder(
     elsewhere: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

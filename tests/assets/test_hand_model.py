@@ -39,6 +39,7 @@ def test_every_hand_has_the_official_structure(subject, side):
     assert masses == [0.2] + [0.02] * 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("subject", "side"), ALL_HANDS)
 def test_forward_kinematics_equals_the_simulator(subject, side):
     rng = np.random.default_rng(subject)
@@ -62,6 +63,7 @@ def test_hand_lengths_are_those_of_the_table(subject):
     assert reach == pytest.approx(SUBJECT_SIZES[subject - 1].length, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rebuild_gives_the_shipped_hands(tmp_path):
     pytest.importorskip("trimesh")
     pytest.importorskip("manifold3d")

@@ -51,6 +51,7 @@ def test_every_object_person_and_side_has_grasps_with_thumb_and_two_fingers():
             assert (grasps.touching[:, :4].sum(axis=1) >= 2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GRASPED_OBJECTS)
 @pytest.mark.parametrize("side", SIDES)
 def test_grasps_hold_in_the_simulator(name, side):

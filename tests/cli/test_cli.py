@@ -12,6 +12,7 @@ from handover_marl.execution.options import is_installed
 from handover_marl.policies.registry import import_reference
 
 
+@pytest.mark.slow
 def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["benchmark", "--setup", "s0", "--split", "val", "--receiver", "hold", "--scenes", "9"]
     assert main([*command, "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]) == 0
@@ -95,6 +96,7 @@ def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, c
     assert len(list(tmp_path.glob("0*.npz"))) == 2
 
 
+@pytest.mark.slow
 def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
     command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "1", "--no-progress"]

@@ -26,6 +26,7 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes", "add-object", "mine", "box", "box.stl", "--unit", "mm", "--mass", "0.2", *OBJECT]) == 0
     assert "object box: class 22, 0.2 kg, friction 0.9; 0 grasps held" in capsys.readouterr().out

@@ -82,6 +82,7 @@ def test_environment_of_another_data_set() -> None:
     assert all(copied.object_names == dataset.object_names for copied in copies)
 
 
+@pytest.mark.slow
 def test_results_of_another_data_set(tmp_path: Path) -> None:
     """Results with numbers of four digits in their split are written, read again, verified, and merged from shards."""
     report = evaluate_scenes(tmp_path / "whole")

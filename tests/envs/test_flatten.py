@@ -25,6 +25,7 @@ def flattened(**options: Any) -> FlattenedEnv:
     return handover_marl.flatten(handover_marl.parallel_env(**SYNTHETIC, **options))
 
 
+@pytest.mark.slow
 def test_pettingzoo_accepts_it() -> None:
     parallel_api_test(flattened(), num_cycles=10)
     parallel_seed_test(flattened, num_cycles=5)
@@ -41,6 +42,7 @@ def rollout(env: Any, seed: int) -> list[dict[str, np.ndarray]]:
     return seen
 
 
+@pytest.mark.slow
 def test_whole_rollouts_repeat_from_their_seed() -> None:
     env = flattened()
     first, again, copied = rollout(env, 3), rollout(env, 3), rollout(pickle.loads(pickle.dumps(env)), 3)

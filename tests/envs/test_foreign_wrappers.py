@@ -44,6 +44,7 @@ def make() -> HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrap",
     [
@@ -104,6 +105,7 @@ def test_other_environments_are_refused(make_wrong: Callable[[], Any], got: str)
         handover_marl.flatten(make_wrong())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 @pytest.mark.parametrize("agent", ["receiver", None])
 def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:

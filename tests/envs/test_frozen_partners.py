@@ -103,6 +103,7 @@ def list_cases(names: tuple[str, ...]) -> list[tuple[str, int, float]]:
     return cases
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("partner", "scene", "period"), list_cases(receivers.list_available()))
 def test_receivers_act_as_in_pair(partner: str, scene: int, period: float) -> None:
     if partner.startswith("omg"):
@@ -111,12 +112,14 @@ def test_receivers_act_as_in_pair(partner: str, scene: int, period: float) -> No
     assert_equal_ends(play_frozen("receiver", partner, scene, period), expected, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("partner", "scene", "period"), list_cases(givers.list_available()))
 def test_givers_act_as_in_pair(partner: str, scene: int, period: float) -> None:
     expected = play_pair("giver", partner, scene)
     assert_equal_ends(play_frozen("giver", partner, scene, period), expected, 0.0)
 
 
+@pytest.mark.slow
 def test_a_recorded_scene_ends_as_in_pair(real_data: Path) -> None:
     options: dict[str, Any] = {"dataset": "dexycb", "data_dir": real_data, "physics": "fast"}
     end = play_frozen("receiver", "reactive", 19, 0.05, **options)
@@ -192,6 +195,7 @@ def test_partners_keep_their_own_period(api: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["threads", "warp"])
 def test_partners_in_vector_environments_keep_their_own_periods(backend: str) -> None:
     pytest.importorskip("mujoco_warp" if backend == "warp" else "mujoco", reason="needs an extra")

@@ -121,6 +121,7 @@ configs = st.builds(
 )
 
 
+@pytest.mark.slow
 @given(config=configs | st.sampled_from([SPARSE, SHAPED]), seed=st.integers(0, 10_000))
 @settings(max_examples=25)
 def test_built_in_rewards_of_tensors_equal_those_of_single_functions(config: RewardConfig, seed: int) -> None:

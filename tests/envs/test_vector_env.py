@@ -79,6 +79,7 @@ def assert_equal(one: Any, other: Any) -> None:
         np.testing.assert_array_equal(one, other, strict=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agent", "partner", "autoreset", "threads"),
     [("receiver", "noisy", "next_step", 3), ("giver", "yang2021:wait=0.2", "same_step", 1)],
@@ -115,6 +116,7 @@ def test_the_interface_is_gymnasiums(autoreset: str) -> None:
     alone.close()
 
 
+@pytest.mark.slow
 def test_features_and_schemes_that_wait_are_equal_too() -> None:
     options = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
     expected = rollout(gymnasium.vector.SyncVectorEnv([lambda: encoded(**options)] * COUNT), 12)
@@ -124,6 +126,7 @@ def test_features_and_schemes_that_wait_are_equal_too() -> None:
     assert_equal(rollout(together, 12), expected)
 
 
+@pytest.mark.slow
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     """Steps of the giver that last a whole episode equal those of single environments, also after masked resets."""
     options = {**OPTIONS, "control_period": 0.1, "max_cycles": 80, "rewards": "shaped"}
@@ -147,6 +150,7 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     assert max(rewards) > 0.8, "an object was handed over"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rewards", "noise"), [("sparse", 0.0), ("shaped", 0.1)])
 def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str, noise: float) -> None:
     """Resets with a seed, a scene, a mask or no argument start the same episodes as in single environments.
@@ -275,6 +279,7 @@ def both() -> Iterator[Callable[..., Any]]:
         envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
 def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> None:
     batch = both(autoreset=autoreset)
@@ -318,6 +323,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
     assert ends == COUNT
 
 
+@pytest.mark.slow
 def test_processes_give_the_results_of_threads() -> None:
     options = {**OPTIONS, "max_cycles": 18, "control_period": 0.13, "features": "close", "schemes": "grasp_servo"}
     options |= {"autoreset": "same_step"}
@@ -326,6 +332,7 @@ def test_processes_give_the_results_of_threads() -> None:
     assert any("final_obs" in infos for infos in expected[6::5])
 
 
+@pytest.mark.slow
 def test_both_agents_in_processes() -> None:
     envs = handover_marl.vector_env(3, None, processes=2, **SHORT)
     envs.reset(seed=3, options={"scene_id": envs.scene_ids[7]})
@@ -335,12 +342,14 @@ def test_both_agents_in_processes() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 def test_processes_may_simulate_other_physics() -> None:
     options = {**SHORT, "physics": "fast", "agent": "giver", "partner": "hold"}
     expected = rollout(handover_marl.vector_env(2, **options), 2)
     assert_equal(rollout(handover_marl.vector_env(2, processes=2, **options), 2), expected)
 
 
+@pytest.mark.slow
 def test_errors_of_processes_are_raised_and_resets_work() -> None:
     envs = handover_marl.vector_env(3, "giver", Failing, processes=2, **SHORT)
     envs.reset(seed=0)
@@ -459,6 +468,7 @@ def test_scenes_of_a_generator_are_those_of_every_environment() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "exact"])
 def test_other_physics_play_in_turns(physics: str) -> None:
     options = {**SHORT, "physics": physics}

@@ -111,6 +111,7 @@ def test_spaces_are_as_documented() -> None:
         assert (space.low.min(), space.high.max()) == (0, high)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obs_mode", OBS_MODES)
 def test_observations_are_elements_of_their_space(world: World, obs_mode: str) -> None:
     seen = make_wrist_camera(world, camera_noise="realsense").observe(obs_mode, world, STEPS)
@@ -235,6 +236,7 @@ LOOKS: list[Callable[[WristCamera, World], object]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [None, NOISY])
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_observations_do_not_depend_on_earlier_images(world: World, renderer: str, camera: CameraNoise | None) -> None:
@@ -345,6 +347,7 @@ def test_state_observations_render_nothing(drawings: Drawings, camera: str | Non
     episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("obs_mode", "camera", "expected"),
     [
@@ -390,6 +393,7 @@ def test_a_step_is_rendered_once(world: World, drawings: Drawings) -> None:
     assert drawings.taken() == (1, 2, 2, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [None, "realsense"])
 def test_scenes_are_independent(camera: str | None) -> None:
     """Images are not reused in another scene, although the first steps of both scenes have the same number."""
@@ -457,6 +461,7 @@ def late(latency: float) -> CameraNoise:
     return CameraNoise(depth_noise_std=0.0, edge_dropout=0.0, latency=latency)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("latency", "chunk"), [(0.001, 7), (0.13, 50)])
 def test_late_images_are_those_of_earlier_steps(latency: float, chunk: int) -> None:
     delay = round(1000 * latency)
@@ -480,6 +485,7 @@ def test_late_images_are_those_of_earlier_steps(latency: float, chunk: int) -> N
     episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("renderer", ["rays", "bullet"])
 def test_late_images_of_exact_physics_are_those_of_earlier_steps(renderer: str) -> None:
     """Delayed images match those of earlier steps with both renderers, before and after the hand appears at 0.4 s."""

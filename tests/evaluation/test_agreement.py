@@ -44,6 +44,7 @@ def test_text_of_an_agreement(example: Agreement) -> None:
     assert "3 at most" in text
 
 
+@pytest.mark.slow
 def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     command = ["agreement", "--receiver", "hold", "--scenes", "9", "--workers", "1"]

@@ -126,6 +126,7 @@ def test_an_interrupted_evaluation_resumes(fake_data: Path, tmp_path: Path, monk
     assert json.loads((tmp_path / "report.json").read_text())["n_resumed"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"PK", None])
 def test_truncated_results_are_simulated_again(fake_data: Path, tmp_path: Path, damage: bytes | None) -> None:
     report = run(fake_data, tmp_path)
@@ -224,6 +225,7 @@ class FailingGiver(Giver):
         raise LookupError("nonsense")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_errors_of_policies_are_reported_with_their_names(fake_data: Path, tmp_path: Path, workers: int) -> None:
     with pytest.raises(PolicyError, match=r"(?s)receiver 'fails_to_act' in scene (9|14): .*KeyError.*nonsense"):

@@ -13,6 +13,7 @@ from handover_marl.evaluation.crossplay import format_pair_folder
 SCENES = "9"
 
 
+@pytest.mark.slow
 def test_command_writes_tables_and_a_picture(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -51,6 +51,7 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         return shards(tmp_path_factory.mktemp("three"), 3, scenes=SCENES)
 
 
+@pytest.mark.slow
 def test_the_merged_folder_is_that_of_one_run(three: list[Path], tmp_path: Path) -> None:
     whole = handover_marl.evaluate_pair("noisy", out=tmp_path / "whole", scenes=SCENES, **OPTIONS)
     merged = handover_marl.merge([three[2], three[0], three[1]], tmp_path / "merged")
@@ -111,6 +112,7 @@ def test_missing_scenes_are_reported_and_nothing_is_written(three: list[Path], t
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     twice = shutil.copytree(three[1], tmp_path / "twice")
@@ -138,6 +140,7 @@ def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_pat
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_cross_play(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     options = {**OPTIONS, "scenes": SCENES[:2]}
@@ -162,6 +165,7 @@ def test_cross_play(tmp_path: Path) -> None:
         handover_marl.merge(parts, tmp_path / "again")
 
 
+@pytest.mark.slow
 def test_agreement(tmp_path: Path) -> None:
     options = {**OPTIONS, "scenes": SCENES[:2]}
     del options["physics"]
@@ -173,6 +177,7 @@ def test_agreement(tmp_path: Path) -> None:
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_demonstrations(tmp_path: Path) -> None:
     from tests.evaluation.demonstrations.recording import record
 

@@ -51,6 +51,7 @@ def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return steps
 
 
+@pytest.mark.slow
 def test_key_frames_span_the_episode(tmp_path: Path, drawn_after: list[int]) -> None:
     path = draw(tmp_path / "new" / "sheet.png", key_frames=4)
     shown = pictures(path)
@@ -95,6 +96,7 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
         assert end == list(ends[0][:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if suffix == ".mp4":

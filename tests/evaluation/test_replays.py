@@ -37,6 +37,7 @@ def replays(folder: Path) -> list[str]:
     return sorted(path.name for path in (folder / "episodes").iterdir())
 
 
+@pytest.mark.slow
 def test_failed_episodes_of_a_finished_run_are_simulated_again_once(
     fake_data: Path, tmp_path: Path, played: list[int]
 ) -> None:

@@ -139,6 +139,7 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.slow
 def test_an_unchanged_folder_is_verified(folder: Path) -> None:
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     verification = verify(folder, workers=1, progress=False)
@@ -148,12 +149,14 @@ def test_an_unchanged_folder_is_verified(folder: Path) -> None:
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", ACTION_FORGERIES)
 def test_forged_actions_are_found(forgery: str, folder: Path, runner: EpisodeRunner) -> None:
     change_arrays(folder, ACTION_FORGERIES[forgery])
     assert check_episode(runner, folder, SceneTask(INDEX, SCENE), same_version=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", VALUE_FORGERIES)
 def test_forged_values_are_found(forgery: str, folder: Path, simulated: EpisodeResult) -> None:
     assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True) == []
@@ -168,6 +171,7 @@ def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
     assert check_reports(folder)
 
 
+@pytest.mark.slow
 def test_what_was_not_compared_is_printed(folder: Path) -> None:
     path = folder / "config.yaml"
     text = str(verify(folder, workers=1, progress=False))
@@ -181,6 +185,7 @@ def test_what_was_not_compared_is_printed(folder: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     change_arrays(folder, replaced("result", np.int64(8)))
     assert main(["verify", str(folder), "--workers", "1", "--no-progress"]) == 1
@@ -190,6 +195,7 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert "Not equal: 1 of 1 episodes" in printed
 
 
+@pytest.mark.slow
 def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
     evaluate_pair("hesitant", "yang2021", "s0", "val", scenes=[SCENE], out=tmp_path, **OPTIONS)
     assert verify(tmp_path, workers=1, progress=False).is_verified
@@ -219,12 +225,14 @@ def test_another_seed_or_physics_in_the_configuration_is_found(
     assert verification.changed_scenes == ((SCENE,) if is_other else ())
 
 
+@pytest.mark.slow
 def test_a_copied_result_is_found(folder: Path) -> None:
     (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
     verification = verify(folder, workers=1, progress=False)
     assert verification.changed_scenes == (24,)
 
 
+@pytest.mark.slow
 def test_another_world_must_be_passed(tmp_path: Path) -> None:
     config = WorldConfig(physics=PhysicsConfig(gravity=-9.0))
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=config, **OPTIONS)

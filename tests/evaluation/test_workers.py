@@ -13,6 +13,8 @@ import pytest
 
 from tests.evaluation import quick
 
+pytestmark = pytest.mark.slow
+
 
 def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ...]]:
     report = quick.run(data, **{"workers": n_workers, "receiver": "hold", **options})
@@ -28,7 +30,6 @@ def files(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-@pytest.mark.slow
 def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> None:
     """Results depend neither on the number of workers nor on the scenes simulated before in the same process."""
     drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy"}
@@ -106,7 +107,6 @@ def waited_for(condition: Any, seconds: float) -> bool:
     return True
 
 
-@pytest.mark.slow
 def test_workers_end_with_a_killed_parent(fake_data: Path, tmp_path: Path) -> None:
     """Workers end if their parent is killed during a scene, even if their policy sleeps."""
     (tmp_path / "script.py").write_text(SLEEPING)
@@ -175,7 +175,6 @@ for workers in (1, 2):
 """
 
 
-@pytest.mark.slow
 def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
     """Workers use policies of a script without running it again, so that it needs no `__main__` guard."""
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -56,6 +56,7 @@ def actions(folder: Path) -> list[np.ndarray]:
     return [np.load(path)["action"] for path in sorted(folder.glob("[0-9]*.npz"))]
 
 
+@pytest.mark.slow
 def test_point_clouds_do_not_depend_on_the_worker(tmp_path: Path) -> None:
     options = {**OPTIONS, "world_config": LONGER}
     for workers in (1, 2):

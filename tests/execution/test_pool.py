@@ -68,6 +68,7 @@ def kill_this_process() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
     killed = tmp_path / "killed"
 
@@ -81,6 +82,7 @@ def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
         assert run(work, [1, 2, 3, 4, 5]) == {task: task for task in range(1, 6)}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker process died")
 def test_a_task_that_kills_its_worker_twice() -> None:
     """The error names the task that kills its worker, and no task whose worker ends at the same time."""
@@ -121,6 +123,7 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
         open_pool(PoolConfig(backend="ray"))
 
 
+@pytest.mark.slow
 def test_shared_pool_keeps_its_processes() -> None:
     def run_shared(function: Callable[[int], object]) -> list[object]:
         found = pool.map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])

@@ -14,6 +14,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_episodes(monkeypatch, 4000)
 
 
+@pytest.mark.slow
 def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     example = script("own_receiver", monkeypatch)
     report = example.main(example.Args(dataset="synthetic", scenes=SCENES, workers=1))

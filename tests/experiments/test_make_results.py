@@ -45,6 +45,7 @@ def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
     """Rates, times and AS of two stored evaluations are those of their files, and so is their paired difference."""
     reactive, yang = itertools.cycle([1, 1, 1, 1, 1, 6, 8]), itertools.cycle([1, 1, 2, 4, 1])
@@ -112,6 +113,7 @@ def test_a_partial_folder_is_refused(pages: Path, tmp_path: Path) -> None:
     assert not make_results.EPISODES.exists()
 
 
+@pytest.mark.slow
 def test_a_shared_scene_is_simulated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = {"s0": (9, 14), "s2": (3, 9)}
     shorten_episodes(monkeypatch, 1500)

@@ -13,6 +13,8 @@ from handover_marl.givers.array_giver import make_giver_batch
 from tests.givers.test_givers import seen
 from tests.tensors import make_device_tensors, make_observe_function
 
+pytestmark = pytest.mark.slow
+
 COUNT = 6
 NAMES = (
     "replay",

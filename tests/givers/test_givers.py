@@ -58,6 +58,7 @@ def test_actions_depend_on_the_seed(name: str) -> None:
     assert not np.array_equal(*actions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cooperative", "learned"])
 def test_the_environment_takes_givers(name: str) -> None:
     options = {"split": "val", "dataset": "synthetic", "physics": "fast", "control_period": 0.03}

@@ -18,6 +18,8 @@ from handover_marl.simulation.camera.ray_camera import RayCamera
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 
+pytestmark = pytest.mark.slow
+
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("camera/*.npz")) if RECORDINGS else ["none"]
 #: Labels of the recordings' body numbers: ground 0, table 1, Panda 2, object 3, hand 4, nothing -1.
 SEEN = np.array(

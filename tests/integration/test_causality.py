@@ -181,6 +181,7 @@ def test_all_policies_of_the_library_are_tested() -> None:
     assert {name for name in GIVERS if isinstance(name, str)} == set(list_available("giver"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", RECEIVERS, ids=lambda reference: reference.partition(":")[0])
 def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> None:
     robot = PANDA_CAMERA if reference.startswith(("gaddpg", "vision")) else PANDA
@@ -203,6 +204,7 @@ def test_receivers_do_not_know_motion_that_is_still_to_come(reference: str) -> N
     episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", GIVERS)
 def test_givers_see_no_further_ahead_than_their_preview(policy: str | type[Giver]) -> None:
     dataset = open_dataset("synthetic")

@@ -13,6 +13,8 @@ from handover_marl.episode.episode import Episode
 from tests.conftest import RECORDINGS
 from tests.playing import play
 
+pytestmark = pytest.mark.slow
+
 STRIDE = 10
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
 if RECORDINGS and not NAMES:

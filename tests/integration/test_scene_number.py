@@ -18,6 +18,8 @@ from handover_marl.policies.policy import Policy
 from tests.episode.test_camera_observations import GOAL, STEPS, Looker
 from tests.integration.test_causality import RECEIVERS, Recorder, assert_same_until, make_receiver
 
+pytestmark = pytest.mark.slow
+
 DATA = open_dataset("synthetic", robot=PANDA_CAMERA)
 NOISY_START = WorldConfig(initial_joint_noise=0.02)
 #: More than 1,024 pixels show the object after `STEPS` steps towards `GOAL`.

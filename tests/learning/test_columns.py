@@ -152,6 +152,7 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", AGENTS)
 def test_every_column_is_described(agent: str) -> None:
     for kind, names, make in (

@@ -100,6 +100,7 @@ def test_a_network_of_tensors_has_the_same_outputs(
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))

@@ -137,6 +137,7 @@ def trained(path: Path, env: Any, policy: str = "MultiInputPolicy", **options: A
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["PPO", "SAC", "TD3", "A2C", "DDPG"])
 @pytest.mark.parametrize("name", ["Giver", "Receiver"])
 def test_stable_baselines_policies_act_as_they_do_there(tmp_path: Path, kind: str, name: str) -> None:
@@ -191,6 +192,7 @@ def test_files_of_stable_baselines_need_trust(tmp_path: Path) -> None:
             make()
 
 
+@pytest.mark.slow
 def test_models_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
     squashed = {"use_sde": True, "policy_kwargs": {"net_arch": [8], "squash_output": True}}

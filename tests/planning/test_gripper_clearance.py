@@ -44,6 +44,7 @@ def test_grasp_clearance(position: tuple[float, ...], sweep: float, clearance: f
     assert found == pytest.approx(clearance, abs=2e-3)
 
 
+@pytest.mark.slow
 @given(positions, rotations)
 def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.ndarray) -> None:
     hand = pose(np.array([0.3, -0.1, 0.2]), rotation)

@@ -148,6 +148,7 @@ def test_packages_of_imported_functions() -> None:
     assert find_package(lambda value: value) == ""
 
 
+@pytest.mark.slow
 def test_results_of_other_weights_are_not_mixed(tmp_path: Path) -> None:
     weights, out = tmp_path / "w.npy", tmp_path / "out"
     options: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False, "out": out}

@@ -35,6 +35,7 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "policy",
     [
@@ -73,6 +74,7 @@ def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) 
         load_population(write_population(tmp_path, **changes))
 
 
+@pytest.mark.slow
 def test_shipped_populations() -> None:
     """All partners of the default population can be parsed, and all givers made; train and test share no family."""
     assert DEFAULT_POPULATION in list_populations()
@@ -91,6 +93,7 @@ def test_shipped_populations() -> None:
             assert len(set(labels)) == len(labels)
 
 
+@pytest.mark.slow
 def test_learned_givers_act_and_are_installed() -> None:
     found = load_population()
     learned = [giver for giver in found.givers if giver.family == "learned"]

@@ -263,6 +263,7 @@ def typed(folder: Path, prompt: bool = False, gain: float = 2.0, shared: float =
     return references
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prompt", [False, True])
 def test_classes_of_scripts(tmp_path: Path, prompt: bool) -> None:
     """References to classes of a script work in processes that have not run it.

@@ -125,6 +125,7 @@ READERS: dict[str, Callable[[bool], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
 def test_names_in_files_need_trust(reader: str) -> None:
     with pytest.raises(UnsafeFileError, match=rf"{MODULE}:\w+' must not be imported .* pass trust=True \(--trust\)"):
@@ -134,6 +135,7 @@ def test_names_in_files_need_trust(reader: str) -> None:
     assert Path("imported").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "read",
     [

@@ -179,6 +179,7 @@ def test_retreat_is_straight_and_may_overshoot(receiver: GaddpgReceiver, gripper
     assert 0.03 * count > length
 
 
+@pytest.mark.slow
 def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> None:
     commands, calls = [], []
     for period in (None, 1, 10):
@@ -227,5 +228,6 @@ def test_invalid_network_output(
         GaddpgReceiver(CONTEXT, network=network, wait=0.0).act(make_observation(0, gripper))
 
 
+@pytest.mark.slow
 def test_satisfies_the_receiver_checks() -> None:
     check_receiver((GaddpgReceiver, {"network": scaled_step, "wait": 0.2}), DATA, scenes=(9,), steps=600)

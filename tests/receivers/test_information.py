@@ -24,6 +24,8 @@ from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 from tests.docs.pages import REPOSITORY, checked_table
 from tests.receivers.quick import shorten_planning
 
+pytestmark = pytest.mark.slow
+
 PAGE = REPOSITORY / "docs" / "reference" / "policies.md"
 RECEIVERS = ("yang2021", "omg", "omg_hand_aware", "reactive", "gaddpg", "vision")
 CLOUDS = ("object_points", "object_cloud", "hand_points", "hand_cloud", "other_points")
@@ -232,9 +234,7 @@ def use_validation(monkeypatch: pytest.MonkeyPatch, rate: float) -> None:
     grasp_contact.load_graspable_object.cache_clear()
 
 
-@pytest.mark.parametrize(
-    "name", [RECEIVERS[0], *(pytest.param(name, marks=pytest.mark.slow) for name in RECEIVERS[1:])]
-)
+@pytest.mark.parametrize("name", RECEIVERS)
 def test_receivers_use_what_the_table_says(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in {"o": ("igl",), "g": ("torch", "embreex"), "v": ("torch", "embreex")}.get(name[0], ()):
         pytest.importorskip(module)

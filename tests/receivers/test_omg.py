@@ -83,6 +83,7 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     np.testing.assert_allclose(points[count:], np.tile(goal, (40 - count, 1)), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_commands_do_not_depend_on_the_call_period() -> None:
     commands = []
     for period in (None, 10):
@@ -134,6 +135,7 @@ def test_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
         receivers.make("omg", DATA)
 
 
+@pytest.mark.slow
 def test_picture_of_a_plan(tmp_path: Path) -> None:
     path = render_plan(
         SCENE, tmp_path / "new" / "plan.png", receiver="omg_hand_aware", physics="fast", dataset="synthetic"

@@ -69,6 +69,7 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
     np.testing.assert_allclose(policy.planned_goal[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_yang_holds_still_without_grasps(own_data: Path) -> None:
     write_scene(own_data, FakeScene(75))
     (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()

@@ -119,6 +119,7 @@ def test_clouds_and_plans_are_recorded(log: EpisodeLog) -> None:
         assert max(len(cloud.object_points), len(cloud.hand_points)) <= 600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["panda", "hand"])
 def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: str) -> None:
     from handover_marl.geometry.kinematic_tree import read_tree

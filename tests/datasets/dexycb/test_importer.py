@@ -50,6 +50,7 @@ def imported(given: Path, raw: Path, out: Path) -> ImportReport:
     return import_dexycb(raw, given / "mano", out, workers=1, progress=False)
 
 
+@pytest.mark.slow
 def test_damaged_recordings_are_reported_and_the_others_imported(given: Path, tmp_path: Path) -> None:
     raw, out = tmp_path / "raw", tmp_path / "out"
     shutil.copytree(given / "raw", raw)

@@ -63,6 +63,7 @@ def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "assets"
 
 
+@pytest.mark.slow
 def test_stand_ins_are_marked(stood_in: Path) -> None:
     reported = [path for path in list_required_files() if is_stand_in_file(stood_in / path)]
     assert len(reported) == 2 + 19 + 2
@@ -85,6 +86,7 @@ def test_originals_replace_stand_ins(stood_in: Path, tmp_path: Path) -> None:
     assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["panda", "panda_camera"])
 def test_scene_of_stand_ins_is_marked_in_results(stood_in: Path, tmp_path: Path, robot: str) -> None:
     folder = write_layout(tmp_path / "data", (FakeScene(5),))

@@ -241,6 +241,7 @@ def test_path_and_speeds_of_the_gripper() -> None:
     assert compute_fluency(made_up(steps=5019)).gripper_mean_speed == exactly(0.6 / 5.019)
 
 
+@pytest.mark.slow
 def test_gap_is_what_the_world_says() -> None:
     """The distance between robot and hand equals the one that Bullet reports for the bodies in the world."""
     scene = SyntheticDataset().load_scene(209)
@@ -354,6 +355,7 @@ def played() -> FluencyMetrics:
     return found.fluency
 
 
+@pytest.mark.slow
 def test_a_played_scene_has_all_metrics(played: FluencyMetrics) -> None:
     assert 0.0 < played.human_idle < 1.0
     assert 0.0 < played.robot_idle < 1.0
@@ -371,7 +373,8 @@ def test_a_played_scene_has_all_metrics(played: FluencyMetrics) -> None:
     assert 2.0 <= played.giver_rula <= 8.0
 
 
-@pytest.mark.parametrize("physics", ["fast", "mujoco", pytest.param("exact", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ["fast", "mujoco", "exact"])
 def test_every_engine_measures_the_force_on_the_person(physics: str) -> None:
     """A contact ends the episode, so that the impulse is that of one step of 1 ms."""
     if physics == "mujoco":

@@ -49,6 +49,7 @@ def assert_replays(
     episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["exact", "fast"])
 def test_actions_replay_an_episode_of_the_replayed_giver(tmp_path: Path, physics: str) -> None:
     (demonstration,) = demonstrations = record(None, tmp_path / "out", physics=physics, scenes=[5])
@@ -74,6 +75,7 @@ def test_both_agents_and_the_camera_are_replayed(tmp_path: Path) -> None:
     assert demonstrations[0].observations["wrist_point_counts"].max() > 1024
 
 
+@pytest.mark.slow
 def test_reward_of_a_success_is_that_of_the_environment(tmp_path: Path) -> None:
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5]}
     (demonstration,) = demonstrations = record(None, tmp_path / "out", **options)

@@ -41,6 +41,7 @@ def run(data: Path, population: Path, **options: Any) -> StrangersReport:
     return handover_marl.strangers(population=population, data_dir=data, **chosen | options)
 
 
+@pytest.mark.slow
 def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tmp_path: Path) -> None:
     # Two scenes for each of two partners; the rate with the worst partner is one of two episodes.
     for key, n in (("success", 4), ("worst_partner_success", 2), ("largest_partner_contact", 2)):
@@ -92,6 +93,7 @@ def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: P
     assert others.estimate_all()["br_prox"].interval_95 is not None
 
 
+@pytest.mark.slow
 def test_evenly_spaced_scenes_and_receivers_as_partners(fake_data: Path, population: Path) -> None:
     report = run(fake_data, population, receiver=None, giver=["replay", "hesitant"], scenes=None, n_scenes=1)
     assert report.policies == ("replay", "hesitant")
@@ -165,6 +167,7 @@ def test_the_same_policy_is_no_second_training(
         read_report(out)
 
 
+@pytest.mark.slow
 def test_leaderboard(
     fake_data: Path, population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from handover_marl.evaluation.strangers.scores import (
 SHAPES = st.tuples(st.integers(1, 3), st.integers(1, 5), st.integers(1, 6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("varying", ["families", "partners", "scenes"])
 @pytest.mark.parametrize("kind", ["mean", "rate"])
 def test_intervals_cover_whatever_varies(varying: str, kind: str) -> None:

@@ -206,6 +206,7 @@ def list_hashes() -> list[str]:
     return [hash_of(policy, **options) for policy, options in policies]
 
 
+@pytest.mark.slow
 def test_hash_is_equal_in_every_process() -> None:
     program = "from tests.learning.adapters.test_as_policy import list_hashes; print(*list_hashes())"
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
@@ -213,6 +214,7 @@ def test_hash_is_equal_in_every_process() -> None:
     assert done.stdout.split() == list_hashes()
 
 
+@pytest.mark.slow
 def test_adapted_policies_pass_the_conformance_tests() -> None:
     check_receiver(handover_marl.as_receiver(make_net(), **CHOICES["receiver"]), steps=600)
     check_giver(handover_marl.as_giver(make_net("giver"), **CHOICES["giver"]), steps=600)
@@ -231,6 +233,7 @@ class Forgetful:
         return observation["robot_joint_position"] + 0.0001 * self.count
 
 
+@pytest.mark.slow
 def test_adapted_policies_are_taken_everywhere(tmp_path: Path) -> None:
     robot = handover_marl.as_receiver(make_net(), **CHOICES["receiver"], name="net")
     human = handover_marl.as_giver(networks.replay, name="person")

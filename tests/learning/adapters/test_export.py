@@ -65,6 +65,7 @@ def collect(env: Any, count: int = 5) -> list[Any]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["PPO", "A2C", "SAC", "TD3"])
 @pytest.mark.parametrize("normalized", [False, True])
 def test_encoded_models_act_as_there(kind: str, normalized: bool, tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ def rollout(envs: Any, steps: int = 20) -> list[Any]:
     return said
 
 
+@pytest.mark.slow
 def test_batches_equal_single_environments() -> None:
     expected = rollout(DummyVecEnv([alone] * COUNT))
     found = rollout(batch())

@@ -13,7 +13,7 @@ from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytest.importorskip("mujoco", reason="needs MuJoCo")
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 SCRIPTS = {
     "train_both_torchrl": "torchrl",
     "train_both_rllib": "ray.rllib",

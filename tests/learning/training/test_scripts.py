@@ -62,6 +62,7 @@ def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_episodes(monkeypatch, 3000)
 
 
+@pytest.mark.slow
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
     args = {**GIVER, "out": str(tmp_path / "run")}
@@ -92,6 +93,7 @@ def test_first_decisions_do_not_depend_on_workers(monkeypatch: pytest.MonkeyPatc
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if physics == "mujoco":
@@ -124,6 +126,7 @@ def test_runs_are_not_resumed_on_another_dataset(
         train.main(args)
 
 
+@pytest.mark.slow
 def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     train = script("train_vision", monkeypatch)

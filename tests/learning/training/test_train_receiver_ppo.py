@@ -23,6 +23,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_receiver_ppo", monkeypatch)
 
 
+@pytest.mark.slow
 def test_training_and_evaluation(
     train: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -42,6 +43,7 @@ def test_training_and_evaluation(
     assert len(report.episodes) == 1
 
 
+@pytest.mark.slow
 def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
     small = {"dataset": "synthetic", "num_envs": 2, "rollout": 4, "epochs": 1, "decisions": 16, "val_scenes": 0}
     # Two workers collect in any order.

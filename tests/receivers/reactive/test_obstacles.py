@@ -65,6 +65,7 @@ def act(receiver: ReactiveReceiver, observation: Observation) -> np.ndarray:
     return np.array([receiver.act({**observation, "time": time}) for time in times])
 
 
+@pytest.mark.slow
 def test_objects_that_are_absent_or_out_of_reach_change_nothing(handover_observation: Observation) -> None:
     alone = remove_others(handover_observation)
     beyond = move_others(handover_observation, FAR_AWAY)
@@ -92,6 +93,7 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     assert compute_grasp_clearances(chosen[None], obstacles, CONFIG.approach.standoff)[0] > 0.0
 
 
+@pytest.mark.slow
 def test_no_other_object_is_touched() -> None:
     """The receiver succeeds in a scene without touching the other objects.
 

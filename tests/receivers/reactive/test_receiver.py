@@ -63,6 +63,7 @@ def played() -> tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]
     return receiver, *play_scene(receiver)
 
 
+@pytest.mark.slow
 def test_takes_the_object_to_the_goal(
     played: tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]],
 ) -> None:
@@ -77,6 +78,7 @@ def test_takes_the_object_to_the_goal(
     np.testing.assert_array_equal(actions[:, ARM_DOF:] == 0.0, np.stack([start_closing, start_closing], axis=1))
 
 
+@pytest.mark.slow
 def test_targets_respect_motor_limits() -> None:
     receiver = make_reactive()
     servo = receiver.config.servo

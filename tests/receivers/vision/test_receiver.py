@@ -91,6 +91,7 @@ def play_scene(
     return episode, receiver, log.actions
 
 
+@pytest.mark.slow
 def test_succeeds_with_true_grasps_and_point_clouds_only() -> None:
     episode, receiver, _ = play_scene(19)
     assert episode.status is EpisodeStatus.SUCCESS
@@ -107,6 +108,7 @@ def test_shipped_weights_of_all_setups() -> None:
         assert "/" not in made_by["made by"].removeprefix("experiments/train_vision.py"), "no places"
 
 
+@pytest.mark.slow
 def test_shipped_weights_succeed() -> None:
     receiver = receivers.make("vision", DATA)
     assert receiver.label == "vision"

@@ -119,6 +119,7 @@ assert locale.setlocale(locale.LC_NUMERIC) == sys.argv[1]
 """
 
 
+@pytest.mark.slow
 def test_numbers_of_models_do_not_depend_on_the_locale(tmp_path: Path) -> None:
     env = install_comma_locale(tmp_path)
     with_point, with_comma = (

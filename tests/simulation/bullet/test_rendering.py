@@ -75,6 +75,7 @@ def test_images_of_earlier_steps_are_bit_equal_in_any_order(played: FinishedEpis
         np.testing.assert_array_equal(one.segmentation, other.segmentation)
 
 
+@pytest.mark.slow
 def test_bodies_of_the_previous_scene_are_removed() -> None:
     episode, fresh, scenes = Episode("fast"), Episode("fast"), (SCENE, DATA.load_scene(209))
     for scene in scenes:

@@ -82,6 +82,7 @@ def compute_means(
     return {label: rgb[mask].mean(axis=0) for label, mask in masks.items() if mask.sum() >= MIN_PIXELS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", ["synthetic", "own", "real"])
 def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_path: Path, data: str) -> None:
     rng, compared = np.random.default_rng(0), dict.fromkeys(SegmentationLabel, 0)

@@ -111,6 +111,7 @@ class Agreement:
 # ------------------------------------------------------------------------------------- comparison with the engine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene_id", SCENES)
 def test_rays_match_the_engine_for_random_poses(stands: dict[int, Stand], scene_id: int) -> None:
     stand, agreement, rng = stands[scene_id], Agreement(), np.random.default_rng(scene_id)
@@ -145,6 +146,7 @@ def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, 
     return JointSnapshot(robot, np.concatenate([points[1], np.zeros(48)]).astype(np.float32), objects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "seen", "fingers"),
     [(FINGERTIPS, True, 0.03), ((0.16, 0.0, 0.09), True, 0.0), ((0.03, 0.01, 0.036), False, 0.03)],
@@ -229,6 +231,7 @@ def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) ->
     return part
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.sampled_from(SCENES), seeds, st.sampled_from([(0.0, 0.3), (-0.1, 0.6), (0.3, 1.8)]))
 def test_targets_equal_those_of_the_whole_image(
@@ -241,6 +244,7 @@ def test_targets_equal_those_of_the_whole_image(
 # --------------------------------------------------------------------------------------------------- whole images
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_earlier_images(stands: dict[int, Stand]) -> None:
     """Images do not depend on earlier ones, although scenes share bodies, which cache their last poses."""
     views = [(stand, stand.draw(np.random.default_rng(number))) for number in range(3) for stand in stands.values()]

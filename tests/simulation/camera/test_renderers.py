@@ -52,6 +52,7 @@ def test_missing_packages_of_the_ray_caster_are_reported(without: str) -> None:
     assert resolve_renderer("auto", "exact") == "bullet"
 
 
+@pytest.mark.slow
 def test_the_bullet_renderer_needs_no_extra() -> None:
     code = """
 import sys

@@ -66,6 +66,7 @@ def compare(found: ImageBatch, row: int, expected: CameraImage) -> npt.NDArray[n
     return np.bincount(expected.segmentation.ravel(), minlength=len(SegmentationLabel))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", ["synthetic", "real", "several"])
 def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, data: str) -> None:
     scenes, rng = load_scenes(request, data), np.random.default_rng(0)
@@ -87,6 +88,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     camera.close()
 
 
+@pytest.mark.slow
 def test_robot_and_table_stand_where_they_are_configured_to(request: pytest.FixtureRequest) -> None:
     base = (0.3, -0.3, 0.9), (0.1830127, 0.1830127, 0.6830127, 0.6830127)
     panda = replace(PandaConfig(), base_position=base[0], base_orientation=base[1])
@@ -113,6 +115,7 @@ def test_bodies_around_the_camera_are_invisible(request: pytest.FixtureRequest) 
     assert not (images.segmentation == TARGET).any()
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_the_other_worlds(request: pytest.FixtureRequest) -> None:
     scenes, rng = load_scenes(request, "synthetic"), np.random.default_rng(3)
     camera, _ = make_cameras(scenes)

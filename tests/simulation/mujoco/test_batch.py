@@ -31,6 +31,7 @@ def models(count: int) -> list[SceneModel]:
     return list(found.values())
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_simulation, "_MAX_BATCHES", 2)
     simulation, batches = BatchSimulation(), []

@@ -123,6 +123,7 @@ def test_released_objects_fall_onto_the_table() -> None:
     np.testing.assert_allclose(world.read_state().object_poses[1:, :3], place[0, 1:, :3], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_episodes_of_yang_end_as_in_fast_physics() -> None:
     receiver, own, fast = receivers.make("yang2021", DATA), Episode("mujoco"), Episode("fast")
     for episode in (own, fast):

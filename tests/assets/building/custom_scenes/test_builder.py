@@ -63,6 +63,7 @@ def list_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 def test_content_of_the_folder(scenes: CustomSceneFolder) -> None:
     dataset = scenes.check()
     assert (dataset.name, dataset.n_scenes, dataset.setups) == ("own:boxes", 3, ("all",))
@@ -132,6 +133,7 @@ def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id
     env.close()
 
 
+@pytest.mark.slow
 def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     report = handover_marl.evaluate_pair(
         receiver="yang2021", dataset=scenes.dataset, physics="fast", workers=1, out=tmp_path / "out", progress=False

@@ -85,6 +85,7 @@ def test_units_are_applied_when_they_are_given(tmp_path: Path) -> None:
     np.testing.assert_allclose(half.mesh.extents, (0.025, 0.025, 0.08))
 
 
+@pytest.mark.slow
 def test_convex_parts_cover_a_body_with_a_hole() -> None:
     ring = trimesh.creation.annulus(0.03, 0.05, 0.02)
     item = make_object_mesh(ring, MeshConfig())

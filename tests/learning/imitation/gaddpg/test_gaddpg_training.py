@@ -47,6 +47,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_gaddpg", monkeypatch)
 
 
+@pytest.mark.slow
 def test_interrupted_run_is_resumed(
     tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,6 +93,7 @@ def test_states_depend_on_the_seed_only() -> None:
     assert len(other.remaining) != len(both.remaining) or not np.array_equal(other.goals, both.goals)
 
 
+@pytest.mark.slow
 def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
     scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:1]
     config = DataGeneratorConfig(scenes, "synthetic", expert=QUICK["expert"])

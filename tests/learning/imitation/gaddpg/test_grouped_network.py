@@ -88,6 +88,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_resumed_learner_continues_exactly() -> None:
     states, _ = some_states()

@@ -56,6 +56,7 @@ def views(maker: ViewRenderer) -> GraspViews:
     return maker.render_scene(9)
 
 
+@pytest.mark.slow
 def test_views_contain_object_and_hand(views: GraspViews) -> None:
     count = len(views.object_points)
     assert count > 20
@@ -110,6 +111,7 @@ def test_offset_grasps_are_clear_of_the_hand_and_cost_more(labels: GraspLabeller
     assert (labels.compute_qualities(more, hand, pose)[count:] > labels.config.min_quality).all()
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
     source = GraspViewConfig("synthetic", count=3, n_object_points=16, max_hand_points=8, max_grasps=4, labels=QUICK)
     scenes = (9, 14)

@@ -158,6 +158,7 @@ def grasps() -> npt.NDArray[np.float64]:
     return read_device_poses(worlds, [0, 1, 2])
 
 
+@pytest.mark.slow
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:
     worlds = start_batch_worlds(load_small_objects())
     for world in worlds:
@@ -169,6 +170,7 @@ def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None
     assert difference[2].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_world_does_not_depend_on_the_others_or_on_steps_after_its_end(grasps: npt.NDArray[np.float64]) -> None:
     scenes = load_small_objects()
     worlds = start_device_worlds([scenes[0], *scenes[1:]])
