@@ -71,20 +71,6 @@ class CrossPlay(TabularResult):
         """Labels of the receivers, the columns of the matrix."""
         return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
-    @property
-    def title(self) -> str:
-        """Title of two lines: evaluated scenes, number of episodes and physics."""
-        report = self._first_report
-        metadata, n = report.metadata, len(report.episodes)
-        return (
-            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
-        )
-
-    @property
-    def success_rates(self) -> list[list[float]]:
-        """Success rates (0..1), one row per giver and one column per receiver."""
-        return [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
-
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
 
@@ -119,7 +105,13 @@ class CrossPlay(TabularResult):
 
         write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
         write_atomically(folder / CROSSPLAY_CSV, self.to_csv())
-        picture = draw_heat_map(self.success_rates, self.givers, self.receivers, self.title)
+        rates = [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
+        report = self._first_report
+        metadata, n = report.metadata, len(report.episodes)
+        title = (
+            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
+        )
+        picture = draw_heat_map(rates, self.givers, self.receivers, title)
         write_atomically(folder / "crossplay.png", picture)
 
     def build_tables(self) -> list[ReportTable]:

@@ -19,7 +19,7 @@ def report(physics: str, ends: list[tuple[EpisodeStatus, int]]) -> Report:
         EpisodeResult(index, status, steps, 0.0, scene_id=100 + index, object_name="024_bowl", n_objects=1)
         for index, (status, steps) in enumerate(ends)
     )
-    return Report(settings, episodes, len(ends))
+    return Report(settings, episodes)
 
 
 @pytest.fixture

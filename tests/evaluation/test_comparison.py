@@ -85,8 +85,8 @@ def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     rows = found.build_tables()[0].rows
     assert [row[0] for row in rows] == ["success", "contact", "drop", "timeout", "AS"]
     assert [str(row[3]).split()[0] for row in rows[:4]] == ["+0.00", "+50.00", "+0.00", "-25.00"]
-    assert found.note.startswith("4 scenes that both folders have")
     sections = found.build_sections()
+    assert str(sections[1]).startswith("4 scenes that both folders have")
     assert sections[0] == f"A: {found.first.heading}\nB: {found.second.heading}"
     assert "Receiver mine" in found.first.heading
     assert handover_marl.compare(one, one).build_sections()[-2] == "Every scene has the same outcome."

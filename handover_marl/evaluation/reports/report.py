@@ -75,13 +75,11 @@ class Report(TabularResult):
     Attributes:
         metadata: Identity of the evaluation: policies, scenes, physics and versions.
         episodes: One result per scene, in the split's order.
-        n_split_scenes: Number of scenes in the whole split; fewer episodes make the report partial.
         n_resumed: Number of episodes that come from an earlier run in the same folder.
     """
 
     metadata: ResultMetadata
     episodes: tuple[EpisodeResult, ...]
-    n_split_scenes: int
     n_resumed: int = 0
 
     @property
@@ -111,7 +109,7 @@ class Report(TabularResult):
     @property
     def is_partial(self) -> bool:
         """Whether only a part of the split's scenes was evaluated."""
-        return len(self.episodes) < self.n_split_scenes
+        return len(self.episodes) < self.metadata.split_size
 
     @property
     def machine_label(self) -> str:
@@ -163,7 +161,7 @@ class Report(TabularResult):
         n = len(self.episodes)
         shard = self.metadata.shard.partition(" ")[0]
         if self.is_partial or shard:
-            return f"{n} of {self.n_split_scenes} scenes (partial{f', shard {shard}' if shard else ''})"
+            return f"{n} of {self.metadata.split_size} scenes (partial{f', shard {shard}' if shard else ''})"
         return f"all {n} scenes"
 
     def format_notes(self) -> str:
@@ -235,7 +233,7 @@ class Report(TabularResult):
             "machine": self.machine_label,
             "n_episodes": n,
             "n_resumed": self.n_resumed,
-            "n_split_scenes": self.n_split_scenes,
+            "n_split_scenes": self.metadata.split_size,
             "rates": {
                 flag.label: {
                     "rate": self.compute_rate(flag),
@@ -307,7 +305,7 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
                 f"{path}: {result.index:03d}.npz must have at most {longest} steps by the official rules, got "
                 f"{result.steps}; delete it and run the scene again"
             )
-    return Report(metadata, tuple(_add_scene_info(path, metadata, results)), size)
+    return Report(metadata, tuple(_add_scene_info(path, metadata, results)))
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:
