@@ -13,7 +13,6 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
-    compute_rate_difference,
     estimate_fluency,
 )
 from handover_marl.evaluation.reports.report import Report
@@ -31,6 +30,7 @@ from handover_marl.evaluation.reports.tables import (
     ReportTable,
     TabularResult,
     append_interval,
+    compute_paired_difference,
     compute_wilson_interval,
     format_csv,
     format_percent_difference,
@@ -173,10 +173,12 @@ class CrossPlay(TabularResult):
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
         """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
-        episodes, others = self.reports[pair].episodes, self.reports[baseline].episodes
-        statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
-        differences = [compute_rate_difference(episodes, others, status) for status in statuses]
-        return [len(episodes), *map(format_percent_difference, differences)]
+        sides = [self.reports[each].episodes for each in (pair, baseline)]
+        differences = [
+            compute_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
+            for status in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
+        ]
+        return [len(sides[0]), *map(format_percent_difference, differences)]
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))

@@ -123,7 +123,9 @@ class Report(TabularResult):
         name = format_dataset_title(self.metadata.dataset)
         counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
         models = sorted({episode.models for episode in self.episodes if episode.models})
-        return ", ".join(filter(None, (name, _describe_object_count(counts), " or ".join(models))))
+        ends = " to ".join(str(count) for count in dict.fromkeys((*counts[:1], *counts[-1:])))
+        objects = f"{ends} object{'' if counts == [1] else 's'} a scene" if counts else ""
+        return ", ".join(filter(None, (name, objects, " or ".join(models))))
 
     def count(self, status: EpisodeStatus) -> int:
         """Count the episodes with a status flag."""
@@ -267,13 +269,6 @@ def _format_published_row(row: PublishedResult) -> list[object]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [format_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
     return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]
-
-
-def _describe_object_count(counts: list[int]) -> str:
-    if not counts:
-        return ""
-    ends = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    return f"{ends} object{'' if counts == [1] else 's'} a scene"
 
 
 def evaluate(folder: str | os.PathLike[str]) -> Report:
