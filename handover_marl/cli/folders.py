@@ -162,7 +162,7 @@ def run_strangers_table(
         trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
+    from handover_marl.evaluation.strangers.protocol import make_leaderboard
 
     paths, names = _split_names(folders)
     leaderboard = make_leaderboard(paths, population, references, names, trust)

@@ -155,7 +155,7 @@ def run_evaluations(
                     results[remaining[number]] = result
                     show(result)
             episodes = tuple(results[task] for task in tasks)
-            reports.append(Report(metadata, episodes, metadata.split_size, len(tasks) - len(remaining)))
+            reports.append(Report(metadata, episodes, len(tasks) - len(remaining)))
             if folder is not None:
                 write_report(folder.path, reports[-1])
     return reports

@@ -50,16 +50,6 @@ class Comparison(TabularResult):
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 
-    @property
-    def note(self) -> str:
-        """Sentences on the number of compared scenes and the kinds of confidence intervals."""
-        return _NOTE.format(n=len(self.pairs))
-
-    @property
-    def changes(self) -> list[EpisodePair]:
-        """Pairs of results (A, B) of the scenes with different outcomes."""
-        return [(first, second) for first, second in self.pairs if first.status != second.status]
-
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""
         builders = (build_rate_table, build_difference_table, build_fluency_difference_table)
@@ -70,7 +60,7 @@ class Comparison(TabularResult):
         headings = f"A: {self.first.heading}\nB: {self.second.heading}"
         rates, differences, fluency = self.build_tables()
         changes = differences if differences.rows else "Every scene has the same outcome."
-        return [headings, self.note, rates, changes, fluency]
+        return [headings, _NOTE.format(n=len(self.pairs)), rates, changes, fluency]
 
 
 class Agreement(Comparison):

@@ -13,7 +13,6 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
-    compute_rate_difference,
     estimate_fluency,
 )
 from handover_marl.evaluation.reports.report import Report
@@ -31,6 +30,7 @@ from handover_marl.evaluation.reports.tables import (
     ReportTable,
     TabularResult,
     append_interval,
+    compute_paired_difference,
     compute_wilson_interval,
     format_csv,
     format_percent_difference,
@@ -71,20 +71,6 @@ class CrossPlay(TabularResult):
         """Labels of the receivers, the columns of the matrix."""
         return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
-    @property
-    def title(self) -> str:
-        """Title of two lines: evaluated scenes, number of episodes and physics."""
-        report = self._first_report
-        metadata, n = report.metadata, len(report.episodes)
-        return (
-            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
-        )
-
-    @property
-    def success_rates(self) -> list[list[float]]:
-        """Success rates (0..1), one row per giver and one column per receiver."""
-        return [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
-
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
 
@@ -119,7 +105,13 @@ class CrossPlay(TabularResult):
 
         write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
         write_atomically(folder / CROSSPLAY_CSV, self.to_csv())
-        picture = draw_heat_map(self.success_rates, self.givers, self.receivers, self.title)
+        rates = [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
+        report = self._first_report
+        metadata, n = report.metadata, len(report.episodes)
+        title = (
+            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
+        )
+        picture = draw_heat_map(rates, self.givers, self.receivers, title)
         write_atomically(folder / "crossplay.png", picture)
 
     def build_tables(self) -> list[ReportTable]:
@@ -181,10 +173,12 @@ class CrossPlay(TabularResult):
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
         """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
-        episodes, others = self.reports[pair].episodes, self.reports[baseline].episodes
-        statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
-        differences = [compute_rate_difference(episodes, others, status) for status in statuses]
-        return [len(episodes), *map(format_percent_difference, differences)]
+        sides = [self.reports[each].episodes for each in (pair, baseline)]
+        differences = [
+            compute_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
+            for status in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
+        ]
+        return [len(sides[0]), *map(format_percent_difference, differences)]
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))

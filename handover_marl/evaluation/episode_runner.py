@@ -90,7 +90,8 @@ class EpisodeRunner:
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
         check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
         self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
-        callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
+        recorders = [recorder for recorder, _ in self._recorders]
+        callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *recorders]
         try:
             run_episode(self.episode, receiver or self.receiver, self.giver, seed=self.config.seed, callbacks=callbacks)
         except (ActionError, OptionError, PolicyError) as error:
@@ -113,7 +114,7 @@ class EpisodeRunner:
             machine=self._machine,
             fluency=compute_fluency(self._trace_recorder.trace),
         )
-        return result, tuple(recorder.encode(result) for recorder in self._recorders)
+        return result, tuple(encode(result) for _, encode in self._recorders)
 
     def close(self) -> None:
         """Free the memory and the physics client of the simulation."""

@@ -61,7 +61,7 @@ def merge(
     if target.resolve() in [path.resolve() for path in paths]:
         raise ResultsError(f"{target} is one of the shards; choose another output folder")
     if any((path / CROSSPLAY_CSV).exists() for path in paths):
-        pairs = _read_pairs(paths)
+        pairs = _read_pairs(paths[0] / CROSSPLAY_CSV)
         reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
@@ -76,22 +76,15 @@ def merge(
     return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else report
 
 
-def _read_pairs(paths: Sequence[Path]) -> list[tuple[str, str]]:
-    """Read the labels (giver, receiver) of all pairs of a cross-play, whose shards have the same."""
-    tables = []
-    for path in paths:
-        try:
-            text = read_plain_file(path / CROSSPLAY_CSV).decode()
-            tables.append([(row["giver"], row["receiver"]) for row in csv.DictReader(io.StringIO(text, newline=""))])
-        except FileNotFoundError as error:
-            raise ResultsError(
-                f"{path / CROSSPLAY_CSV} does not exist: the cross-play is not finished; run the same command to resume"
-            ) from error
-        except (OSError, ValueError, KeyError, csv.Error) as error:
-            raise ResultsError(f"{path / CROSSPLAY_CSV}: not a cross-play table ({shorten_text(error)})") from error
-    if not tables[0] or any(pairs != tables[0] for pairs in tables):
-        raise ResultsError(f"{', '.join(map(str, paths))} must have the same policies in the same order")
-    return tables[0]
+def _read_pairs(path: Path) -> list[tuple[str, str]]:
+    """Read the labels (giver, receiver) of all pairs of a cross-play from its table."""
+    try:
+        text = read_plain_file(path).decode()
+        return [(row["giver"], row["receiver"]) for row in csv.DictReader(io.StringIO(text, newline=""))]
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise ResultsError(
+            f"{path}: not a cross-play table ({shorten_text(error)}); run the same command to resume"
+        ) from error
 
 
 def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str]) -> list[Report]:

@@ -55,7 +55,14 @@ class ReplayWriter(EpisodeWriter):
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
-        return _ReplayPageRecorder(config, receiver, self._include_successes)
+        recorder = ReplayRecorder(receiver)
+
+        def encode(result: EpisodeResult) -> bytes:
+            if result.success and not self._include_successes:
+                return b""
+            return build_replay_page(recorder.log, format_replay_facts(config, result.models or "")).encode()
+
+        return recorder, encode
 
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the page of an episode exists, or is not requested."""
@@ -64,17 +71,3 @@ class ReplayWriter(EpisodeWriter):
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the replay page of an episode."""
         return get_replay_path(self._folder, result.scene_id or 0)
-
-
-class _ReplayPageRecorder(ReplayRecorder, EpisodeRecorder):
-    """Recorder that encodes an episode as a replay page."""
-
-    def __init__(self, config: EvaluationConfig, receiver: Policy, include_successes: bool) -> None:
-        super().__init__(receiver)
-        self._config, self._include_successes = config, include_successes
-
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the HTML page; empty for an episode without a replay."""
-        if result.success and not self._include_successes:
-            return b""
-        return build_replay_page(self.log, format_replay_facts(self._config, result.models or "")).encode()

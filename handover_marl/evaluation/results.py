@@ -12,11 +12,11 @@ units are those of the episodes in `report.json`.
 import io
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import NoneType
-from typing import Any, get_args, get_type_hints
+from typing import Any, TypeAlias, get_args, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -117,16 +117,9 @@ _METRICS = tuple(field.name for field in fields(FluencyMetrics))
 _STATUSES = {EpisodeStatus(bits).label: bits for bits in range(1, 16)}
 
 
-class EpisodeRecorder(EpisodeCallback, ABC):
-    """Callback that records an episode while it is simulated and encodes it as one file."""
-
-    @abstractmethod
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the recording of the last episode as bytes; empty if no file is needed.
-
-        Args:
-            result: Outcome of that episode.
-        """
+#: Callback that records an episode while it is simulated, and function that encodes the last recording as one file,
+#: given the episode's result; empty if no file is needed.
+EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult], bytes]]
 
 
 class EpisodeWriter(ABC):
@@ -242,19 +235,12 @@ class ResultFolder(EpisodeWriter):
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of actions and policy times in one worker process."""
-        return _ResultRecorder()
+        recorder = ActionRecorder()
+        return recorder, lambda result: encode_result(result, recorder.actions, recorder.times)
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the official result file of a scene."""
         return get_result_path(self.path, result.index)
-
-
-class _ResultRecorder(ActionRecorder, EpisodeRecorder):
-    """Recorder of actions and policy times that encodes the official result file."""
-
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the content of the official result file (.npz)."""
-        return encode_result(result, self.actions, self.times)
 
 
 def encode_result(

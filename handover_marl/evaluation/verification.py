@@ -80,13 +80,11 @@ class Verification(TabularResult):
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
         differences: Values that differ: those of the folder, then those of the scenes in their order.
-        n_split_scenes: Number of scenes in the whole split.
     """
 
     metadata: ResultMetadata
     scenes: tuple[int, ...]
     differences: tuple[Difference, ...]
-    n_split_scenes: int
 
     @property
     def is_verified(self) -> bool:
@@ -101,7 +99,7 @@ class Verification(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build the description of what was verified, the table of differences and the conclusion."""
         metadata, n = self.metadata, len(self.scenes)
-        n_changed, n_absent = len(self.changed_scenes), self.n_split_scenes - n
+        n_changed, n_absent = len(self.changed_scenes), self.metadata.split_size - n
         n_folder = sum(each.scene_id is None for each in self.differences)
         rows = [
             ["folder" if each.scene_id is None else str(each.scene_id), each.key, each.stored, each.expected]
@@ -110,7 +108,7 @@ class Verification(TabularResult):
         return [
             f"{metadata.setup} {metadata.split}, {metadata.dataset}, receiver {metadata.receiver}, giver "
             f"{metadata.giver}, {metadata.physics} physics, handover_marl {metadata.version}: {n} of "
-            f"{self.n_split_scenes} scenes simulated again from their stored actions.",
+            f"{self.metadata.split_size} scenes simulated again from their stored actions.",
             "Not verified: planning times, and that the actions are those of the named receiver.",
             ""
             if metadata.version == __version__
@@ -119,7 +117,7 @@ class Verification(TabularResult):
             f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
             if rows
             else f"Verified: all {n} episodes are equal.",
-            f"{n_absent} of {self.n_split_scenes} scenes of the split were not simulated." if n_absent else "",
+            f"{n_absent} of {self.metadata.split_size} scenes of the split were not simulated." if n_absent else "",
         ]
 
 
@@ -219,7 +217,7 @@ def verify(
         *check_reports(path),
         *(each for check in checks for each in check),
     ]
-    return Verification(metadata, tuple(config.scenes or ()), tuple(differences), len(split))
+    return Verification(metadata, tuple(config.scenes or ()), tuple(differences))
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from PIL import ImageColor
 from scipy.spatial import cKDTree
 
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
@@ -42,6 +43,7 @@ _FINGER_CONTACT_RADIUS, _HAND_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.025
 # Largest number of triangles of a link of the robot and of other bodies; more make the page large without a visible
 # difference.
 _MAX_ROBOT_FACES, _MAX_FACES = 3000, 900
+_CLOUD_LABELS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 _LABEL_HEIGHT = 0.3  # m above the center of the goal region
 _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat shading
 # Viser hides the scene until its map of the surroundings, from which light comes, has been decoded.
@@ -207,7 +209,7 @@ class _Element:
 
 
 def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
-    color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else _rgb_from_html(LABEL_COLORS[link.label])
+    color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else ImageColor.getrgb(LABEL_COLORS[link.label])[:3]
     is_flat = len(link.mesh.faces) < _FLAT_SHADING_FACES
     mesh = (f"/{link.name}", link.mesh.vertices, link.mesh.faces)
     element = _Element(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
@@ -270,11 +272,10 @@ def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
     """Add the latest observed points of the object and of the person's hand."""
     snapshots, steps = [cloud.snapshot for cloud in log.clouds], np.array([cloud.step for cloud in log.clouds])
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
+    colors = {label: ImageColor.getrgb(LABEL_COLORS[label])[:3] for label in _CLOUD_LABELS}
     clouds = [
-        _add_points(
-            scene, f"/observed/{label.name.lower()}", _rgb_from_html(LABEL_COLORS[label]), 2 * _CLOUD_POINT_RADIUS
-        )
-        for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+        _add_points(scene, f"/observed/{label.name.lower()}", color, 2 * _CLOUD_POINT_RADIUS)
+        for label, color in colors.items()
     ]
 
     def show(index: int, frame: ReplayFrame) -> None:
@@ -319,10 +320,6 @@ def _quantize(values: Array, step: float) -> Array:
 
 def _html_from_rgb(color: Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-def _rgb_from_html(html: str) -> Color:
-    return int(html[1:3], 16), int(html[3:5], 16), int(html[5:7], 16)
 
 
 def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:

@@ -50,14 +50,6 @@ def test_error_messages(arguments: list[str], message: str, capsys: pytest.Captu
     assert not printed.out
 
 
-def test_malformed_scene_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["benchmark", "--scenes", "1,x"])
-    assert ended.value.code == 2
-    printed = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "--scenes: must be numbers separated by spaces or commas, such as 209,214, got '1,x'" in printed
-
-
 def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

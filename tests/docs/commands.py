@@ -38,7 +38,7 @@ TARGETS = (
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.render_plan",
     "handover_marl.evaluation.rendering.render_scene",
-    "handover_marl.evaluation.strangers.leaderboard.make_leaderboard",
+    "handover_marl.evaluation.strangers.protocol.make_leaderboard",
     "handover_marl.evaluation.strangers.protocol.strangers",
     "handover_marl.evaluation.strangers.protocol.update_references",
     "handover_marl.evaluation.verification.verify",

@@ -184,7 +184,7 @@ def sample_report(physics: str = "exact", *statuses: int) -> Report:
     metadata = dataclasses.replace(stored.metadata, physics=physics)
     episodes = zip(stored.episodes, statuses or (1, 2), strict=True)
     ended = tuple(dataclasses.replace(episode, status=EpisodeStatus(status)) for episode, status in episodes)
-    return Report(metadata, ended, stored.n_split_scenes)
+    return Report(metadata, ended)
 
 
 def sample_crossplay() -> CrossPlay:
@@ -231,7 +231,7 @@ def test_every_printed_column_is_documented() -> None:
     first, other = sample_report(), sample_report("fast", 2, 1)
     compared = Comparison(first, other)
     page = render_report_page(first)
-    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),), 144)).split("\n\n")
+    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),))).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
     tables = [
         *first.build_tables(),

@@ -54,7 +54,7 @@ def make_report() -> Report:
         fluency = FluencyMetrics(**metrics | {"gripper_jerk": None})
         episodes.append(EpisodeResult(index, status, 4000 + index, 0.5 + index, scene, fluency=fluency, **known))
     metadata = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "1.0")
-    return Report(metadata, tuple(episodes), metadata.split_size)
+    return Report(metadata, tuple(episodes))
 
 
 def write_results(path: Path) -> Path:

@@ -284,15 +284,3 @@ def test_scenes_of_a_shard_are_stable_and_mixed() -> None:
     for count in (6, 9, 18):
         objects = Counter(scene // 5 % 20 for scene in select_shard(f"1/{count}", scenes))
         assert len(objects) >= min(6, len(scenes) // count - 2)
-
-
-@pytest.mark.parametrize(
-    ("shard", "message"),
-    [
-        *((shard, "shard must be a number and a count") for shard in ("", "3", "0/4", "5/4", " 1/4", "1/4 of 9", 3)),
-        ("2/3", "shard 2/3 needs 3 scenes or more, got 2; take fewer shards"),
-    ],
-)
-def test_invalid_shards(shard: Any, message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        select_shard(shard, [9, 14])

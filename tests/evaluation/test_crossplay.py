@@ -8,7 +8,6 @@ from PIL import Image
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.evaluation.crossplay import format_pair_folder
 
 SCENES = "9"
 
@@ -43,11 +42,3 @@ def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_
     for givers in ([], None, 5):
         with pytest.raises(OptionError, match="givers must name at least one giver, got"):
             handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("letter", ["x", "é"])
-def test_folders_of_long_labels_are_short_and_differ(letter: str) -> None:
-    assert format_pair_folder(("noisy:rate=0", "hold")) == "noisy_rate=0-hold"
-    names = [format_pair_folder((letter * 300, f"reactive:wait={number}")) for number in range(2)]
-    assert len(set(names)) == 2
-    assert all(len(name.encode()) < 255 for name in names)

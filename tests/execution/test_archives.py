@@ -50,8 +50,6 @@ def contents(source: Path) -> dict[str, bytes]:
     [
         lambda path: tar(path / "a.tar", "w"),
         lambda path: tar(path / "a.tar.gz", "w:gz"),
-        lambda path: tar(path / "a.tar.bz2", "w:bz2"),
-        lambda path: tar(path / "a.tar.xz", "w:xz"),
         lambda path: tar(path / "called otherwise", "w:gz"),
         lambda path: zipped(path / "a.zip"),
         lambda path: folder(path / "unpacked"),

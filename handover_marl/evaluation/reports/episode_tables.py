@@ -62,23 +62,6 @@ def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     return ReportTable(["object name", *(column.title for column in (N_EPISODES, RATES[0], *COUNTS[1:]))], rows)
 
 
-def compute_rate_difference(
-    first: Iterable[EpisodeResult], second: Iterable[EpisodeResult], flag: EpisodeStatus
-) -> tuple[float, float, float]:
-    """Compute the difference of an outcome's rates in two evaluations of the same scenes.
-
-    Args:
-        first: Results whose rate is the minuend.
-        second: Results of the same scenes, whose rate is subtracted.
-        flag: Outcome whose rates are compared, e.g. success.
-
-    Returns:
-        Difference, lower and upper end of its 95 % interval (-1..1).
-    """
-    flags = ([bool(episode.status & flag) for episode in episodes] for episodes in (first, second))
-    return compute_paired_difference(*flags)
-
-
 def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> ReportTable:
     """Build the table of outcome rates and AS of two evaluations and of their differences.
 
@@ -90,7 +73,7 @@ def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> Re
     rows: list[list[object]] = []
     for flag in REPORTED_STATUSES:
         cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
-        difference = compute_rate_difference(sides[0], sides[1], flag)
+        difference = compute_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
         rows.append([flag.label, *cells, format_percent_difference(difference, digits=2), n])
     scores = [[result.speed_score for result in side] for side in sides]
     gains = [first - second for first, second in zip(*scores, strict=True)]

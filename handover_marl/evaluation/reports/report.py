@@ -75,13 +75,11 @@ class Report(TabularResult):
     Attributes:
         metadata: Identity of the evaluation: policies, scenes, physics and versions.
         episodes: One result per scene, in the split's order.
-        n_split_scenes: Number of scenes in the whole split; fewer episodes make the report partial.
         n_resumed: Number of episodes that come from an earlier run in the same folder.
     """
 
     metadata: ResultMetadata
     episodes: tuple[EpisodeResult, ...]
-    n_split_scenes: int
     n_resumed: int = 0
 
     @property
@@ -111,7 +109,7 @@ class Report(TabularResult):
     @property
     def is_partial(self) -> bool:
         """Whether only a part of the split's scenes was evaluated."""
-        return len(self.episodes) < self.n_split_scenes
+        return len(self.episodes) < self.metadata.split_size
 
     @property
     def machine_label(self) -> str:
@@ -125,7 +123,9 @@ class Report(TabularResult):
         name = format_dataset_title(self.metadata.dataset)
         counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
         models = sorted({episode.models for episode in self.episodes if episode.models})
-        return ", ".join(filter(None, (name, _describe_object_count(counts), " or ".join(models))))
+        ends = " to ".join(str(count) for count in dict.fromkeys((*counts[:1], *counts[-1:])))
+        objects = f"{ends} object{'' if counts == [1] else 's'} a scene" if counts else ""
+        return ", ".join(filter(None, (name, objects, " or ".join(models))))
 
     def count(self, status: EpisodeStatus) -> int:
         """Count the episodes with a status flag."""
@@ -163,7 +163,7 @@ class Report(TabularResult):
         n = len(self.episodes)
         shard = self.metadata.shard.partition(" ")[0]
         if self.is_partial or shard:
-            return f"{n} of {self.n_split_scenes} scenes (partial{f', shard {shard}' if shard else ''})"
+            return f"{n} of {self.metadata.split_size} scenes (partial{f', shard {shard}' if shard else ''})"
         return f"all {n} scenes"
 
     def format_notes(self) -> str:
@@ -235,7 +235,7 @@ class Report(TabularResult):
             "machine": self.machine_label,
             "n_episodes": n,
             "n_resumed": self.n_resumed,
-            "n_split_scenes": self.n_split_scenes,
+            "n_split_scenes": self.metadata.split_size,
             "rates": {
                 flag.label: {
                     "rate": self.compute_rate(flag),
@@ -271,13 +271,6 @@ def _format_published_row(row: PublishedResult) -> list[object]:
     return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]
 
 
-def _describe_object_count(counts: list[int]) -> str:
-    if not counts:
-        return ""
-    ends = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    return f"{ends} object{'' if counts == [1] else 's'} a scene"
-
-
 def evaluate(folder: str | os.PathLike[str]) -> Report:
     """Compute the metrics of an official result folder, of this library or of HandoverSim, or of an episode file.
 
@@ -307,7 +300,7 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
                 f"{path}: {result.index:03d}.npz must have at most {longest} steps by the official rules, got "
                 f"{result.steps}; delete it and run the scene again"
             )
-    return Report(metadata, tuple(_add_scene_info(path, metadata, results)), size)
+    return Report(metadata, tuple(_add_scene_info(path, metadata, results)))
 
 
 def format_report_files(folder: Path, report: Report) -> dict[str, str]:

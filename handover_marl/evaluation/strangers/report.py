@@ -183,10 +183,6 @@ class StrangersReport(TabularResult):
         write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
         write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
-    def collect_episodes(self, partner: Partner) -> list[EpisodeResult]:
-        """Return the episodes of all policies with a partner."""
-        return [episode for policy in self.policies for episode in self.reports[policy, partner.name].episodes]
-
     def _collect(self, measure: Callable[[EpisodeResult], float]) -> Array:
         return np.array(
             [[[measure(each) for each in self.reports[policy, partner.name].episodes] for partner in self.partners]
@@ -234,8 +230,8 @@ class StrangersReport(TabularResult):
     def _build_partner_table(self) -> ReportTable:
         rows = []
         for number, partner in enumerate(self.partners):
-            episodes, means = self.collect_episodes(partner), estimate_fluency(self.collect_episodes(partner))
-            n = len(episodes)
+            episodes = [each for policy in self.policies for each in self.reports[policy, partner.name].episodes]
+            n, means = len(episodes), estimate_fluency(episodes)
             counts = [int(flags[:, number].sum()) for flags in (self.successes, self.contacts)]
             cells = [
                 *(format_percent_rate(count, n) for count in counts),

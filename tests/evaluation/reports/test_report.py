@@ -17,7 +17,7 @@ def episode(index: int, status: int, steps: int = 5000, plan: float = 0.1, **ext
 
 def report(*statuses: int, **settings: str) -> Report:
     episodes = tuple(episode(index, status) for index, status in enumerate(statuses))
-    return Report(ResultMetadata(**{**SETTINGS.__dict__, **settings}), episodes, 144)
+    return Report(ResultMetadata(**{**SETTINGS.__dict__, **settings}), episodes)
 
 
 def cells(text: str, start: str, *titles: str) -> list[str]:
@@ -41,7 +41,7 @@ def test_official_metrics() -> None:
         episode(3, 2 | 4, 200, 9.0),
         episode(4, 8, 13000, 9.0),
     )
-    found = Report(SETTINGS, episodes, 144)
+    found = Report(SETTINGS, episodes)
     assert [found.compute_rate(EpisodeStatus(bit)) for bit in (1, 2, 4, 8)] == [0.4, 0.4, 0.2, 0.2]
     means = [found.official_means[key].mean for key in ("exec_s", "plan_s", "total_s")]
     assert means == pytest.approx([5.0, 0.3, 5.3])
@@ -81,7 +81,7 @@ def test_breakdown_by_object() -> None:
     # Ten episodes with the mug: one success, two contacts, three drops and four timeouts.
     statuses = (1, 2, 2, 4, 4, 4, 8, 8, 8, 8)
     mugs = tuple(episode(index, status, object_name="025_mug") for index, status in enumerate(statuses))
-    lines = str(Report(SETTINGS, (*mugs, episode(10, 1)), 144)).splitlines()
+    lines = str(Report(SETTINGS, (*mugs, episode(10, 1)))).splitlines()
     mug = next(number for number, line in enumerate(lines) if "025_mug" in line)
     header = next(line for line in reversed(lines[:mug]) if "object name" in line)
     cells = {title.strip(): cell.strip() for title, cell in zip(header.split("|"), lines[mug].split("|"), strict=True)}
@@ -91,7 +91,7 @@ def test_breakdown_by_object() -> None:
 
 def test_average_success_rewards_speed() -> None:
     episodes = (episode(0, 1, 2600), episode(1, 1, 13000), episode(2, 2, 100), episode(3, 8, 13000))
-    found = Report(SETTINGS, episodes, 144)
+    found = Report(SETTINGS, episodes)
     assert found.average_success == pytest.approx((0.8 + 0.0) / 4)
     assert found.to_json()["AS"]["mean"] == found.average_success  # type: ignore[index]
 
@@ -109,7 +109,7 @@ def test_tables_show_average_success_and_wait() -> None:
 
 def test_intervals_of_times_are_in_seconds() -> None:
     """Intervals of two times are their range in seconds; the table has no interval of the total time."""
-    found = Report(SETTINGS, (episode(0, 1, 4000, 0.25), episode(1, 1, 6000, 0.5)), 144)
+    found = Report(SETTINGS, (episode(0, 1, 4000, 0.25), episode(1, 1, 6000, 0.5)))
     titles = ("AS %", "exec s", "plan s", "total s")
     assert cells(str(found), "mine", *titles) == ["61.54", "5.000", "0.375", "5.375"]
     expected = ["53.8 to 69.2", "4.000 to 6.000", "0.250 to 0.500", "-"]

@@ -13,9 +13,8 @@ from handover_marl.cli import main
 from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
-from handover_marl.evaluation.strangers import leaderboard
-from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
-from handover_marl.evaluation.strangers.protocol import update_references
+from handover_marl.evaluation.strangers import protocol
+from handover_marl.evaluation.strangers.protocol import make_leaderboard, update_references
 from handover_marl.evaluation.strangers.report import StrangersReport, read_report
 from handover_marl.policies.populations import POPULATION_FOLDER
 from tests.evaluation.strangers.populations import write_population
@@ -117,10 +116,10 @@ def change(report: StrangersReport, **changes: Any) -> StrangersReport:
 
 def make_changed_leaderboard(
     monkeypatch: pytest.MonkeyPatch, evaluated: Path, population: Path, **changes: Any
-) -> leaderboard.Leaderboard:
+) -> protocol.Leaderboard:
     """Make a leaderboard of an evaluation and the same one with changes."""
     reports = iter([read_report(evaluated), change(read_report(evaluated), **changes)])
-    monkeypatch.setattr(leaderboard, "read_report", lambda path: next(reports))
+    monkeypatch.setattr(protocol, "read_report", lambda path: next(reports))
     return make_leaderboard([evaluated, evaluated], population, names=["one", "other"])
 
 
@@ -144,7 +143,7 @@ def test_both_splits_of_a_method_are_side_by_side(
     monkeypatch: pytest.MonkeyPatch, evaluated: Path, population: Path
 ) -> None:
     reports = iter([change(read_report(evaluated), split=split) for split in ("val", "val", "test", "test")])
-    monkeypatch.setattr(leaderboard, "read_report", lambda path: next(reports))
+    monkeypatch.setattr(protocol, "read_report", lambda path: next(reports))
     table = make_leaderboard([evaluated] * 4, population, names=["one", "other", "other", "one"])
     scores, differences, families = table.build_tables()
     assert [row[:2] for row in scores.rows] == [["one", "val"], ["one", "test"], ["other", "val"], ["other", "test"]]

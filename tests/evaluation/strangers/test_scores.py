@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers.scores import (
-    compute_interquartile_mean,
     compute_largest,
     compute_mean,
     compute_proximities,
@@ -79,7 +78,7 @@ def test_partners_with_whom_nothing_succeeds_count_as_reached() -> None:
 
 
 def test_interquartile_means_ignore_the_ends() -> None:
-    assert compute_interquartile_mean([-100.0, 1.0, 2.0, 100.0]) == 1.5
+    assert compute_proximity(np.array([[-100.0, 1.0, 2.0, 100.0]]), np.ones(4)) == 1.5
 
 
 def measure_width(scores: np.ndarray, families: list[str] | None) -> float:

@@ -1,5 +1,6 @@
-"""Tests of pictures of the wrist camera's view."""
+"""Tests of pictures of the wrist camera's view, and of heat maps."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.visualization.figures import draw_wrist_view
+from handover_marl.visualization.figures import draw_heat_map, draw_wrist_view
 
 CAMERA = CameraConfig(width=320, height=240)
 COMMAND = ["render", "--scene", "209", "--dataset", "synthetic", "--view", "wrist", "--no-progress"]
@@ -43,3 +44,14 @@ def test_render_command_wrist_view(tmp_path: Path, capsys: pytest.CaptureFixture
     assert str(out) in capsys.readouterr().out
     with Image.open(out) as image:
         assert image.size == (2 * 160, 120 + 160 // 3 - 1)
+
+
+LONG = "cooperative:" + ",".join(f"option_{number}=0.123" for number in range(30))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("rows", "columns"), [(["replay", LONG], ["hold"]), (["replay", "noisy"], [LONG])])
+def test_long_names_are_wrapped_and_cut_off(rows: list[str], columns: list[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    picture = Image.open(io.BytesIO(draw_heat_map([[0.5], [1.0]], rows, columns, "title")))
+    assert max(picture.size) < 1500
