@@ -10,7 +10,7 @@ from handover_marl import givers
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.givers.array_giver import make_giver_batch
-from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import Action, make_giver_action
 from tests.givers.test_givers import seen
