@@ -17,7 +17,6 @@ from handover_marl.geometry.poses import compose
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
-from handover_marl.receivers.point_cloud_memory import PointCloudMemoryConfig
 from handover_marl.testing import check_receiver
 
 Array = npt.NDArray[np.float64]
@@ -240,7 +239,6 @@ def test_max_steps_of_weights() -> None:
     assert isinstance(own, GaddpgReceiver)
     assert isinstance(fewer, GaddpgReceiver)
     assert (own.memory.remaining, fewer.memory.remaining) == (30, 12)
-    assert GaddpgReceiver(CONTEXT, memory=PointCloudMemoryConfig(max_steps=9)).memory.remaining == 9
     assert GaddpgReceiver(CONTEXT, network=scaled_step).memory.remaining == 20
 
 

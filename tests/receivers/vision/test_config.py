@@ -6,7 +6,6 @@ from collections.abc import Callable
 import pytest
 
 from handover_marl.errors import OptionError
-from handover_marl.receivers.point_cloud_memory import PointCloudMemoryConfig
 from handover_marl.receivers.vision.config import GraspTrackerConfig, VisionConfig, make_vision_reactive_config
 from handover_marl.receivers.vision.finger_clearance import FingerGeometry
 from handover_marl.receivers.vision.object_tracking import FilterGains
@@ -25,7 +24,6 @@ from handover_marl.receivers.vision.object_tracking import FilterGains
         (lambda: VisionConfig(release_delay=-0.1), "release_delay of VisionConfig"),
         (lambda: FingerGeometry(tip_z=-0.1), "tip_z of FingerGeometry"),
         (lambda: FilterGains(0.5, 0.1, 1.1), "grasp of FilterGains"),
-        (lambda: PointCloudMemoryConfig(thinning=1.5), "thinning of PointCloudMemoryConfig"),
     ],
 )
 def test_values_without_meaning(make: Callable[[], object], name: str) -> None:
