@@ -17,9 +17,8 @@ from handover_marl.planning.collision_avoidance import (
     select_safe_velocity,
 )
 from handover_marl.policies.policy import Action
-from handover_marl.receivers.reactive.reachability import HOME
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
+from handover_marl.receivers.reactive.selector import HOME, GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 

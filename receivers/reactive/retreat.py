@@ -16,7 +16,7 @@ from handover_marl.planning.clearance import (
     compute_open_gripper_clearances,
 )
 from handover_marl.receivers.reactive.config import RetreatConfig
-from handover_marl.receivers.reactive.reachability import HOME, IK_SEEDS
+from handover_marl.receivers.reactive.selector import HOME, IK_SEEDS
 
 Array = npt.NDArray[np.float64]
 

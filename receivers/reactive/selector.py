@@ -8,19 +8,46 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.arrays import Indices
-from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_arm_clearances,
+    compute_grasp_clearances,
+    compute_gripper_corners,
+    compute_lowest_heights,
+)
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps
-from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOME, IK_SEEDS, GraspReachability
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
 Array = npt.NDArray[np.float64]
 
+HOME = np.array(WAITING_JOINTS[:7])
+#: Configurations at which inverse kinematics starts: a greedy cover of what the arm reaches quickly
+#: from its waiting pose.
+IK_SEEDS = np.array(
+    [
+        HOME,
+        (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797),
+        (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02),
+    ]
+)
+#: Further configurations that are used where none of `IK_SEEDS` has led to a grasp.
+FALLBACK_IK_SEEDS = np.array(
+    [
+        (0.641, -1.612, -0.197, -2.53, -0.095, 1.678, 0.587),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 1.678, -0.913),
+        (-0.059, -1.612, -1.097, -2.53, -0.095, 1.678, 0.587),
+        (0.7, 0.2, 0.0, -2.0, 0.0, 2.2, 0.785),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 0.878, 0.587),
+        (2.0, 0.23, -2.85, -1.69, 0.056, 1.46, -1.27),
+    ]
+)
+_STANDOFF_ITERATIONS, _GRASP_ITERATIONS = 12, 6
 _NO_HAND_CLEARANCE = 0.2  # m
 # Cost that no sum of other costs reaches: the grasp must not be selected (s).
 _FORBIDDEN = 100.0
@@ -65,7 +92,7 @@ class GraspSelector:
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
         self._arm, self._speeds, self._config, self._receiver_config = arm, speeds, config.selection, config
-        self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
+        self._grasp_from_standoff = np.array([0.0, 0.0, -config.approach.standoff, 0.0, 0.0, 0.0, 1.0])
         self._home_rotation = Rotation.from_quat(arm.compute_hand_pose(HOME)[3:])
         self.reset()
 
@@ -143,7 +170,7 @@ class GraspSelector:
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
-        return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
+        return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
         """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
@@ -193,7 +220,7 @@ class GraspSelector:
         costs: Array = self._hold_costs + config.rotation_cost * rotations + config.clearance_cost * missing
         relaxed = config.min_clearance - config.clearance_relaxation * self._relaxing_time
         costs[clearances < max(config.hard_min_clearance, relaxed)] += _FORBIDDEN
-        poses = (world, compose(world, self._reachability.grasp_from_standoff))
+        poses = (world, compose(world, self._grasp_from_standoff))
         heights = np.minimum(*(compute_gripper_corners(pose)[..., 2].min(axis=1) for pose in poses))
         costs[heights < TABLE_HEIGHT + config.table_clearance] += _FORBIDDEN
         for number, until in self.failed.items():
@@ -226,12 +253,50 @@ class GraspSelector:
         """Return the costs (k,) in s without those of paths, and joints (k, 7) at standoffs and grasps."""
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
-        reach = self._reachability
-        standoffs, goals, is_reached = reach.solve(world, joints, previous, self._batch > 0)
-        costs = rough + reach.compute_travel_times(standoffs, joints)
-        costs = costs + reach.compute_limit_margin_costs(standoffs, goals)
-        costs[~(is_reached & reach.is_arm_clear(goals, bodies))] += _FORBIDDEN
+        standoffs, goals, is_reached = self._solve_ik(world, joints, previous, self._batch > 0)
+        costs = rough + self._compute_travel_times(standoffs, joints)
+        costs = costs + self._compute_limit_margin_costs(standoffs, goals)
+        costs[~(is_reached & self._is_arm_clear(goals, bodies))] += _FORBIDDEN
         return costs, standoffs, goals
+
+    def _solve_ik(
+        self, grasps: Array, joints: Array, previous: Array | None, use_fallback: bool
+    ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Solve inverse kinematics of grasps (n, 7) of the hand link and their standoffs from several seeds.
+
+        For each grasp, the solution that the arm at `joints` reaches soonest is returned: configurations (n, 7)
+        in rad at the standoffs and at the grasps, and whether they exist (n,). Searches also start at the
+        `previous` configuration, if any, and at the fallback ones, if wanted.
+        """
+        seeds = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS]) if use_fallback else IK_SEEDS
+        if previous is not None:
+            seeds = np.concatenate([previous[None], seeds])
+        count, copies = len(grasps), len(seeds)
+        poses = np.tile(grasps, (copies, 1))
+        standoff_poses = compose(poses, self._grasp_from_standoff)
+        standoffs, found = self._arm.solve(standoff_poses, np.repeat(seeds, count, axis=0), _STANDOFF_ITERATIONS)
+        goals, is_goal_found = self._arm.solve(poses, standoffs, _GRASP_ITERATIONS)
+        found &= is_goal_found & (np.abs(goals - standoffs).max(axis=1) < self._config.max_joint_change)
+        times = np.where(found, self._compute_travel_times(standoffs, joints), np.inf).reshape(copies, count)
+        best = np.argmin(times, axis=0) * count + np.arange(count)
+        return standoffs[best], goals[best], found[best]
+
+    def _compute_travel_times(self, standoffs: Array, joints: Array) -> Array:
+        """Return the travel times (n,) in s of the arm from joints (7,) to standoff configurations (n, 7)."""
+        return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
+
+    def _compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
+        """Return the costs (n,) in s of grasps whose configurations (n, 7) are close to joint limits."""
+        low, high = self._arm.limits
+        margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
+        missing = np.maximum(0.0, self._config.desired_limit_margin - margins)
+        return np.asarray(self._config.limit_margin_cost * missing)
+
+    def _is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
+        """Return whether (n,) forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
+        is_clear = compute_arm_clearances(self._arm, goals, bodies) > self._config.arm_clearance
+        lowest = compute_lowest_heights(self._arm, goals)
+        return np.asarray(is_clear & (lowest > TABLE_HEIGHT + self._config.table_clearance))
 
     def _choose_with_hysteresis(
         self, numbers: Indices, costs: Array, standoffs: Array, joints: Array, obstacles: PathObstacles, is_near: bool

@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from handover_marl.receivers.vision.finger_clearance import FingerGeometry, shift_to_avoid_collisions
+from handover_marl.receivers.vision.grasp_tracker import COLLISION_COST, SHIFT_COST, shift_to_avoid_collisions
 
 Array = NDArray[np.float64]
 
-FINGERS = FingerGeometry()
 STRAIGHT = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
@@ -26,10 +25,10 @@ def test_fitting_object_needs_no_shift() -> None:
 def test_asymmetric_object_shifts_the_grasp(offset: float, shift: float) -> None:
     grasps, costs = shift_to_avoid_collisions(STRAIGHT[None], bar(0.066, offset))
     np.testing.assert_allclose(grasps[0, :3], [0.0, shift, 0.0])
-    np.testing.assert_allclose(costs, FINGERS.shift_cost * abs(shift))
+    np.testing.assert_allclose(costs, SHIFT_COST * abs(shift))
 
 
 def test_wide_object_costs_by_depth() -> None:
     shallow, deep = (shift_to_avoid_collisions(STRAIGHT[None], bar(0.1, near=near))[1][0] for near in (0.1, 0.06))
-    assert deep - shallow == pytest.approx(FINGERS.collision_cost * 0.04)
+    assert deep - shallow == pytest.approx(COLLISION_COST * 0.04)
     assert shallow > 0.3
