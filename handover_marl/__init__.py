@@ -30,7 +30,7 @@ _NAMES = {
     "envs.constructors": ("benchmark_env", "env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),
     "envs.handover_env": ("HandoverEnv",),
-    "envs.reward_terms": ("TermWeights",),
+    "envs.rewards": ("TermWeights",),
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),

@@ -19,7 +19,7 @@ from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
-from handover_marl.episode.metrics.motion_trace import TraceRecorder
+from handover_marl.episode.metrics.motion import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.receivers.hold import HoldReceiver
 
 pytestmark = pytest.mark.slow

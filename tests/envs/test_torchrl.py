@@ -22,7 +22,7 @@ def test_the_two_agent_environment(rewards: str) -> None:
     # Random actions may end an episode before it is cut off.
     assert rollout.shape[0] == 10 or rollout["next", "receiver", "done"][-1].all()
     assert rollout.shape[0] <= 10
-    assert ("next", "receiver", "info", "reward/task") in rollout.keys(True)
+    assert ("next", "receiver", "info", "reward/success") in rollout.keys(True)
     env.close()
 
 

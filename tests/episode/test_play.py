@@ -14,7 +14,7 @@ from handover_marl.episode import loop
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed, run_episode
-from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver

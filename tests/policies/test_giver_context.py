@@ -6,7 +6,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
 from handover_marl.givers import Giver, PolicyContext, make_policy_context
-from handover_marl.givers.replay import ReplayGiver
+from handover_marl.givers.variations import ReplayGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, parse_policy
 

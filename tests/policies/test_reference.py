@@ -21,7 +21,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import DataNotFoundError, OptionError, PolicyError, UnknownNameError
 from handover_marl.givers import Action, Giver, make_giver_action
-from handover_marl.givers.replay import ReplayGiver
+from handover_marl.givers.variations import ReplayGiver
 from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE, LearnedPolicy
 from handover_marl.policies import registry
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list
@@ -358,7 +358,7 @@ def test_options_added_to_a_resolved_reference() -> None:
 
 PACKAGE = {
     "__init__.py": "",
-    "policy.py": "from handover_marl.givers.replay import ReplayGiver\nfrom own_package.helping import HELP\n\n"
+    "policy.py": "from handover_marl.givers.variations import ReplayGiver\nfrom own_package.helping import HELP\n\n"
     "class Own(ReplayGiver):\n    name = 'own'\n    def act(self, observation):\n        return HELP()\n",
     "helping.py": "from own_package import deeper\n\ndef HELP():\n    return deeper.VALUE\n",
     "deeper.py": "VALUE = 1\n",

@@ -28,7 +28,7 @@ from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_popu
 MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
-from handover_marl.givers.timing import HurriedGiver
+from handover_marl.givers.variations import HurriedGiver
 from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.receivers.hold import HoldReceiver
 

@@ -201,7 +201,7 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
         ({"renderer": "bullet"}, "renderer must be 'rays' with backend='warp', got 'bullet'; use backend='threads'"),
         (
             {"rewards": combine_rewards("sparse")},
-            "rewards must be preset rewards or TermWeights with a camera",
+            "rewards must be weights of the library's terms with a camera",
         ),
         ({"schemes": move, "features": count_points}, "the action scheme must be a built-in one with a camera"),
         ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "the partner must not use the camera with"),

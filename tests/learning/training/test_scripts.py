@@ -104,7 +104,7 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     args |= {"features": f"{own}:OffsetAndCount", "actions": f"{own}:FirstJoint"}
     train.main(train.Args(**args, decisions=16))
     assert files(tmp_path / "run") == MADE
-    terms = [*vars(SHAPED.receiver), "approach"]
+    terms = [*SHAPED.receiver, "approach"]
     means = [read_column(tmp_path / "run" / "progress.csv", f"rewards/{term}") for term in terms]
     assert any(float(mean) for means_of_term in means for mean in means_of_term if mean)
     train.main(train.Args(**args, decisions=24, resume=True))

@@ -25,7 +25,7 @@ from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, IK_SEEDS
+from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera

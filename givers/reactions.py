@@ -1,13 +1,16 @@
-"""Giver that helps the robot, and a schedule that varies the handover pose while the robot stays away."""
+"""Givers that react to the robot: that help it, wait for it, withdraw from it or release the object early."""
 
 import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
-from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points
+from handover_marl.geometry.panda import FINGERTIPS
+from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points, transform_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
 from handover_marl.policies.batch import Actions
@@ -190,3 +193,125 @@ class CooperativeGiver(ArrayGiver):
         withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
         self._withdrawn[rows] = self._arrays.xp.where(begins[:, None], withdrawal, self._withdrawn[rows])
         self._is_withdrawn[rows] |= begins
+
+
+@dataclass(frozen=True)
+class StopWhenNearConfig(CheckedConfig):
+    """Configuration of `StopWhenNearGiver`.
+
+    Attributes:
+        distance: Distance from the Panda's hand link to the object's origin below which the recording pauses (m).
+    """
+
+    distance: float = bounded(0.35, 0.0, 1.5)
+
+
+class StopWhenNearGiver(ArrayGiver):
+    """Giver that pauses the recording while the gripper is near the object.
+
+    GenH2R has such a giver (Wang et al., CVPR 2024).
+    """
+
+    name = "stop_when_near"
+    default_config = StopWhenNearConfig()
+    config: StopWhenNearConfig
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        return self.make_pauses(rows, compute_gripper_object_distances(observation) < self.config.distance)
+
+
+@dataclass(frozen=True)
+class WithdrawingConfig(CheckedConfig):
+    """Configuration of `WithdrawingGiver`.
+
+    Attributes:
+        max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
+        max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
+        withdrawal: Distance by which the hand withdraws (m).
+        return_after: Time after which the hand returns, unless the gripper approaches fast (s).
+    """
+
+    max_speed: float = bounded(0.25, 0.0, 2.0)
+    max_distance: float = bounded(0.45, 0.0, 1.5)
+    withdrawal: float = bounded(0.15, 0.0, 0.3)
+    return_after: float = bounded(0.8, 0.0, 13.0)
+
+
+class WithdrawingGiver(ArrayGiver):
+    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
+
+    name = "withdrawing"
+    default_config = WithdrawingConfig()
+    config: WithdrawingConfig
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._last_distance, self._until = arrays.full(count, math.nan), arrays.full(count, -1.0)
+        self._displacement = arrays.zeros((count, 3))
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without deviation from the recording."""
+        self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        distance = widen(compute_lengths(away))
+        speed = (self._last_distance[rows] - distance) / self.control_period
+        self._last_distance[rows] = distance
+        # Before the second decision the speed is nan, which is not above the limit.
+        is_present = observation["hand_present"][:, 0] != 0.0
+        withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
+        until = xp.where(withdraws, now + config.return_after, self._until[rows])
+        withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        displacement = xp.where(withdraws[:, None], withdrawal, self._displacement[rows])
+        self._until[rows], self._displacement[rows] = until, displacement
+        return self.make_actions(rows, displacement=xp.where((now < until)[:, None], displacement, 0.0))
+
+
+@dataclass(frozen=True)
+class EarlyReleaseConfig(CheckedConfig):
+    """Configuration of `EarlyReleaseGiver`.
+
+    Attributes:
+        distance: Distance from the middle between the robot's fingertips to the object's origin below which the
+            gripper is near (m).
+        max_delay: Largest time from the arrival of the gripper to the release (s).
+    """
+
+    distance: float = bounded(0.1, 0.0, 0.5)
+    max_delay: float = bounded(0.5, 0.0, 13.0)
+
+
+class EarlyReleaseGiver(ArrayGiver):
+    """Giver that replays the recording and releases the object soon after the gripper has come near.
+
+    The release does not depend on a grasp, so the robot must close its fingers in time. The rules of the task
+    apply too: a grasp that is firm earlier leads to a release.
+    """
+
+    name = "early_release"
+    control_period = 0.02
+    default_config = EarlyReleaseConfig()
+    config: EarlyReleaseConfig
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._delay, self._near_since = arrays.zeros(count), arrays.full(count, math.nan)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode with a random delay."""
+        self._delay[row] = self.config.max_delay * np.random.default_rng(seed).random()
+        self._near_since[row] = math.nan
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
+        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
+        distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])
+        is_near = (distance < self.config.distance) & (observation["holding"][:, 0] != 0.0)
+        since = self._near_since[rows]
+        since = self._near_since[rows] = xp.where(xp.isnan(since) & is_near, now, since)
+        return self.make_actions(rows, release=now - since >= self._delay[rows])

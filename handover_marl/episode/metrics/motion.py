@@ -1,5 +1,9 @@
-"""Motion trace of an episode, and the callback that records it."""
+"""Motion trace of an episode, the callback that records it, and quantities of sampled motion.
 
+The quantities are speeds, activities, jerk, smoothness and protective distances.
+"""
+
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +13,6 @@ import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.callbacks import EpisodeCallback
-from handover_marl.episode.metrics.motion_analysis import compute_protective_distances, compute_speeds
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor
@@ -20,9 +23,23 @@ if TYPE_CHECKING:
     from handover_marl.episode.episode import Episode
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 #: Physics steps between two samples of an episode's trace (20 ms); the first sample is the start.
 SAMPLE_STEPS = 20
+_SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
+_SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
+# The third derivative of polynomials of this degree, fitted to this many samples (260 ms), has half power at 6.3 Hz:
+# it keeps reaching movements and suppresses noise.
+_JERK_DEGREE, _JERK_SAMPLES = 5, 13
+# Spectral arc length: highest frequency (Hz), share of the largest amplitude below which both ends of the spectrum are
+# cut off, and padding of the profile with zeros to 2^_PADDING times the next power of two.
+_CUTOFF, _THRESHOLD, _PADDING = 10.0, 0.05, 4
+#: Time from the detection of a person to the start of the robot's braking (s), as assumed for protective distances.
+REACTION_TIME = 0.1
+#: Deceleration of the gripper while the robot brakes (m/s^2): the limit of the Panda's translational acceleration
+#: in the interface specification of Franka Robotics.
+BRAKING_DECELERATION = 13.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +115,14 @@ class TraceRecorder(EpisodeCallback):
 
     def __init__(self) -> None:
         self._monitors: dict[Path, ClearanceMonitor] = {}
+
+    def on_reset(self, episode: "Episode") -> None:
+        """Discard the records of the last episode."""
         self._robot: list[npt.NDArray[np.float32]] = []
         self._hand: list[npt.NDArray[np.float32] | None] = []
         self._max_object_force, self._object_impulse = 0.0, 0.0
         self._contact_step: int | None = None
         self._hand_forces: list[float] = []
-
-    def on_reset(self, episode: "Episode") -> None:
-        """Discard the records of the last episode."""
-        self._robot, self._hand = [], []
-        self._max_object_force, self._object_impulse, self._contact_step = 0.0, 0.0, None
-        self._hand_forces = []
         self._sample(episode)
 
     def on_step(self, episode: "Episode") -> None:
@@ -184,3 +198,102 @@ class TraceRecorder(EpisodeCallback):
         joints = episode.world.read_agent_joints()
         self._robot.append(joints.robot)
         self._hand.append(joints.hand)
+
+
+def compute_speeds(positions: Array, period: float) -> Array:
+    """Compute (n,) speeds of (n, k) positions, averaged over 60 ms; 0 if a position is NaN.
+
+    Args:
+        positions: (n, k) positions (m).
+        period: Time between two positions (s).
+    """
+    if len(positions) < 2:
+        return np.zeros(len(positions))
+    speed = np.linalg.norm(np.gradient(positions, period, axis=0), axis=1)
+    speed = np.nan_to_num(speed, nan=0.0)
+    padded = np.pad(speed, _SMOOTHING_SAMPLES // 2, mode="edge")
+    return np.convolve(padded, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), mode="valid")
+
+
+def compute_rms_jerk(positions: Array, period: float) -> float | None:
+    """Compute the root mean square of the jerk of a motion; None for fewer than 13 positions.
+
+    The jerk is the third derivative of a polynomial of fifth degree, such as a minimum-jerk motion,
+    fitted to 13 positions. The first and the last six positions have no such fit.
+
+    Args:
+        positions: (n, k) positions (m).
+        period: Time between two positions (s).
+    """
+    if len(positions) < _JERK_SAMPLES:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(positions, _JERK_SAMPLES, axis=0)
+    jerk = windows @ _compute_jerk_weights() / period**3
+    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))
+
+
+@functools.cache
+def _compute_jerk_weights() -> Array:
+    """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
+    offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
+    weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
+    return weights
+
+
+def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
+    """Compute the spectral arc length of a speed profile: at most 0, closer to 0 if smoother.
+
+    It is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
+
+    Args:
+        speed: (n,) speeds at equal intervals.
+        rate: Sampling rate (Hz).
+    """
+    if len(speed) == 0 or not np.any(speed):
+        return None
+    length = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)
+    amplitude = np.abs(np.fft.rfft(speed, length))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    amplitude = amplitude / amplitude.max()
+    is_low = frequency <= _CUTOFF
+    amplitude, frequency = amplitude[is_low], frequency[is_low]
+    large = np.flatnonzero(amplitude >= _THRESHOLD)
+    part = slice(large[0], large[-1] + 1)
+    amplitude, frequency = amplitude[part], frequency[part]
+    if len(frequency) < 2:
+        return 0.0
+    across = np.diff(frequency) / (frequency[-1] - frequency[0])
+    return float(-np.sum(np.hypot(across, np.diff(amplitude))))
+
+
+def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
+    """Return first and last sample of each period of activity; pauses below 0.25 s do not split it.
+
+    Args:
+        active: (n,) whether the agent is active at each sample.
+        period: Time between two samples (s).
+    """
+    runs: list[tuple[int, int]] = []
+    for sample in np.flatnonzero(active).tolist():
+        if runs and (sample - runs[-1][1]) * period <= _SHORTEST_PAUSE:
+            runs[-1] = (runs[-1][0], sample)
+        else:
+            runs.append((sample, sample))
+    return runs
+
+
+def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> Array:
+    """Compute the protective separation distances (n,) of person and robot (m) by ISO/TS 15066:2016, 5.5.4.
+
+    The distance is the sum of the paths of the person until the robot stands still, of the robot until it starts
+    to brake, and of the robot while it brakes with constant deceleration. Both are assumed to move towards each
+    other. The intrusion distance and the position uncertainties of the standard are zero in simulation.
+
+    Args:
+        person_speeds: (n,) speeds of the person (m/s).
+        robot_speeds: (n,) speeds of the robot (m/s).
+    """
+    braking_time = robot_speeds / BRAKING_DECELERATION
+    person = person_speeds * (REACTION_TIME + braking_time)
+    distances: Array = person + robot_speeds * REACTION_TIME + 0.5 * robot_speeds * braking_time
+    return distances
