@@ -18,11 +18,12 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.policies.policy import Action, Policy
+from handover_marl.simulation.bullet import world as bullet_world
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, load_hand_collision_model
-from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.reference_tracking import track_references
 from tests.playing import play
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -128,6 +129,27 @@ def test_the_control_period_does_not_matter(fast: Episode) -> None:
             np.testing.assert_allclose(value, ends[0][key], atol=2e-6, err_msg=key)
 
 
+@pytest.mark.parametrize("physics", ["exact", "fast"])
+def test_windows_show_the_state_and_change_nothing(physics: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The window's client shows all bodies; here it has no screen."""
+    monkeypatch.setattr(bullet_world, "connect", lambda window=False: connect())
+    episodes = [Episode(physics, window=window) for window in (True, False)]
+    for episode in episodes:
+        for number in (SCENES[0], 209):
+            episode.reset(DATA.load_scene(number))
+            episode.advance(START, 440)
+    shown, alone = (episode.observe() for episode in episodes)
+    for key, value in shown.items():
+        np.testing.assert_array_equal(value, alone[key], err_msg=key)
+    world = episodes[0].world
+    assert isinstance(world, bullet_world.BulletWorld)
+    assert world._shown is not None
+    poses = [body.read_pose() for body in world._shown._objects]
+    np.testing.assert_allclose(poses, world.read_state().object_poses, atol=1e-5)
+    for episode in episodes:
+        episode.close()
+
+
 def test_rendering_changes_nothing(fast: Episode) -> None:
     scene = DATA.load_scene(SCENES[1])
     actions, _ = play(fast, scene, receivers.make("yang2021", DATA))
@@ -227,9 +249,9 @@ def test_kinematic_bodies_match_the_simulated_hand() -> None:
     scene = DATA.load_scene(209)
     client = connect()
     frame = np.array([scene.n_frames - 1])
-    still = ReferenceMotion(scene.object_dof[frame], scene.hand_dof[frame], np.array([True]))
-    hand = KinematicHand(client, load_hand_collision_model(client, scene.assets.hand), PhysicsConfig().hand, still)
-    hand.set_reference(still)
+    model = load_hand_collision_model(client, scene.assets.hand)
+    hand = KinematicHand(client, model, PhysicsConfig().hand, scene.hand_dof[-1])
+    track_references([(hand, scene.hand_dof[frame], None)])
     hand.wake(0)
     hand.move_bodies(0)
     whole = HandBody(client, scene.assets.hand, scene.hand_dof[-1].tolist(), PhysicsConfig().hand)
