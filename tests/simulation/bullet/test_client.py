@@ -5,14 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pybullet
 import pytest
 
-from handover_marl.config import CameraConfig
 from handover_marl.errors import SimulationError
 from handover_marl.simulation.bullet import client as client_module
-from handover_marl.simulation.bullet.client import aim_window, connect, load_urdf
+from handover_marl.simulation.bullet.client import connect, load_urdf
 from tests.comma_locale import COMMA, install_comma_locale
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
@@ -68,23 +66,6 @@ def test_import_without_stderr() -> None:
     assert done.stdout == "fine\n"
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [CameraConfig(), CameraConfig(position=(-1.0, 2.0, 0.5), target=(0.3, -0.2, 1.0))],
-)
-def test_window_looks_where_the_camera_does(camera: CameraConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    client = connect()
-    orbits: list[tuple[float, float, float, tuple[float, float, float]]] = []
-    monkeypatch.setattr(client, "resetDebugVisualizerCamera", lambda *orbit: orbits.append(orbit))
-    aim_window(client, camera)
-    ((distance, yaw, pitch, target),) = orbits
-    # PyBullet itself computes the view from distance, yaw and pitch; 2 is the index of the up axis z.
-    view = client.computeViewMatrixFromYawPitchRoll(target, distance, yaw, pitch, 0.0, 2)
-    expected = client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
-    np.testing.assert_allclose(view, expected, atol=1e-5)
-    client.close()
-
-
 @pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("file", ["body.urdf", "body.obj"])
 def test_unreadable_files_of_a_model(file: str, kind: str, tmp_path: Path) -> None:
@@ -103,16 +84,14 @@ from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_shapes
 from handover_marl.simulation.bullet.client import connect, load_urdf
-from handover_marl.simulation.bullet.sleepable_bodies import create_collision_shape, create_visual_shape
+from handover_marl.simulation.bullet.sleepable_bodies import create_collision_shape
 
 locale.setlocale(locale.LC_NUMERIC, sys.argv[1])
 client = connect()
 panda = load_urdf(client, PANDA_URDF)
 shapes = read_urdf_shapes(PANDA_URDF, read_tree(PANDA_URDF), "collision")
-for make in (create_collision_shape, create_visual_shape):
-    number = make(client, shapes[0])
-    kind = "baseCollisionShapeIndex" if make is create_collision_shape else "baseVisualShapeIndex"
-    print(client.getAABB(client.createMultiBody(baseMass=1.0, **{kind: number})))
+number = create_collision_shape(client, shapes[0])
+print(client.getAABB(client.createMultiBody(baseMass=1.0, baseCollisionShapeIndex=number)))
 for link in range(client.getNumJoints(panda)):
     print(client.getDynamicsInfo(panda, link), client.getJointInfo(panda, link), client.getAABB(panda, link))
 assert locale.setlocale(locale.LC_NUMERIC) == sys.argv[1]

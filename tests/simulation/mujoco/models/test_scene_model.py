@@ -22,7 +22,7 @@ from handover_marl.simulation.bullet.client import BulletClient, connect, load_u
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import TUNING, ModelPadding
+from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
@@ -50,7 +50,7 @@ def test_all_jacobians_are_dense() -> None:
     many = replace(ASSETS, objects=ASSETS.objects * 9)
     scenes = [load_scene_model(assets, CONFIG) for assets in (ASSETS, many)]
     scenes.append(load_scene_model(ASSETS, CONFIG, padding=ModelPadding(objects=9, hulls=20)))
-    gripper = GripperModelBuilder(ASSETS.objects[0], ASSETS.panda, CONFIG, TUNING).spec.compile()
+    gripper = GripperModelBuilder(ASSETS.objects[0], ASSETS.panda, CONFIG).spec.compile()
     models = [gripper, *(model for scene in scenes for model in (scene.model, scene.robot_only.model))]
     assert max(model.nv for model in models) > 60
     assert [mujoco.mj_isSparse(model) for model in models] == [0] * len(models)
