@@ -246,7 +246,8 @@ class KinematicHand(BodyTrajectory):
             origins, _ = self._model.tree.compute_link_frames(joints[None])
             links = select_keypoint_links(self._model.tree.moving_links)
             self._cached_keypoints = joints, origins[0, links].astype(np.float32)
-        return self._cached_keypoints[1].copy()
+        keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
+        return keypoints
 
     def _create_bodies(self, poses: list[list[float]]) -> None:
         for shape_id, pose in zip(self._model.shape_ids, poses, strict=True):

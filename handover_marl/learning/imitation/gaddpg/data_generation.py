@@ -33,7 +33,7 @@ from handover_marl.learning.imitation.gaddpg.scenarios import (
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory, PointCloudMemoryConfig
+from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -155,7 +155,7 @@ class DataGenerator:
     def _start_rollout(self, number: int, plan: ExpertPlan, has_network: bool, rng: np.random.Generator) -> _Rollout:
         scenario = self._scenarios.sample(number)
         joints = scenario.joints
-        memory = PointCloudMemory(PointCloudMemoryConfig(seed=int(rng.integers(2**31))))
+        memory = PointCloudMemory(seed=int(rng.integers(2**31)))
         if rng.random() < _START_ON_PATH_PROBABILITY:
             # At the last waypoints the fingers already enclose the object.
             first = int(rng.integers(max(1, len(plan.trajectory) - 3)))

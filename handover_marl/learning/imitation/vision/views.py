@@ -25,6 +25,7 @@ from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.reactive.controller import LIMIT_PADDING
 from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import deproject
@@ -139,8 +140,7 @@ class ViewRenderer:
         self._config = config
         self._data = open_dataset(config.dataset, config.data_dir, config.robot)
         self._context = make_policy_context(self._data)
-        panda, padding = self._context.panda, config.labels.receiver.limit_padding
-        self._arm = ArmInWorld.for_panda(self._context.panda_urdf, panda, padding)
+        self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
         self._labels = GraspLabeller(self._context, config.labels)
 
     def render_scene(self, number: int) -> GraspViews:
