@@ -156,7 +156,7 @@ def test_cross_play(tmp_path: Path) -> None:
     table = parts[1] / "crossplay.csv"
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join(lines[:-1]))
-    with pytest.raises(ResultsError, match="shards of different cross-plays: .* have other pairs"):
+    with pytest.raises(ResultsError, match=r"shards of different cross-plays: .* have other pairs"):
         handover_marl.merge(parts, tmp_path / "again")
     table = parts[0] / "crossplay.csv"
     table.write_text("a,b\n" + table.read_text())
