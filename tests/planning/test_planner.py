@@ -29,7 +29,7 @@ def make_sphere(center: np.ndarray, radius: float = 0.1, in_tail: bool = False) 
 
 
 def chomp(cost: ObstacleCost) -> Chomp:
-    return Chomp(cost, START, LIMITS, ChompConfig(), CostConfig())
+    return Chomp(cost, START, LIMITS, ChompConfig().n_waypoints, CostConfig())
 
 
 @given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=8), st.integers(0, 1000))

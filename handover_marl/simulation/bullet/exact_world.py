@@ -6,16 +6,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
-    InitialState,
     ObjectBody,
     compute_object_masks,
     load_workcell,
 )
-from handover_marl.simulation.bullet.rendering import label_bodies, render_overview, render_wrist_camera
+from handover_marl.simulation.bullet.rendering import label_bodies, render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.contacts import Contacts
@@ -45,7 +44,7 @@ class ExactWorld(BulletWorld):
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
             states, masks = start.objects[0].tolist(), compute_object_masks(scene.info.object_ids)
             self._objects = [
-                ObjectBody(self._client, urdf, mask, InitialState(state), self._config.objects)
+                ObjectBody(self._client, urdf, mask, self._config.objects, state)
                 for urdf, mask, state in zip(scene.assets.objects, masks, states, strict=True)
             ]
             self._hand = None
@@ -80,10 +79,6 @@ class ExactWorld(BulletWorld):
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
         return np.stack([body.read_joint_positions() for body in self._objects])
-
-    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8."""
-        return render_overview(self._client, camera)
 
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""

@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.poses import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
-    InitialState,
     ObjectBody,
     PandaBody,
     compute_object_masks,
@@ -26,27 +25,6 @@ from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZ
 
 # Rotation from the renderer's view (along negative z, y up) to the camera's URDF link, with HandoverSim's rounding.
 _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)
-
-
-def render_overview(client: BulletClient, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-    """Render an RGB image (height, width, 3), uint8, from an overview camera beside the scene."""
-    view = client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
-    projection = client.computeProjectionMatrixFOV(
-        camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
-    )
-    width, height, pixels, _, _ = client.getCameraImage(
-        camera.width,
-        camera.height,
-        view,
-        projection,
-        shadow=1,
-        lightDirection=(0.5, -1.0, 2.0),
-        renderer=client.ER_TINY_RENDERER,
-        flags=client.ER_NO_SEGMENTATION_MASK,
-    )
-    rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
-    rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
-    return rgb
 
 
 def render_wrist_camera(
@@ -131,9 +109,8 @@ class SceneRenderer:
         self.scene = scene
         self._client, self._config = client or connect(), config
         self._workcell = load_workcell(self._client, scene.assets, config)
-        start = InitialState([0.0] * 6)
         self._objects = [
-            ObjectBody(self._client, urdf, mask, start, config.objects)
+            ObjectBody(self._client, urdf, mask, config.objects, [0.0] * OBJECT_DOF)
             for urdf, mask in zip(scene.assets.objects, compute_object_masks(scene.info.object_ids), strict=True)
         ]
         self._hand: HandBody | None = None
@@ -141,7 +118,23 @@ class SceneRenderer:
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render an RGB image (height, width, 3) of the scene at given joint positions."""
         self.set_joints(snapshot)
-        return render_overview(self._client, camera)
+        view = self._client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
+        projection = self._client.computeProjectionMatrixFOV(
+            camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
+        )
+        width, height, pixels, _, _ = self._client.getCameraImage(
+            camera.width,
+            camera.height,
+            view,
+            projection,
+            shadow=1,
+            lightDirection=(0.5, -1.0, 2.0),
+            renderer=self._client.ER_TINY_RENDERER,
+            flags=self._client.ER_NO_SEGMENTATION_MASK,
+        )
+        rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+        rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
+        return rgb
 
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render an image of the wrist camera at given joint positions of all bodies."""

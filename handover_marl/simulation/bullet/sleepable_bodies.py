@@ -17,7 +17,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points
-from handover_marl.simulation.bullet.bodies import HAND_MASK, InitialState, ObjectBody
+from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf, pybullet_error
 from handover_marl.simulation.reference_tracking import (
     BASE_JOINTS,
@@ -100,8 +100,8 @@ class SleepableObject(BodyTrajectory):
         """Add the object to the simulation before step `row` of the reference motion."""
         if self.body is None:
             joints, before = self.get_joints(row - 1), self.get_joints(row - 2)
-            start = InitialState(joints.tolist(), ((joints - before) / TIME_STEP).tolist())
-            self.body = ObjectBody(self._client, self._urdf, self._mask, start, self._config)
+            velocities = ((joints - before) / TIME_STEP).tolist()
+            self.body = ObjectBody(self._client, self._urdf, self._mask, self._config, joints.tolist(), velocities)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
         """Return the object's joints (6,) after step `row` of the reference, float32 (m, rad)."""
@@ -246,7 +246,8 @@ class KinematicHand(BodyTrajectory):
             origins, _ = self._model.tree.compute_link_frames(joints[None])
             links = select_keypoint_links(self._model.tree.moving_links)
             self._cached_keypoints = joints, origins[0, links].astype(np.float32)
-        return self._cached_keypoints[1].copy()
+        keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
+        return keypoints
 
     def _create_bodies(self, poses: list[list[float]]) -> None:
         for shape_id, pose in zip(self._model.shape_ids, poses, strict=True):

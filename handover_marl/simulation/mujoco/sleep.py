@@ -7,6 +7,7 @@ steps are divided into calls.
 """
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig
 from handover_marl.simulation.mujoco.engine import check_warnings
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
@@ -126,19 +127,25 @@ class SleepState:
     Args:
         scene: Model of the scene.
         robot: Simulation of the robot without hand and objects.
-        config: Motors of the objects, and initial joint positions of the robot.
+        motors: Motors of the objects.
         start: Reference motion of one row: the initial state of the objects.
+        robot_joints: Nine joint positions of the robot at the start (rad, m).
 
     Attributes:
         objects: Trajectories of the objects.
     """
 
     def __init__(
-        self, scene: SceneModel, robot: RobotOnlySimulation, config: PhysicsConfig, start: ReferenceMotion
+        self,
+        scene: SceneModel,
+        robot: RobotOnlySimulation,
+        motors: ObjectConfig,
+        start: ReferenceMotion,
+        robot_joints: Sequence[float],
     ) -> None:
-        self.objects = [BodyTrajectory(list_object_motors(config.objects), joints) for joints in start.objects[0]]
+        self.objects = [BodyTrajectory(list_object_motors(motors), joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
-        self._robot = robot.make_resting_trajectory(config.panda.start_joints)
+        self._robot = robot.make_resting_trajectory(robot_joints)
         # Row of the robot trajectory's first step, number of its steps without a body near it, and
         # of steps before it.
         self._first, self._free, self._elapsed = 0, 0, 0

@@ -151,7 +151,7 @@ def episode_states(episode: Episode, scene_id: int, looks: int) -> list[npt.NDAr
         episode.advance(targets[number * looks // 800], looks)
         episode.observe()
         if (number + 1) * looks % 400 == 0:
-            data = world.controller.data
+            data = world.data
             states.append(np.concatenate([world.read_joints_float64(), data.qpos, data.qvel]))
     return states
 
@@ -204,8 +204,8 @@ def test_a_state_that_is_not_finite_raises_an_error(
     if what == "target":
         target[2] = np.nan
     else:
-        world_of(episode).controller.wake()
-        getattr(world_of(episode).controller.data, what)[2] = np.nan
+        world_of(episode).wake()
+        getattr(world_of(episode).data, what)[2] = np.nan
     with pytest.raises(SimulationError, match=r"failed after 0\.0[12].* Nan"):
         episode.advance(target, 10)
     assert list(tmp_path.iterdir()) == [], "no log in the working folder"
@@ -235,7 +235,7 @@ def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch:
         episode, states = Episode("mujoco"), []
         episode.reset(SCENE)
         # The world is woken long before the hand comes near.
-        world_of(episode).controller.wake()
+        world_of(episode).wake()
         while not episode.status and episode.steps < 6000:
             episode.advance(INTO_THE_HAND, 50)
             states += [episode.observe()["robot_joint_position"], episode.observe()["object_poses"]]
