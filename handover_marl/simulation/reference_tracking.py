@@ -106,8 +106,12 @@ class BodyTrajectory:
 
     def __init__(self, motors: Sequence[MotorConfig], start: npt.NDArray[np.float32] | None) -> None:
         self.gains = np.array([motor.position_gain for motor in motors])
+        self.reset(start)
+
+    def reset(self, start: npt.NDArray[np.float32] | None) -> None:
+        """Set the body to its start, at rest; see the arguments of the class."""
         self.present = np.full(2, start is not None)
-        self.joints: Array = np.zeros((2, len(motors)))
+        self.joints: Array = np.zeros((2, len(self.gains)))
         if start is not None:
             self.joints[:] = start
 

@@ -183,20 +183,14 @@ class SleepState:
         """Return the number of steps from `row` on before a body comes near the robot."""
         return self._free - (row - self._first)
 
-    def get_robot_state(self, row: int) -> tuple[Array, Array]:
-        """Return the robot's joint positions and velocities, (9,) each, after step `row`.
+    def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
+        """Write the state after step `row`, but for the velocities of the objects, to the arrays of a world."""
+        scene, done = self._scene, row + 1 - self._first
+        qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
+        qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()
 
-        Positions are in rad and m, velocities in rad/s and m/s. Row -1 is the state before
-        the first step of the reference motion.
-        """
-        done = row + 1 - self._first
-        return self._robot.joints[done], self._robot.velocities[done]
-
-    def compute_object_poses(self, row: int) -> Array:
-        """Return the poses (m, 7) of m objects after step `row`: xyz (m), quaternions wxyz.
-
-        Row -1 is the state before the first step.
-        """
+    def _compute_object_poses(self, row: int) -> Array:
+        """Return the poses (m, 7) of m objects after step `row`: xyz (m), quaternions wxyz."""
         joints = np.array([item.get_joints(row) for item in self.objects])
         return np.concatenate([joints[:, :_HALF], wxyz_from_euler(joints[:, _HALF:])], axis=1)
 
@@ -205,7 +199,7 @@ class SleepState:
 
         Linear velocities are in the world frame (m/s), angular ones in the object's (rad/s).
         """
-        now, before = self.compute_object_poses(row), self.compute_object_poses(row - 1)
+        now, before = self._compute_object_poses(row), self._compute_object_poses(row - 1)
         change = np.empty((len(self.objects), OBJECT_DOF))
         change[:, :_HALF] = now[:, :_HALF] - before[:, :_HALF]
         rotation, previous = (Rotation.from_quat(poses[:, _HALF:][:, XYZW]) for poses in (now, before))
@@ -213,8 +207,5 @@ class SleepState:
         return change / TIME_STEP
 
     def compute_time(self, row: int) -> float:
-        """Return the time since the episode's start after step `row` of the reference (s).
-
-        Row -1 is the state before the first step.
-        """
+        """Return the time since the episode's start after step `row` of the reference (s)."""
         return TIME_STEP * (self._elapsed + row + 1 - self._first)

@@ -306,9 +306,7 @@ class MujocoWorld(World):
     def _set_state(self) -> None:
         """Write the state of a sleeping world to its data, which is updated only on demand."""
         if self.sleep is not None and not self._is_state_set:
-            data, scene = self.data, self.data.scene
-            data.qpos[scene.robot_qpos], data.qvel[scene.robot_qvel] = self.sleep.get_robot_state(self.row)
-            data.qpos[scene.object_qpos] = self.sleep.compute_object_poses(self.row).ravel()
+            self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True
 
     def _get_hand_joints(self) -> Array | None:

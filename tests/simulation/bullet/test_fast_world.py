@@ -22,7 +22,7 @@ from handover_marl.simulation.bullet import world as bullet_world
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
 from handover_marl.simulation.bullet.fast_world import FastWorld
-from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, load_hand_collision_model
+from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand
 from handover_marl.simulation.reference_tracking import track_references
 from tests.playing import play
 
@@ -249,8 +249,8 @@ def test_kinematic_bodies_match_the_simulated_hand() -> None:
     scene = DATA.load_scene(209)
     client = connect()
     frame = np.array([scene.n_frames - 1])
-    model = load_hand_collision_model(client, scene.assets.hand)
-    hand = KinematicHand(client, model, PhysicsConfig().hand, scene.hand_dof[-1])
+    hand = KinematicHand(client, scene.assets.hand, PhysicsConfig().hand)
+    hand.reset(scene.hand_dof[-1])
     track_references([(hand, scene.hand_dof[frame], None)])
     hand.wake(0)
     hand.move_bodies(0)
