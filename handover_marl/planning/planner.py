@@ -19,8 +19,8 @@ from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, 
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.planning.goal_set import COLLISION_DISTANCE, N_TAIL, GoalSelector, GoalSet, GoalSetBuilder, Limits
 from handover_marl.planning.hand_tracker import Capsules
-from handover_marl.planning.planner_config import CostConfig, HandAvoidanceConfig, PlannerConfig
-from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
+from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.trajectory_cost import WAYPOINT_PERIOD, Obstacle, ObstacleCost, sample_body_points
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +34,10 @@ _LIMIT_PADDING = 0.2
 _N_POINTS_PER_LINK, _N_GRIPPER_POINTS = 15, 60
 # Number of optimization steps with goal selection, and of further ones with the last selected goal.
 _N_SELECTION_STEPS, _N_FIXED_GOAL_STEPS = 50, 20
+# Weight of the obstacle cost's gradient, and largest absolute value of an entry of the weighted gradient.
+_OBSTACLE_WEIGHT, _MAX_GRADIENT = 1.0, 10.0
+# Initial weight of the smoothness cost's gradient, and factor by which it grows in every optimization step.
+_SMOOTHNESS_WEIGHT, _SMOOTHNESS_GROWTH = 0.1, 1.02
 # Factor on the covariant gradient in each step.
 _STEP_SIZE = 0.1
 # Number of projections onto the joint limits in a step, and norm of violations below which none is made (rad).
@@ -89,26 +93,23 @@ class Planner:
         self._body = sample_body_points(panda_urdf, tuple(self.arm.link_names), _N_POINTS_PER_LINK)
         self._gripper = sample_body_points(panda_urdf, (HAND_LINK, *FINGER_LINKS), _N_GRIPPER_POINTS)
         self._start = start
-        self._builder = self._make_builder(start)
 
     def set_start(self, start: Array) -> None:
         """Set the configuration (7,) in rad at which planned trajectories start."""
-        self._start, self._builder = start, self._make_builder(start)
-
-    def _make_builder(self, start: Array) -> GoalSetBuilder:
-        return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
+        self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
         """Compute a trajectory to one of the grasps (n, 7) in the base frame; None if none can be reached."""
         config = self.config
         person = None if hand is None or config.hand is None else make_hand_obstacle(hand, config.hand)
-        goals = self._builder.build(grasps, objects, person)
+        builder = GoalSetBuilder(self.arm, self._body, self._gripper, self._start, self._limits, config)
+        goals = builder.build(grasps, objects, person)
         if not len(goals):
             return None
         obstacles = [*objects] if person is None else [*objects, person]
-        cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL, config.costs)
-        chomp = Chomp(cost, self._start, self._limits, config.chomp.n_waypoints, config.costs)
+        cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL)
         n_waypoints, goal_costs = config.chomp.n_waypoints, self._clearance_costs(goals)
+        chomp = Chomp(cost, self._start, self._limits, n_waypoints)
         selector = GoalSelector(cost, goals.goals, goal_costs, n_waypoints, config.unchecked_last)
         return self._optimize(goals, selector, chomp)
 
@@ -159,23 +160,21 @@ class Chomp:
         start: (7,) configuration before the first waypoint (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
         n_waypoints: Number of waypoints of a trajectory.
-        costs: Weights of obstacle and smoothness costs.
     """
 
-    def __init__(self, cost: ObstacleCost, start: Array, limits: Limits, n_waypoints: int, costs: CostConfig) -> None:
-        self._cost, self._start, self._limits, self._costs = cost, start, limits, costs
-        count = n_waypoints
-        difference = (np.eye(count) - np.eye(count, k=-1)) / costs.time_step
+    def __init__(self, cost: ObstacleCost, start: Array, limits: Limits, n_waypoints: int) -> None:
+        self._cost, self._start, self._limits = cost, start, limits
+        difference = (np.eye(n_waypoints) - np.eye(n_waypoints, k=-1)) / WAYPOINT_PERIOD
         self._metric = difference.T @ difference
         self._inverse_metric = np.linalg.inv(self._metric)
         # Smoothness is half the squared norm of the differences, the first of which has the start.
-        self._start_gradient = difference.T @ np.concatenate([[-1.0 / costs.time_step], np.zeros(count - 1)])
+        self._start_gradient = difference.T @ np.concatenate([[-1.0 / WAYPOINT_PERIOD], np.zeros(n_waypoints - 1)])
         ends = self._inverse_metric[:, -cost.n_tail :]
         self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
 
     def compute_smoothness_cost(self, trajectory: Array) -> float:
         """Return half the sum of squared joint velocities of a trajectory (w, 7)."""
-        steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / self._costs.time_step
+        steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / WAYPOINT_PERIOD
         return float(0.5 * (steps**2).sum())
 
     def compute_smoothness_gradient(self, trajectory: Array) -> Array:
@@ -185,9 +184,9 @@ class Chomp:
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
         """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""
         smooth = self.compute_smoothness_gradient(trajectory)
-        near = self._costs.obstacle_weight * self._cost.compute_gradient(trajectory, self._start, tail[-1])
-        near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
-        weight = self._costs.smoothness_weight * self._costs.smoothness_growth**number
+        near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
+        near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
+        weight = _SMOOTHNESS_WEIGHT * _SMOOTHNESS_GROWTH**number
         descent = _STEP_SIZE * (self._inverse_metric @ (near + weight * smooth))
         error = trajectory[-len(tail) :] - tail
         moved = trajectory - descent + self._tail_correction @ (descent[-len(tail) :] - error)

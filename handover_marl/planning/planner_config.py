@@ -5,23 +5,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CostConfig:
-    """Configuration of the obstacle and smoothness costs of a trajectory.
+    """Configuration of the obstacle cost of a trajectory.
 
     Attributes:
-        time_step: Time between waypoints (s), which only scales velocities and accelerations.
         padding: Distance of a robot point from an object's surface below which it has a cost (m).
-        obstacle_weight: Weight of the obstacle cost's gradient.
-        smoothness_weight: Initial weight of the smoothness cost's gradient.
-        smoothness_growth: Factor by which the smoothness weight grows in every optimization step.
-        max_gradient: Largest absolute value of an entry of the weighted obstacle gradient; larger entries are clipped.
     """
 
-    time_step: float = 0.1
     padding: float = 0.2
-    obstacle_weight: float = 1.0
-    smoothness_weight: float = 0.1
-    smoothness_growth: float = 1.02
-    max_gradient: float = 10.0
 
 
 @dataclass(frozen=True)

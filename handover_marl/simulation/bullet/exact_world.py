@@ -14,7 +14,7 @@ from handover_marl.simulation.bullet.bodies import (
     compute_object_masks,
     load_workcell,
 )
-from handover_marl.simulation.bullet.rendering import label_bodies, render_wrist_camera
+from handover_marl.simulation.bullet.rendering import render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.contacts import Contacts
@@ -84,10 +84,7 @@ class ExactWorld(BulletWorld):
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""
         if snapshot is not None:
             return super().render_wrist_camera(snapshot, color)
-        workcell, objects = self._loaded_workcell, [body.id for body in self._objects]
-        hand = None if self._hand is None else self._hand.id
-        labels = label_bodies(workcell.table_id, workcell.panda.id, objects, hand)
-        return render_wrist_camera(self._client, workcell.panda, labels, color)
+        return render_wrist_camera(self._client, self._loaded_workcell, self._objects, self._hand, color)
 
     def _update_hand(self, target: list[float] | None) -> None:
         """Load the human hand at its first target, and remove it when there is no target."""

@@ -15,7 +15,7 @@ from handover_marl.geometry.poses import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
     ObjectBody,
-    PandaBody,
+    Workcell,
     compute_object_masks,
     load_workcell,
 )
@@ -28,16 +28,25 @@ _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e
 
 
 def render_wrist_camera(
-    client: BulletClient, panda: PandaBody, labels: Mapping[int, SegmentationLabel], color: bool
+    client: BulletClient, workcell: Workcell, objects: Sequence[ObjectBody], hand: HandBody | None, color: bool
 ) -> CameraImage:
     """Render an image of the wrist camera in the current state of a physics client.
 
     Args:
         client: Physics client.
-        panda: Panda with the wrist camera.
-        labels: Segmentation labels by PyBullet body number; other bodies are background.
+        workcell: Table, and Panda with the wrist camera.
+        objects: Objects, the target first.
+        hand: Human hand, if there is one.
         color: Whether to render colours.
     """
+    panda = workcell.panda
+    labels = {
+        workcell.table_id: SegmentationLabel.TABLE,
+        panda.id: SegmentationLabel.ROBOT,
+        **{body.id: SegmentationLabel.OTHER_OBJECT for body in objects[1:]},
+        objects[0].id: SegmentationLabel.TARGET,
+        **({} if hand is None else {hand.id: SegmentationLabel.HAND}),
+    }
     # The camera's housing is nearer than the near plane; hiding it saves most of the rendering time.
     with panda.hide_camera_link():
         width, height, pixels, buffer, numbers = client.getCameraImage(
@@ -57,17 +66,6 @@ def render_wrist_camera(
         segmentation=_label_pixels(np.asarray(numbers).reshape(shape), labels),
         rgb=None if rgba is None else rgba[..., :3].copy(),
     )
-
-
-def label_bodies(table: int, panda: int, objects: Sequence[int], hand: int | None) -> dict[int, SegmentationLabel]:
-    """Return the segmentation labels of bodies by body number; the first object is the target."""
-    labels = {
-        table: SegmentationLabel.TABLE,
-        panda: SegmentationLabel.ROBOT,
-        **dict.fromkeys(objects, SegmentationLabel.OTHER_OBJECT),
-    }
-    labels[objects[0]] = SegmentationLabel.TARGET
-    return labels if hand is None else {**labels, hand: SegmentationLabel.HAND}
 
 
 def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, SegmentationLabel]) -> npt.NDArray[np.uint8]:
@@ -139,10 +137,7 @@ class SceneRenderer:
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render an image of the wrist camera at given joint positions of all bodies."""
         self.set_joints(snapshot)
-        objects = [body.id for body in self._objects]
-        hand = None if self._hand is None else self._hand.id
-        labels = label_bodies(self._workcell.table_id, self._workcell.panda.id, objects, hand)
-        return render_wrist_camera(self._client, self._workcell.panda, labels, color)
+        return render_wrist_camera(self._client, self._workcell, self._objects, self._hand, color)
 
     def set_joints(self, snapshot: JointSnapshot) -> None:
         """Set the joint positions of all bodies."""

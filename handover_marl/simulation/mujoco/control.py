@@ -20,7 +20,7 @@ ABSENT = (0.0, 0.0, -10.0)
 def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.NDArray[np.float32]) -> Array:
     """Compute the controls (w, n, c) of w worlds with equally many objects, actuators and mocap bodies in n steps.
 
-    The hand's bodies keep their current poses; see `place_hand`.
+    The positions of the hand's bodies are undefined; see `place_hand`.
 
     Args:
         worlds: States of the worlds.
@@ -31,7 +31,7 @@ def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.N
     scene, references = first.scene, first.scene.rotation_references
     controls = np.empty((*objects.shape[:2], first.ctrl.size + first.mocap_pos.size + first.mocap_quat.size))
     actuators, positions, quaternions = first.split_controls(controls)
-    positions[:] = np.stack([one.mocap_pos for one in worlds])[:, None]
+    positions[..., references, :] = np.stack([one.mocap_pos[references] for one in worlds])[:, None]
     quaternions[:] = np.stack([one.mocap_quat for one in worlds])[:, None]
     actuators[..., scene.robot_ctrl] = targets[:, None]
     # Actuators drive objects to world positions; the target orientation is that of a mocap body.

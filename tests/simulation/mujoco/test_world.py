@@ -21,7 +21,7 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_world
-from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants
+from handover_marl.simulation.mujoco.batches.simulation import WorldData
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World
@@ -225,11 +225,11 @@ def test_no_window_and_no_step_before_reset() -> None:
 def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     """An episode that ends with contact is bit-equal to one in which the hand can collide all the time."""
     hands: set[bool] = set()
-    select = ModelVariants.select
+    select = WorldData.select_model
 
-    def noted(self: ModelVariants, released: bool, hand: bool) -> object:
-        hands.add(hand)
-        return select(self, released, hand)
+    def noted(self: WorldData, hand_collides: bool) -> object:
+        hands.add(hand_collides)
+        return select(self, hand_collides)
 
     def played() -> list[npt.NDArray[np.float32]]:
         episode, states = Episode("mujoco"), []
@@ -242,10 +242,10 @@ def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch:
         states.append(np.array([episode.status, episode.steps], dtype=np.float32))
         return states
 
-    monkeypatch.setattr(ModelVariants, "select", noted)
+    monkeypatch.setattr(WorldData, "select_model", noted)
     first = played()
     assert hands == {True, False}
-    monkeypatch.setattr(ModelVariants, "select", lambda self, released, hand: select(self, released, True))
+    monkeypatch.setattr(WorldData, "select_model", lambda self, hand_collides: select(self, True))
     for one, other in zip(first, played(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert first[-1][0] == EpisodeStatus.HUMAN_CONTACT

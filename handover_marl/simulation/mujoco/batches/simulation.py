@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine
-from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel, select_variant
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 
@@ -77,7 +77,7 @@ class WorldData:
         """
         key = self.released, hand_collides
         if key not in self._variants:
-            self._variants[key] = self.scene.variants.select(*key)
+            self._variants[key] = select_variant(self.scene, *key)
         return self._variants[key]
 
     def release_object(self, gravity: float) -> None:
