@@ -108,7 +108,10 @@ class Planner:
             return None
         obstacles = [*objects] if person is None else [*objects, person]
         cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL)
-        n_waypoints, goal_costs = config.chomp.n_waypoints, self._clearance_costs(goals)
+        n_waypoints, goal_costs = config.chomp.n_waypoints, np.zeros(len(goals))
+        if config.hand is not None:
+            # Missing clearance to the person's hand has a cost.
+            goal_costs = config.hand.clearance_cost * np.maximum(0.0, config.hand.padding - goals.clearances)
         chomp = Chomp(cost, self._start, self._limits, n_waypoints)
         selector = GoalSelector(cost, goals.goals, goal_costs, n_waypoints, config.unchecked_last)
         return self._optimize(goals, selector, chomp)
@@ -128,13 +131,6 @@ class Planner:
                 return Plan(self._start, goals, chosen, trajectory, step)
             trajectory = chomp.step(trajectory, goals.tails[chosen], step + 1)
         return Plan(self._start, goals, chosen, trajectory, max_steps)
-
-    def _clearance_costs(self, goals: GoalSet) -> Array:
-        """Return the cost (g,) of each goal's missing clearance to the person's hand."""
-        hand = self.config.hand
-        if hand is None:
-            return np.zeros(len(goals))
-        return hand.clearance_cost * np.maximum(0.0, hand.padding - goals.clearances)
 
 
 def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
