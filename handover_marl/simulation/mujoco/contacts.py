@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
@@ -35,27 +36,18 @@ _AXES = (mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS,
 
 
 def add_contact_sensors(
-    spec: "mujoco.MjSpec",
-    robot: str,
-    gripper: str,
-    fingers: Sequence[str],
-    target: str,
-    hand: Sequence[str],
-    others: Sequence[str],
-    supports: Sequence[str],
+    spec: "mujoco.MjSpec", robot: str, table: str, objects: Sequence[str], hand: Sequence[str]
 ) -> None:
     """Add sensors to a MuJoCo model for the contacts and poses that the task's rules need.
 
     Args:
         spec: Model to extend.
         robot: Name of the robot's base body.
-        gripper: Name of the body of the robot's hand link.
-        fingers: Names of the bodies of the left and the right finger.
-        target: Name of the target object's body.
+        table: Name of the table's body.
+        objects: Names of the objects' bodies, the target first.
         hand: Names of the human hand's bodies, which collide with the robot only.
-        others: Names of the bodies of the objects besides the target.
-        supports: Names of further bodies that the target can lie on.
     """
+    target, *others = objects
 
     def add(name: str, first: tuple[int, str], second: str | None, fields: int, slots: int) -> None:
         sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
@@ -65,14 +57,14 @@ def add_contact_sensors(
         sensor.intprm[:3] = [fields, _STRONGEST, slots]
 
     body, subtree = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY
-    for side, finger in zip(("left", "right"), fingers, strict=True):
+    for side, finger in zip(("left", "right"), FINGER_LINKS, strict=True):
         add(f"touch/{side}", (body, finger), target, _POINT, _FINGER_SLOTS)
     add("touch/robot", (subtree, robot), target, _FORCE, _ROBOT_SLOTS)
     for number, name in enumerate(hand):
         add(f"touch/hand{number}", (body, name), None, _FORCE, _HAND_SLOTS)
     for number, name in enumerate(others):
         add(f"touch/other{number}", (subtree, robot), name, _FORCE, 1)
-    for number, name in enumerate((*supports, *others)):
+    for number, name in enumerate((table, *others)):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
 
     def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
@@ -80,8 +72,8 @@ def add_contact_sensors(
             sensor = spec.add_sensor(name=f"frame/{name}/{int(kind)}", type=kind)
             sensor.objtype, sensor.objname = subtree, of
 
-    add_frame("gripper", gripper, ())
-    for side, finger in zip(("left", "right"), fingers, strict=True):
+    add_frame("gripper", HAND_LINK, ())
+    for side, finger in zip(("left", "right"), FINGER_LINKS, strict=True):
         add_frame(side, finger, _AXES)
 
 

@@ -81,9 +81,7 @@ class RobotOnlySimulation:
         position = np.array([joints], dtype=np.float64)
         return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
 
-    def simulate(
-        self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int, elapsed: int
-    ) -> RobotTrajectory:
+    def simulate(self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int) -> RobotTrajectory:
         """Simulate the robot from a row of its trajectory on, and return the new trajectory.
 
         Args:
@@ -91,7 +89,6 @@ class RobotOnlySimulation:
             row: Row of the previous motion to start from.
             target: Nine joint targets of the robot (rad, m).
             steps: Number of steps to simulate.
-            elapsed: Number of steps since the episode's start, for error messages.
 
         Raises:
             SimulationError: MuJoCo warned; the robot's state is invalid.
@@ -99,17 +96,17 @@ class RobotOnlySimulation:
         state = np.stack([trajectory.joints[row], trajectory.velocities[row], trajectory.warm_start[row], target])
         key = state.tobytes(), steps
         if key not in self._cache:
-            self._cache[key] = self._simulate(state, steps, elapsed)
+            self._cache[key] = self._simulate(state, steps)
             if len(self._cache) > _CACHE_SIZE:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
 
-    def _simulate(self, state: Array, steps: int, elapsed: int) -> RobotTrajectory:
+    def _simulate(self, state: Array, steps: int) -> RobotTrajectory:
         batch = self._batch
         for array, part in zip(self._state, state[:-1], strict=True):
             array[0] = part
-        batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
+        batch.warning[0] = 0
         controls = np.repeat(state[None, -1:], steps, axis=1)
         rollout = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
         check_warnings(batch)
@@ -146,9 +143,8 @@ class SleepState:
         self.objects = [BodyTrajectory(list_object_motors(motors), joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
         self._robot = robot.make_resting_trajectory(robot_joints)
-        # Row of the robot trajectory's first step, number of its steps without a body near it, and
-        # of steps before it.
-        self._first, self._free, self._elapsed = 0, 0, 0
+        # Row of the robot trajectory's first step, and number of its steps without a body near it.
+        self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
         """Start to count rows from the next reference motion, which follows the current one.
@@ -171,10 +167,9 @@ class SleepState:
         Raises:
             SimulationError: MuJoCo warned; the robot's state is invalid.
         """
-        done = row - self._first
-        self._first, self._elapsed = row, self._elapsed + done
+        done, self._first = row - self._first, row
         centers = np.stack([body.predict_positions(row) for body in [hand, *self.objects]], axis=1)
-        self._robot = self._simulation.simulate(self._robot, done, target, len(centers), self._elapsed)
+        self._robot = self._simulation.simulate(self._robot, done, target, len(centers))
         radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
         near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)
         self._free = int(near.argmax()) if near.any() else len(near)
@@ -205,7 +200,3 @@ class SleepState:
         rotation, previous = (Rotation.from_quat(poses[:, _HALF:][:, XYZW]) for poses in (now, before))
         change[:, _HALF:] = (previous.inv() * rotation).as_rotvec()
         return change / TIME_STEP
-
-    def compute_time(self, row: int) -> float:
-        """Return the time since the episode's start after step `row` of the reference (s)."""
-        return TIME_STEP * (self._elapsed + row + 1 - self._first)

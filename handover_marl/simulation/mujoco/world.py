@@ -241,7 +241,6 @@ class MujocoWorld(World):
         if self.sleep is not None:
             self._set_state()
             self.data.qvel[self.data.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
-            self.data.time[:] = self.sleep.compute_time(self.row)
             self.sleep, self.robot_target = None, None
 
     def release_target(self) -> None:

@@ -125,21 +125,21 @@ def test_equal_rollouts_of_the_robot_are_simulated_once(
     simulated, simulate = [], robot._simulate
     monkeypatch.setattr(robot, "_simulate", lambda *given: simulated.append(given) or simulate(*given))
     start, target = robot.make_resting_trajectory(START), WAITING.tolist()
-    first = robot.simulate(start, 0, target, 100, 0)
-    assert robot.simulate(robot.make_resting_trajectory(START), 0, target, 100, 900) is first
+    first = robot.simulate(start, 0, target, 100)
+    assert robot.simulate(robot.make_resting_trajectory(START), 0, target, 100) is first
     assert len(simulated) == 1
-    parted = robot.simulate(first, 60, target, 40, 60)
+    parted = robot.simulate(first, 60, target, 40)
     np.testing.assert_array_equal(parted.joints, first.joints[60:])
     np.testing.assert_array_equal(parted.warm_start, first.warm_start[60:])
-    robot.simulate(start, 0, START.tolist(), 100, 0)
+    robot.simulate(start, 0, START.tolist(), 100)
     assert len(simulated) == 3
-    again = robot.simulate(start, 0, target, 100, 0)
+    again = robot.simulate(start, 0, target, 100)
     assert len(simulated) == 4, "the oldest rollout was dropped from the cache"
     np.testing.assert_array_equal(again.joints, first.joints)
 
 
 def test_bounding_spheres_move_with_the_links(robot: RobotOnlySimulation) -> None:
-    path = robot.simulate(robot.make_resting_trajectory(START), 0, WAITING.tolist(), 300, 0)
+    path = robot.simulate(robot.make_resting_trajectory(START), 0, WAITING.tolist(), 300)
     moved = np.abs(path.sphere_centers[-1] - path.sphere_centers[0]).max()
     assert 0.1 < moved < 1.0
     assert path.sphere_centers.shape[0] == 300

@@ -47,7 +47,6 @@ class WorldData:
         ctrl: Actuator targets (u,).
         mocap_pos: Positions (m, 3) of the mocap bodies (m).
         mocap_quat: Quaternions wxyz (m, 4) of the mocap bodies.
-        time: Simulation time (1,) (s).
         sensordata: Data (s,) of the sensors in the last step.
         step_state_size: Number p of the values of the state that a step changes: time, positions, velocities and warm
             start.
@@ -60,9 +59,7 @@ class WorldData:
         batch.set_models(scene.model)
         batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._state = batch.state[0].copy()
-        self.time, self.qpos, self.qvel = (
-            self._view(part) for part in (_STATE.mjSTATE_TIME, _STATE.mjSTATE_QPOS, _STATE.mjSTATE_QVEL)
-        )
+        self.qpos, self.qvel = self._view(_STATE.mjSTATE_QPOS), self._view(_STATE.mjSTATE_QVEL)
         self.ctrl, self._forces = self._view(_STATE.mjSTATE_CTRL), self._view(_STATE.mjSTATE_XFRC_APPLIED, 6)
         self.mocap_pos = self._view(_STATE.mjSTATE_MOCAP_POS, 3)
         self.mocap_quat = self._view(_STATE.mjSTATE_MOCAP_QUAT, 4)

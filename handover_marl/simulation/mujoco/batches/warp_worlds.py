@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HAND_DOF, OBJECT_DOF, TIME_STEP, HandConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.config import HAND_DOF, OBJECT_DOF, HandConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
@@ -139,7 +139,7 @@ class WarpWorlds(Worlds):
         self._hands = HandBatch(count, config.hand, arrays)
         self._groups: dict[tuple[object, ...], WarpGroup] = {}
         self._group_of: list[WarpGroup | None] = [None] * count
-        self._steps, self._n_objects = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
+        self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
         """Load a scene and set robot, objects and hand to its start; see `World.reset`.
@@ -154,7 +154,7 @@ class WarpWorlds(Worlds):
             self._groups[layout] = WarpGroup(model, self._count, self._config, self._arrays)
         group = self._group_of[row] = self._groups[layout]
         group.reset(row, model, robot_joints, start.objects[0])
-        self._steps[row], self._n_objects[row] = 0, start.objects.shape[1]
+        self._n_objects[row] = start.objects.shape[1]
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
 
     def release_targets(self, rows: AnyArray) -> None:
@@ -192,13 +192,10 @@ class WarpWorlds(Worlds):
                     break
             reason = group.finish(rollout)
             if reason is not None:
-                seconds = TIME_STEP * int(self._steps[index].max())
                 raise SimulationError(
-                    f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
-                    "backend='threads', and report this."
+                    f"MuJoCo Warp's simulation failed: {reason} To go on, use backend='threads', and report this."
                 )
             self._hands.store(index, hands, own.hand_present, simulated[places])
-        self._steps[rows] += simulated
         return simulated
 
     def read_state(self, rows: AnyArray) -> WorldStateBatch:
