@@ -183,8 +183,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._stop()
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        scene = self.dataset.load_scene(self._choose_scene(options))
-        self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
+        scene_id = check_scene_option(options or {}, self.scene_ids, self._split_name)
+        scene_id = int(self.np_random.choice(self.scene_ids)) if scene_id is None else scene_id
+        self._episode.reset(
+            self.dataset.load_scene(scene_id), draw_robot_seed(self.np_random, self.config.world_config)
+        )
         self._episode.seed_camera(spawn_camera_seed(self.np_random))
         self._cycles = 0
         observations = self._observe()
@@ -216,7 +219,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._advance({RECEIVER: robot_target, GIVER: giver_action})
         self._cycles += 1
         if self.render_mode == "human":
-            self._sleep_until_real_time(started)
+            # The window shows real time.
+            time.sleep(max(0.0, self.config.control_steps * TIME_STEP - (time.monotonic() - started)))
         status = self._episode.status
         observations = self._observe()
         terminated = bool(status & ~EpisodeStatus.TIMEOUT)
@@ -249,7 +253,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             ResetNeededError: No episode has been started.
         """
-        return np.asarray(spaces.flatten(state_space(self._largest_class), self._require_observation()))
+        if self._observation is None:
+            raise ResetNeededError("no observation yet; call reset() first")
+        return np.asarray(spaces.flatten(state_space(self._largest_class), self._observation))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
@@ -320,10 +326,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
                 until = min(end, partner.due)
             episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
 
-    def _choose_scene(self, options: dict[str, Any] | None) -> int:
-        chosen = check_scene_option(options or {}, self.scene_ids, self._split_name)
-        return int(self.np_random.choice(self.scene_ids)) if chosen is None else chosen
-
     def _observe(self) -> Observations:
         state = self._observation = self._episode.observe()
         views = {GIVER: self._episode.observe_giver(state), RECEIVER: state}
@@ -332,11 +334,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         obs_mode = self.config.obs_mode
         camera = self._episode.observe_camera(obs_mode)
         return {GIVER: copies[GIVER], RECEIVER: select_receiver_observation(copies[RECEIVER], camera, obs_mode)}
-
-    def _require_observation(self) -> Observation:
-        if self._observation is None:
-            raise ResetNeededError("no observation yet; call reset() first")
-        return self._observation
 
     def _make_infos(self) -> dict[str, Info]:
         episode = self._episode
@@ -348,11 +345,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "release": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
         return {agent: dict(info) for agent in AGENTS}
-
-    def _sleep_until_real_time(self, started: float) -> None:
-        wait = self.config.control_steps * TIME_STEP - (time.monotonic() - started)
-        if wait > 0:
-            time.sleep(wait)
 
 
 def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:

@@ -14,6 +14,7 @@ from handover_marl.errors import ResetNeededError
 from handover_marl.simulation.contacts import Contacts
 
 Observations = Mapping[str, Observation]
+_NO_CONTACTS = Contacts()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +48,12 @@ class Transition:
     next_observations: Observations
     actions: Mapping[str, npt.NDArray[np.float32]]
     infos: Mapping[str, Mapping[str, float]]
-    contacts: Contacts
-    status: EpisodeStatus
     duration: float
-    step: int
-    terminated: bool
-    truncated: bool
+    contacts: Contacts = _NO_CONTACTS
+    status: EpisodeStatus = EpisodeStatus.RUNNING
+    step: int = 0
+    terminated: bool = False
+    truncated: bool = False
 
     @property
     def state(self) -> Observation:
@@ -89,22 +90,11 @@ class TransitionRecorder:
             observations: First observations by agent.
             infos: First infos by agent.
         """
-        self._last, self._step = copy_read_only(observations), 0
-        start = self._last
+        start = self._last = copy_read_only(observations)
+        self._step = 0
         joints = start[RECEIVER]["robot_joint_position"].astype(np.float32)
-        actions = {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}
-        return Transition(
-            observations=start,
-            next_observations=start,
-            actions=copy_read_only({"": actions})[""],
-            infos=infos,
-            contacts=Contacts(),
-            status=EpisodeStatus.RUNNING,
-            duration=self._control_period,
-            step=0,
-            terminated=False,
-            truncated=False,
-        )
+        actions = copy_read_only({"": {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}})[""]
+        return Transition(start, start, actions, infos, self._control_period)
 
     def record(
         self, observations: Observations, actions: Mapping[str, npt.NDArray[np.float32]], **outcome: Any

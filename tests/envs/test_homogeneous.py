@@ -14,9 +14,8 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
-from handover_marl.envs.wrappers.flatten import FlattenedEnv
 from handover_marl.envs.wrappers.homogeneous import HomogeneousEnv
-from handover_marl.envs.wrappers.wrapper import ParallelWrapper
+from handover_marl.envs.wrappers.wrapper import FlattenedEnv, ParallelWrapper
 from handover_marl.errors import ActionError, OptionError, ResetNeededError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}

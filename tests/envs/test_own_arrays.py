@@ -7,7 +7,7 @@ import pytest
 
 import handover_marl
 from handover_marl.givers.reactions import CooperativeGiver
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 STEPS = 45
 

@@ -17,7 +17,7 @@ from handover_marl.policies.hashing import hash_object, hash_policy, list_packag
 from handover_marl.policies.policy import Action
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 WEIGHTS = np.arange(3.0)
 

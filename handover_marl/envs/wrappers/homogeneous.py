@@ -9,8 +9,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.flatten import flatten
-from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper, WrappableEnv, check_env
+from handover_marl.envs.wrappers.wrapper import ParallelStep, ParallelWrapper, WrappableEnv, check_env, flatten
 from handover_marl.episode.spaces import check_vector
 from handover_marl.errors import ActionError, ResetNeededError
 

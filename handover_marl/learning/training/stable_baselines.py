@@ -27,9 +27,8 @@ from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
-from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX, EpisodeReturns
 from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
+from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns, SingleAgentEnv
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
