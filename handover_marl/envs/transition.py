@@ -10,7 +10,6 @@ import numpy.typing as npt
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import ResetNeededError
 from handover_marl.simulation.contacts import Contacts
 
 Observations = Mapping[str, Observation]
@@ -80,7 +79,7 @@ class TransitionRecorder:
 
     def __init__(self, control_period: float) -> None:
         self._control_period = control_period
-        self._last: Observations | None = None
+        self._last: Observations = {}
         self._step = 0
 
     def start(self, observations: Observations, infos: Mapping[str, Mapping[str, float]]) -> Transition:
@@ -106,12 +105,7 @@ class TransitionRecorder:
             actions: Actions by agent.
             outcome: Fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the
                 transition.
-
-        Raises:
-            ResetNeededError: No episode has been started.
         """
-        if self._last is None:
-            raise ResetNeededError("no episode is running; call reset() before step()")
         before, after = self._last, copy_read_only(observations)
         duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])
         step, self._last, self._step = self._step, after, self._step + 1

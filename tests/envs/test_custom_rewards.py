@@ -13,7 +13,6 @@ from handover_marl.config import PandaConfig
 from handover_marl.envs.custom_rewards import (
     combine_rewards,
     declare_terms,
-    make_reward_source,
     resolve_rewards,
     set_discount,
 )
@@ -224,11 +223,6 @@ def test_wrong_terms_are_reported_in_the_first_reset(make: Make, first: Any) -> 
 def test_failures_are_named(make: Make) -> None:
     with pytest.raises(RewardError, match=r"reward '.*<lambda>' failed \(KeyError: 'nothing'\)"):
         make(lambda transition: transition.state["nothing"]).reset(seed=0)
-
-
-def test_rewards_need_a_start() -> None:
-    with pytest.raises(ResetNeededError, match=r"call start\(\)"):
-        make_reward_source(Counter(), (0.0, 0.0, 0.0)).compute(None)  # type: ignore[arg-type]
 
 
 def test_values_of_rewards() -> None:

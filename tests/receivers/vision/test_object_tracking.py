@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PositionFilter
+from handover_marl.receivers.vision.grasp_tracker import FilterGains, Keyframe, PositionFilter
 
 RNG = np.random.default_rng(0)
 CLOUD = 0.02 * RNG.normal(size=(100, 3))

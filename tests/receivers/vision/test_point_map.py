@@ -1,6 +1,6 @@
 import numpy as np
 
-from handover_marl.receivers.vision.object_tracking import PointMap
+from handover_marl.receivers.vision.grasp_tracker import PointMap
 
 
 def test_points_are_forgotten_after_a_while() -> None:

@@ -21,7 +21,7 @@ from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario, find_occluded_points
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
-from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
+from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
