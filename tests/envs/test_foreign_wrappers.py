@@ -163,16 +163,7 @@ def test_make_vec_uses_the_vector_environment() -> None:
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, **options)
     assert isinstance(envs, HandoverVectorEnv)
     assert envs.spec is not None
-    singles = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", **options)
-    for vector in (envs, singles):
-        vector.reset(seed=1)
-    for _ in range(7):
-        one, other = (vector.step(np.full((2, 9), 0.1, np.float32)) for vector in (envs, singles))
-        for key in one[0]:
-            np.testing.assert_array_equal(one[0][key], other[0][key])
-        np.testing.assert_array_equal(one[1], other[1])
-    for vector in (envs, singles):
-        vector.close()
+    envs.close()
     giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, features="giver", schemes="offer", partner="hold", **OPTIONS)
     assert giver.single_action_space.shape == (7,)
     giver.close()

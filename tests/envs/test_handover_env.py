@@ -233,6 +233,8 @@ def test_receiver_actions_are_not_clipped(fake_data: Path) -> None:
 @pytest.mark.parametrize(
     ("field", "value"),
     [("setup", "s7"), ("split", "dev"), ("dataset", "coco"), ("physics", "quick"), ("render_mode", "ascii")]
+    + [("obs_mode", "lidar"), ("renderer", "cycles"), ("camera_model", "wrong"), ("robot", "ur5")]
+    + [("camera_noise", "kinect")]
     + [("control_period", value) for value in (0, -0.1, 0.0005, float("nan"), "fast", None)]
     + [("max_cycles", value) for value in (0, 2.0, "5", True)],
 )
