@@ -18,6 +18,7 @@ from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfi
 from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, ViewRenderer
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.policies.policy import PolicyContext, make_policy_context
+from handover_marl.receivers.reactive.controller import LIMIT_PADDING
 from handover_marl.receivers.vision.receiver import VisionReceiver
 
 Array = npt.NDArray[np.float64]
@@ -111,7 +112,7 @@ class _ViewWorker:
         self._config = config
         self._data = open_dataset(config.dataset, config.data_dir, config.robot)
         context = make_policy_context(self._data)
-        arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.labels.receiver.limit_padding)
+        arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, LIMIT_PADDING)
         self._renderer = ViewRenderer(context, arm, GraspLabeller(context, config.labels), config.config)
         self._collector = None if config.weights is None else DaggerCollector(context, config.weights)
 
