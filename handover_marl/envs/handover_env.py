@@ -86,6 +86,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
+        np_random: Random generator from which `reset` draws scenes.
 
     Raises:
         UnknownNameError: There is no such setup, split, dataset, physics, robot, observation mode,
@@ -120,7 +121,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
         self._partner: EpisodeAgent | None = None
-        self._rng: np.random.Generator | None = None
+        self.np_random, _ = seeding.np_random(None)
         self._cycles = 0
         self._observation_spaces = {
             GIVER: giver_observation_space(world_config.giver, self._largest_class),
@@ -146,13 +147,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def policy_context(self) -> PolicyContext:
         """Robot, rules, objects and grasps for constructors of policies that act here."""
         return make_policy_context(self.dataset, self.config.world_config, self.config.setup)
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """Random generator from which `reset` draws scenes."""
-        if self._rng is None:
-            self._rng, _ = seeding.np_random(None)
-        return self._rng
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return the agent's observation space."""
@@ -182,12 +176,11 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         # If anything fails below, no episode is running.
         self._stop()
         if seed is not None:
-            self._rng, _ = seeding.np_random(seed)
+            self.np_random, _ = seeding.np_random(seed)
         scene_id = check_scene_option(options or {}, self.scene_ids, self._split_name)
         scene_id = int(self.np_random.choice(self.scene_ids)) if scene_id is None else scene_id
-        self._episode.reset(
-            self.dataset.load_scene(scene_id), draw_robot_seed(self.np_random, self.config.world_config)
-        )
+        scene = self.dataset.load_scene(scene_id)
+        self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
         self._episode.seed_camera(spawn_camera_seed(self.np_random))
         self._cycles = 0
         observations = self._observe()

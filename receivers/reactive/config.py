@@ -158,27 +158,16 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")
     # 1/4 at risk 0, 1 at 0.5 and 4 at 1.
     pace = 4.0 ** (2.0 * risk - 1.0)
-    approach, retreat, selection, separation = config.approach, config.retreat, config.selection, config.separation
-    return replace(
-        config,
-        approach=replace(
-            approach,
-            speed=pace * approach.speed,
-            max_object_speed=pace * approach.max_object_speed,
-            close_speed=pace * approach.close_speed,
-            max_held_still_speed=pace * approach.max_held_still_speed,
-            lateral_tolerance=approach.lateral_tolerance * max(1.0, pace) ** 0.5,
-            rotation_tolerance=approach.rotation_tolerance * max(1.0, pace) ** 0.5,
-        ),
-        retreat=replace(retreat, speed=pace * retreat.speed, acceleration=pace * retreat.acceleration),
-        separation=replace(
-            separation,
-            time_constant=separation.time_constant / pace,
-            approach_time_constant=separation.approach_time_constant / pace,
-        ),
-        selection=replace(
-            selection,
-            clearance_cost=selection.clearance_cost / pace,
-            partial_hold_cost=selection.partial_hold_cost / pace,
-        ),
-    )
+    tolerance = max(1.0, pace) ** 0.5
+    speeds = dict.fromkeys(("speed", "max_object_speed", "close_speed", "max_held_still_speed"), pace)
+    factors = {
+        "approach": speeds | {"lateral_tolerance": tolerance, "rotation_tolerance": tolerance},
+        "retreat": {"speed": pace, "acceleration": pace},
+        "separation": {"time_constant": 1.0 / pace, "approach_time_constant": 1.0 / pace},
+        "selection": {"clearance_cost": 1.0 / pace, "partial_hold_cost": 1.0 / pace},
+    }
+    for name, own in factors.items():
+        section = getattr(config, name)
+        changed = replace(section, **{key: factor * getattr(section, key) for key, factor in own.items()})
+        config = replace(config, **{name: changed})
+    return config

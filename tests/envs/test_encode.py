@@ -123,9 +123,7 @@ def test_bad_names_and_order() -> None:
     with pytest.raises(OptionError, match="by agent for 2 agents"):
         encode(world, "receiver")
     for wrong in (["receiver"], 5):
-        with pytest.raises(
-            OptionError, match="features must be a name, a class, a function or a dict of these by agent"
-        ):
+        with pytest.raises(OptionError, match="features must be a name, a class or a function"):
             encode(view, wrong)  # type: ignore[call-overload]
     with pytest.raises(OptionError, match="one agent, got giver and receiver; call freeze"):
         encode(world, api="gymnasium")

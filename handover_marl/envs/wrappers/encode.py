@@ -233,10 +233,6 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
     if choices is None:
         choices = {}
     if not isinstance(choices, Mapping):
-        if not isinstance(choices, str) and not callable(choices):
-            raise OptionError(
-                f"{argument} must be a name, a class, a function or a dict of these by agent, got {choices!r}"
-            )
         if len(agents) != 1:
             raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
         choices = {agents[0]: choices}
