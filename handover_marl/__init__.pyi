@@ -13,7 +13,6 @@ from handover_marl.envs.transition import Transition as Transition
 from handover_marl.envs.vector.vector_env import vector_env as vector_env
 from handover_marl.envs.wrappers.encode import encode as encode
 from handover_marl.envs.wrappers.freeze import freeze as freeze
-from handover_marl.envs.wrappers.homogeneous import homogeneous as homogeneous
 from handover_marl.envs.wrappers.wrapper import flatten as flatten
 from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
 from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
@@ -30,15 +29,15 @@ from handover_marl.evaluation.merge import merge as merge
 from handover_marl.evaluation.rendering import render_plan as render_plan
 from handover_marl.evaluation.rendering import render_scene as render_scene
 from handover_marl.evaluation.reports.report import Report as Report
-from handover_marl.evaluation.reports.report_files import evaluate as evaluate
+from handover_marl.evaluation.reports.report import evaluate as evaluate
 from handover_marl.evaluation.strangers.protocol import strangers as strangers
 from handover_marl.evaluation.verification import verify as verify
 from handover_marl.learning.action_scheme import ActionScheme as ActionScheme
 from handover_marl.learning.adapters.as_policy import as_giver as as_giver
 from handover_marl.learning.adapters.as_policy import as_receiver as as_receiver
 from handover_marl.learning.adapters.export import export_policy as export_policy
-from handover_marl.learning.encodings.choices import declare_size as declare_size
-from handover_marl.learning.encodings.custom_features import FeatureExtractor as FeatureExtractor
+from handover_marl.learning.custom_encodings import FeatureExtractor as FeatureExtractor
+from handover_marl.learning.custom_encodings import declare_size as declare_size
 from handover_marl.simulation.camera.images import SegmentationLabel as SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise as CameraNoise
 from handover_marl.version import __version__ as __version__

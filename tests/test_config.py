@@ -55,6 +55,7 @@ WRONG = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "name"), FIELDS, ids=lambda part: part if isinstance(part, str) else type(part).__name__
 )

@@ -22,12 +22,11 @@ from handover_marl.episode.camera_observations import camera_observation_space
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
-from handover_marl.evaluation.comparison import Agreement, Comparison, render_comparison_page
+from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports import tables
 from handover_marl.evaluation.reports.episode_tables import SCENE_HEADER, build_scene_table
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import render_report_page
+from handover_marl.evaluation.reports.report import Report, render_report_page
 from handover_marl.evaluation.reports.tables import Column
 from handover_marl.evaluation.verification import Difference, Verification
 from handover_marl.learning.features import list_features
@@ -187,7 +186,7 @@ def sample_report(physics: str = "exact", *statuses: int) -> Report:
     metadata = dataclasses.replace(stored.metadata, physics=physics)
     episodes = zip(stored.episodes, statuses or (1, 2), strict=True)
     ended = tuple(dataclasses.replace(episode, status=EpisodeStatus(status)) for episode, status in episodes)
-    return Report(metadata, ended, stored.n_split_scenes)
+    return Report(metadata, ended)
 
 
 def sample_crossplay() -> CrossPlay:
@@ -232,9 +231,9 @@ def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...
 
 def test_every_printed_column_is_documented() -> None:
     first, other = sample_report(), sample_report("fast", 2, 1)
-    compared = Comparison(first, other, tuple(zip(first.episodes, other.episodes, strict=True)))
-    page = render_report_page(first) + render_comparison_page(compared)
-    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),), 144)).split("\n\n")
+    compared = Comparison(first, other)
+    page = render_report_page(first)
+    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),))).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
     tables = [
         *first.build_tables(),

@@ -180,6 +180,7 @@ def test_memory_belongs_to_one_environment_and_one_episode(make: Make) -> None:
         assert first.step(actions())[1]["giver"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("result", "message"),
     [

@@ -26,6 +26,7 @@ def single(agent: str, partner: str, actions: str | None = None, **options: Any)
     return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions, api="gymnasium")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agent", "partner", "actions"),
     [
@@ -60,6 +61,7 @@ def rollout(seed: int, episodes: int = 1, max_cycles: int = 20) -> list[np.ndarr
     return way
 
 
+@pytest.mark.slow
 def test_rollouts_repeat_from_their_seed() -> None:
     first = rollout(3, 3, 8)
     for one, other in zip(first, rollout(3, 3, 8), strict=True):
@@ -76,6 +78,7 @@ def test_an_offer_is_one_decision() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_rewards_add_up_until_the_next_decision() -> None:
     """The reward of a step that lasts until the end of the episode is the sum over its control periods."""
     options = {"max_cycles": 40, "rewards": "shaped"}
@@ -178,6 +181,7 @@ def test_copies_go_their_own_way() -> None:
     np.testing.assert_array_equal(*ends)
 
 
+@pytest.mark.slow
 def test_both_agents() -> None:
     env = encode(parallel_env(**SYNTHETIC, max_cycles=15), {"receiver": "grasp"})
     parallel_api_test(env, num_cycles=20)

@@ -69,6 +69,7 @@ def test_benchmark_view_cannot_be_talked_out_of_the_protocol(fake_data: Path) ->
             handover_marl.benchmark_env(data_dir=fake_data, **{option: "exact"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", ["receiver", "giver"])
 def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: str) -> None:
     """An action for the partner is refused, and the episode continues as without this call."""
@@ -84,11 +85,13 @@ def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: s
         assert_equal(env.step({agent: own}), untouched.step({agent: own}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", ["receiver", "giver"])
 def test_parallel_api(fake_data: Path, agent: str) -> None:
     parallel_api_test(frozen(fake_data, agent), num_cycles=20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Receiver", "Giver"])
 def test_gymnasium_and_stable_baselines_accept_the_view(fake_data: Path, name: str) -> None:
     options = {"setup": "s0", "data_dir": fake_data, "physics": "fast", "render_mode": "rgb_array"}
@@ -160,6 +163,7 @@ def episodes(env: FrozenPartnerEnv, action: np.ndarray, seed: int, count: int = 
     return way
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agent", "partner", "cycles"),
     # The hand appears after a while, and the first pause of a hesitant person is after a random time.

@@ -33,6 +33,7 @@ def act(env: HandoverEnv, action: np.ndarray, steps: int) -> tuple[dict[str, np.
     return observations["giver"], infos["giver"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_the_world_follows_the_deviation_and_letting_go_drops_the_object(physics: str) -> None:
     env = make(physics)
@@ -55,6 +56,7 @@ def test_the_world_follows_the_deviation_and_letting_go_drops_the_object(physics
     assert info["status"] == EpisodeStatus.OBJECT_DROP
 
 
+@pytest.mark.slow
 def test_both_kinds_of_physics_deviate_alike() -> None:
     rng = np.random.default_rng(0)
     envs = [make(physics) for physics in PHYSICS]

@@ -97,6 +97,7 @@ class TestPettingZooApi:
         assert timed_out == {"giver": True, "receiver": True}
         assert infos["giver"]["steps"] == 500
 
+    @pytest.mark.slow
     def test_scenes_are_drawn_by_seed_and_go_on_without(self, fake_data: Path) -> None:
         def draw(env: HandoverEnv, seed: int | None) -> list[int]:
             return [env.reset(seed=seed if n == 0 else None)[1]["giver"]["scene_id"] for n in range(8)]
@@ -118,6 +119,7 @@ def test_start_positions_are_drawn_by_seed_and_differ_between_episodes(fake_data
     assert np.abs(np.array(first) - START).max() <= 0.1 + 1e-6
 
 
+@pytest.mark.slow
 def test_whole_rollouts_repeat_also_in_copies_and_after_other_scenes(fake_data: Path) -> None:
     env = make(fake_data)
     first = rollout(env, 25)
@@ -181,6 +183,7 @@ def test_keypoints_are_wrist_and_joint_origins(fake_data: Path) -> None:
     np.testing.assert_allclose(np.diff(knuckles[:, 2]), -0.02, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_infos_and_timeout(fake_data: Path) -> None:
     env = make(fake_data, control_period=1.0)
     _, infos = env.reset(options={"scene_id": 9})
@@ -314,6 +317,7 @@ def to_the_end(env: HandoverEnv, release_at: int = 10**9) -> list[Any]:
     return results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rewards", ["sparse", "shaped"])
 @pytest.mark.parametrize(("release_at", "max_cycles"), [(1300, None), (10**9, 12)])
 def test_infos_are_the_same_numbers_all_along(rewards: str, release_at: int, max_cycles: int | None) -> None:
@@ -372,6 +376,7 @@ def assert_as_seen_by_the_giver(one: dict[str, np.ndarray], other: dict[str, np.
         np.testing.assert_allclose(value, other[key], rtol=0, atol=0.0 if own else atol, err_msg=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("physics", "period"), [("exact", 0.05), ("fast", 0.05), ("fast", 0.001)])
 def test_an_episode_that_ends_inside_a_control_step_stops_there(physics: str, period: float) -> None:
     """The giver's last observation and costs refer to the step in which the episode ended."""

@@ -10,6 +10,8 @@ from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.receivers.baselines import HoldReceiver
 from tests.envs.test_handover_env import START
 
+pytestmark = pytest.mark.slow
+
 STEPS = 45
 
 
@@ -60,7 +62,6 @@ def rollout(agent: str, partner: Any, scribbles: bool) -> list[dict[str, np.ndar
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agent", "partner", "scribbling_partner"),
     [("receiver", CooperativeGiver, ScribblingGiver), ("giver", NoddingReceiver, ScribblingReceiver)],

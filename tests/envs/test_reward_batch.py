@@ -115,6 +115,7 @@ weights = st.dictionaries(st.sampled_from(list(TERMS)), st.floats(-3.0, 3.0), ma
 all_weights = st.builds(TermWeights, weights, weights, st.floats(0.0, 1.0))
 
 
+@pytest.mark.slow
 @given(weights=all_weights | st.sampled_from([SPARSE, SHAPED]), seed=st.integers(0, 10_000))
 @settings(max_examples=25)
 def test_terms_of_tensors_equal_those_of_arrays(weights: TermWeights, seed: int) -> None:

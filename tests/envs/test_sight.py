@@ -55,6 +55,7 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("data", "keys"), KEYS.items())
 def test_what_is_seen_is_in_the_space(data: str, keys: set[str]) -> None:
     blind, env = make(), make(obs_mode=f"state+{data}")
@@ -78,6 +79,7 @@ def test_sight_alone_has_no_privileged_key(data: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", KEYS)
 def test_the_checkers_are_content(data: str) -> None:
     parallel_api_test(make(obs_mode=f"state+{data}", max_cycles=5), num_cycles=8)
@@ -87,6 +89,7 @@ def test_the_checkers_are_content(data: str) -> None:
     sb3.check_env(env, warn=False)
 
 
+@pytest.mark.slow
 def test_whole_rollouts_repeat_whoever_looks() -> None:
     first = rollout()
     assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
@@ -100,6 +103,7 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
     )
 
 
+@pytest.mark.slow
 def test_looking_changes_nothing_else() -> None:
     for physics, steps in (("exact", 4), ("fast", 8)):
         blind = rollout(steps, obs_mode="state", physics=physics)

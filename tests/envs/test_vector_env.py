@@ -30,7 +30,7 @@ from handover_marl.errors import (
     UnknownNameError,
     WorkerError,
 )
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from tests.failing import Failing
 
 #: The objects are boxes, cylinders and balls, so that models of several layouts are simulated together.
@@ -99,6 +99,7 @@ OWN_REWARDS = {**SHORT, "rewards": combine_rewards((0.5, reward_height), "sparse
 WAITING = {**OPTIONS, "control_period": 0.2, "max_cycles": 25}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("agent", "partner", "encodings", "autoreset", "steps", "options"),
     [
@@ -155,6 +156,7 @@ def test_the_interface_is_gymnasiums(autoreset: str) -> None:
     alone.close()
 
 
+@pytest.mark.slow
 def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     """Steps of the giver that last a whole episode equal those of single environments, also after masked resets."""
     options = {**OPTIONS, "control_period": 0.1, "max_cycles": 80, "rewards": "shaped"}
@@ -178,6 +180,7 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     assert max(rewards) > 0.8, "an object was handed over"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rewards", "noise"), [("sparse", 0.0), ("shaped", 0.1)])
 def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str, noise: float) -> None:
     """Resets with a seed, a scene, a mask or no argument start the same episodes as in single environments.
@@ -256,6 +259,7 @@ def both() -> Iterator[Callable[..., Any]]:
         envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autoreset", ["next_step", "same_step"])
 def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> None:
     batch = both(autoreset=autoreset)
@@ -299,6 +303,7 @@ def test_both_agents_in_a_batch(both: Callable[..., Any], autoreset: str) -> Non
     assert ends == COUNT
 
 
+@pytest.mark.slow
 def test_processes_give_the_results_of_threads() -> None:
     options = {**OPTIONS, "max_cycles": 18, "control_period": 0.13, "features": "close", "schemes": "grasp_servo"}
     options |= {"autoreset": "same_step"}
@@ -307,6 +312,7 @@ def test_processes_give_the_results_of_threads() -> None:
     assert any("final_obs" in infos for infos in expected[6::5])
 
 
+@pytest.mark.slow
 def test_both_agents_in_processes() -> None:
     envs = handover_marl.vector_env(3, None, processes=2, **SHORT)
     envs.reset(seed=3, options={"scene_id": envs.scene_ids[7]})
@@ -316,6 +322,7 @@ def test_both_agents_in_processes() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [{"threads": 2}, {"processes": 2}], ids=str)
 def test_errors_are_raised_and_resets_work(workers: dict[str, int]) -> None:
     envs = handover_marl.vector_env(3, "giver", Failing, **workers, **SHORT)

@@ -20,9 +20,7 @@ from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv
 from handover_marl.episode.spaces import STATE, get_camera_data_kind
 from handover_marl.episode.wrist_camera_batch import DEVICE_KINDS
 from handover_marl.errors import OptionError
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
 from handover_marl.simulation.engines import MUJOCO, WARP, BatchBackend

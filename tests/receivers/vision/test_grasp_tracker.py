@@ -75,17 +75,6 @@ def test_selected_grasp_is_first_and_corrected(monkeypatch: pytest.MonkeyPatch) 
     assert len(tracker.grasps) == 5
 
 
-def test_failed_grasps_cost_more_for_a_while() -> None:
-    tracker = GraspTracker(FixedPredictor(), 0)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    before = tracker.costs.copy()
-    tracker.add_failed(tracker.grasps[0], until=1.0)
-    tracker.update(0.5, LINK, ITEM, HAND)
-    assert (tracker.costs - before > 5.0).tolist() == [True, False, True, False]
-    tracker.update(1.5, LINK, ITEM, HAND)
-    np.testing.assert_allclose(tracker.costs, before)
-
-
 def make_near_tracker(monkeypatch: pytest.MonkeyPatch, predictor: FixedPredictor) -> GraspTracker:
     """Return a tracker with two views from nearby, which has a keyframe."""
     monkeypatch.setattr(grasp_tracker, "_NEAR_DISTANCE", 0.5)
@@ -112,18 +101,3 @@ def test_strayed_track_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
     tracker.update(0.1, LINK, ITEM, HAND)
     assert tracker.selected is None
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
-
-
-def test_lost_object_is_tracked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    predictor = FixedPredictor()
-    tracker = make_near_tracker(monkeypatch, predictor)
-    tracker.selected = tracker.grasps[0]
-    tracker.update(0.1, LINK, ITEM[:3], HAND)
-    assert tracker.selected is not None
-    assert tracker.compute_unseen_time(0.1) == pytest.approx(0.05)
-    predictor.center = CENTER + 0.3
-    tracker.update(0.4, LINK, ITEM, HAND)
-    assert tracker.selected is None
-    assert tracker.compute_unseen_time(0.4) == 0.0
-    np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
-    np.testing.assert_allclose(tracker.velocity, 0.0)
