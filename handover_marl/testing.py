@@ -14,10 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode, steps_from_hold_time
+from handover_marl.episode.loop import EpisodeCallback, PolicyDecision, run_episode, steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ConformanceError
 from handover_marl.execution.options import is_pybullet_installed

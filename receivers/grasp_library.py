@@ -4,7 +4,6 @@ Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -68,30 +67,27 @@ class GraspTable:
     """
 
     def __init__(self, load: Callable[[int], tuple[Array, ...] | None], arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._load, self._index, self._factory = load, dict[int, int](), arrays
+        self._load, self._factory = load, arrays
+        # Arrays of each class with grasps, and their places by class number.
+        self._known: list[tuple[Array, ...]] = []
+        self._index: dict[int, int] = {}
         self.arrays: list[AnyArray] = []
         self.is_grasp = arrays.zeros((0, 0), "bool")
 
     def find(self, classes: AnyArray) -> AnyArray:
         """Return the index (r,) of each class number in the arrays, -1 for a class without grasps."""
-        numbers = to_numpy(classes).astype(int).tolist()
+        numbers, n_before = to_numpy(classes).astype(int).tolist(), len(self._known)
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)
-            self._index[number] = -1 if known is None else len(self.is_grasp)
-            if known is not None:
-                self._append(known)
+            self._index[number] = -1 if known is None else len(self._known)
+            self._known += [] if known is None else [known]
+        if len(self._known) > n_before:
+            counts = np.array([len(first) for first, *_ in self._known])
+            self.is_grasp = self._factory.asarray(np.arange(counts.max()) < counts[:, None])
+            self.arrays = []
+            for column in zip(*self._known, strict=True):
+                padded = np.zeros((*self.is_grasp.shape, *column[0].shape[1:]))
+                for own, array in zip(padded, column, strict=True):
+                    own[: len(array)] = array
+                self.arrays.append(self._factory.asarray(padded))
         return self._factory.asarray([self._index[number] for number in numbers])
-
-    def _append(self, known: tuple[Array, ...]) -> None:
-        width = max(self.is_grasp.shape[1], len(known[0]))
-        old = self.arrays or [np.zeros((0, 0, *array.shape[1:])) for array in known]
-        self.arrays = [self._append_padded(before, array, width) for before, array in zip(old, known, strict=True)]
-        self.is_grasp = self._append_padded(self.is_grasp, np.ones(len(known[0]), dtype=bool), width)
-
-    def _append_padded(self, arrays: AnyArray, array: npt.NDArray[Any], width: int) -> AnyArray:
-        """Append an array (g, ...) to arrays (c, w, ...), all padded with zeros to a width."""
-        parts = (
-            np.pad(part, [(0, 0), (0, width - part.shape[1]), *[(0, 0)] * (part.ndim - 2)])
-            for part in (to_numpy(arrays), array[None])
-        )
-        return self._factory.asarray(np.concatenate(list(parts)))

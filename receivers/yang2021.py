@@ -12,7 +12,7 @@ from enum import IntEnum, auto
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config
+from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config, override_options
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
@@ -27,7 +27,6 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.policies.batch import ArrayPolicy
-from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
 
@@ -143,11 +142,14 @@ class YangController:
                 (self._move_to_grasps, in_region & ~at_grasp),
             ):
                 if flags.any():
-                    arms[flags] = move(rows[flags], {key: value[flags] for key, value in observation.items()})
+                    found = move(rows[flags], {key: value[flags] for key, value in observation.items()})
+                    arms[flags] = np.where(np.isnan(found), arms[flags], found)
         retreats = ~waits & (phase == YangPhase.CLOSE) & (time >= self._close_until[rows])
         if retreats.any():
             phase[retreats] = YangPhase.RETREAT
-            self._goals[rows[retreats]] = self._find_goal_joints(observation["robot_joint_position"][retreats])
+            goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (int(retreats.sum()), 1))
+            found = self._solver.solve_many(observation["robot_joint_position"][retreats], goals)
+            self._goals[rows[retreats]] = np.where(np.isnan(found), arms[retreats], found)
         self.phase[rows] = phase
         arms = np.where((phase == YangPhase.RETREAT)[:, None], self._goals[rows], arms)
         fingers = np.where(phase >= YangPhase.CLOSE, panda.CLOSED, panda.OPEN)[:, None]
@@ -175,9 +177,9 @@ class YangController:
         return in_region, at_grasp
 
     def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
-        """Select the cheapest reachable standoffs and return the arm joints (r, 7) there."""
+        """Select the cheapest reachable standoffs and return the arm joints (r, 7) there, nan without one."""
         joints = observation["robot_joint_position"]
-        arms = joints[:, :ARM_DOF].astype(np.float64)
+        arms = np.full((len(joints), ARM_DOF), np.nan)
         index = self._table.find(observation["object_classes"][:, 0])
         known = np.flatnonzero(index >= 0)
         if not len(known):
@@ -197,9 +199,7 @@ class YangController:
                 break
             chosen = order[left, rank]
             goals = standoffs[left, chosen]
-            found = require_reset(self._ik_solver, "yang2021").solve_many(
-                joints[known[left]], goals[:, :3], goals[:, 3:]
-            )
+            found = self._solver.solve_many(joints[known[left]], goals[:, :3], goals[:, 3:])
             is_solved = ~np.isnan(found[:, 0])
             solved = left[is_solved]
             row = rows[known[solved]]
@@ -216,24 +216,18 @@ class YangController:
         return compute_pose_distances(references, standoffs, weight) + to_preferred
 
     def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
-        """Return the arm joints (r, 7) after one step towards the grasps."""
+        """Return the arm joints (r, 7) after one step towards the grasps, nan where they are not found."""
         hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self._config.step_length
         offsets = grasps[:, :3] - hands
         distances = compute_lengths(offsets)[:, None]
         # The reference rounds this set-point to float32, like the observed position.
         steps = (hands + offsets / np.maximum(distances, length) * length).astype(np.float32)
         positions = np.where(distances >= length, steps, grasps[:, :3])
-        return self._solve_ik_or_stay(observation["robot_joint_position"], positions, grasps[:, 3:])
+        return self._solver.solve_many(observation["robot_joint_position"], positions, grasps[:, 3:])
 
-    def _find_goal_joints(self, joints: npt.NDArray[np.float32]) -> Array:
-        """Return the arm joints (r, 7) at the goal."""
-        goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (len(joints), 1))
-        return self._solve_ik_or_stay(joints, goals)
-
-    def _solve_ik_or_stay(self, joints: npt.NDArray[np.float32], positions: Array, turns: Array | None = None) -> Array:
-        """Return the solutions (r, 7) of IK queries, and the present joints where there is none."""
-        found = require_reset(self._ik_solver, "yang2021").solve_many(joints, positions, turns)
-        return np.where(np.isnan(found), joints[:, :ARM_DOF], found)
+    @property
+    def _solver(self) -> IkSolver:
+        return require_reset(self._ik_solver, "yang2021")
 
 
 class Yang2021Receiver(Receiver):

@@ -4,9 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
 from handover_marl.policies.policy import Policy
 
 

@@ -15,9 +15,8 @@ from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.cli import main
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.receivers import make, yang2021

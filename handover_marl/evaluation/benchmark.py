@@ -25,7 +25,6 @@ from handover_marl.evaluation.config import (
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.replays import ReplayWriter
-from handover_marl.evaluation.reports.episode_tables import format_scene_cells
 from handover_marl.evaluation.reports.report import Report, write_report
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
 from handover_marl.execution.options import check_pool, forward_signature
@@ -225,8 +224,8 @@ def _show_progress(
         nonlocal n_finished, n_success
         n_finished, n_success = n_finished + 1, n_success + result.success
         bar.update(task, advance=1, description=f"success {100 * n_success / n_finished:5.1f} %")
-        scene, name, _, _, outcome, steps, _, plan_s = format_scene_cells(result)
-        console.print(f"{scene:>5} {name:22} {outcome:12} {steps:>5} steps, plan {plan_s} s")
+        outcome = f"{result.status.label:12} {result.steps:>5} steps, plan {result.plan_s:.3f} s"
+        console.print(f"{result.scene_id!s:>5} {result.object_name or '':22} {outcome}")
 
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())

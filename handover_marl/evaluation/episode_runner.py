@@ -15,9 +15,8 @@ from tempfile import TemporaryDirectory
 from typing import TypeAlias
 
 from handover_marl.datasets.registry import DATA_FOLDER_ADVICE, DataLocation, check_scene_fingerprint
-from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodePolicy, derive_robot_seed, run_episode
+from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
 from handover_marl.episode.metrics.motion import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError

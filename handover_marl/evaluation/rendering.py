@@ -10,9 +10,8 @@ import numpy as np
 
 from handover_marl.config import CameraConfig, check_config
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_robot_seed, run_episode
+from handover_marl.episode.loop import EpisodeCallback, derive_robot_seed, run_episode
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.config import (
     MULTI_SCENE_FIELDS,

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
-from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
+from handover_marl.episode.loop import ActionRecorder, EpisodeCallback
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError

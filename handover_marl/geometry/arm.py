@@ -17,8 +17,6 @@ from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
 from handover_marl.geometry.poses import (
-    compute_dot_products,
-    compute_lengths,
     transform_points,
 )
 
@@ -224,13 +222,13 @@ class ReachabilityBound:
         The tolerances are those of position (m) and orientation (rad).
         """
         target = np.asarray(position, dtype=np.float64)
-        is_too_far = np.asarray(compute_lengths(target - self._shoulder) > self._arm_length + distance)
+        is_too_far = np.asarray(np.linalg.norm(target - self._shoulder, axis=-1) > self._arm_length + distance)
         if orientation is None:
             return is_too_far
         world_from_hand = Rotation.from_quat(np.asarray(orientation, dtype=np.float64))
         shoulder = world_from_hand.apply(self._shoulder - target, inverse=True) - self._circle_center
-        height = compute_dot_products(shoulder, self._axis)
-        radius = compute_lengths(shoulder - height[..., None] * self._axis)
+        height = shoulder @ self._axis
+        radius = np.linalg.norm(shoulder - height[..., None] * self._axis, axis=-1)
         nearest = np.hypot(height, radius - self._circle_radius)
         return np.asarray(is_too_far | (nearest > self._wrist_range + distance + angle * self._wrist_distance))
 

@@ -165,7 +165,7 @@ def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float
 
 def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Array:
     """Return the rotation angles (...) between unit quaternions (..., 4); see `compute_rotation_angle`."""
-    product = compute_dot_products(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
+    product = np.vecdot(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
     return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data_kind
 from handover_marl.policies.policy import Policy

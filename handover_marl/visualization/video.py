@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.options import check_path, require_modules

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-from handover_marl.config import check_config
+from handover_marl.config import check_config, override_options
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.options import override_options
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver

@@ -11,9 +11,14 @@ from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
-from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed, run_episode
+from handover_marl.episode.loop import (
+    EpisodeCallback,
+    PolicyDecision,
+    derive_giver_seed,
+    derive_receiver_seed,
+    run_episode,
+)
 from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make_policy_context

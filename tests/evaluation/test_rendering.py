@@ -10,9 +10,8 @@ from handover_marl import givers, receivers
 from handover_marl.cli import main
 from handover_marl.config import CameraConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.errors import HandoverError, OptionError, UnknownNameError
 from handover_marl.evaluation import rendering as scene_rendering
 from handover_marl.evaluation.rendering import render_scene

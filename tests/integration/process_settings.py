@@ -88,10 +88,9 @@ def play(reference: str, giver: str, physics: str, steps: int) -> str:
     # Imported only here, as by a program that changes settings first.
     from handover_marl import givers, receivers
     from handover_marl.datasets import open_dataset
-    from handover_marl.episode.callbacks import ActionRecorder
     from handover_marl.episode.camera_observations import WristCameraConfig
     from handover_marl.episode.episode import Episode
-    from handover_marl.episode.loop import run_episode
+    from handover_marl.episode.loop import ActionRecorder, run_episode
     from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
     from tests.integration.test_causality import make_receiver
 

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.observations import Observation
 from handover_marl.policies.policy import Action, make_policy_context
 from handover_marl.receivers.gaddpg import GaddpgReceiver

@@ -8,8 +8,8 @@ import pytest
 
 from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
 from tests.conftest import RECORDINGS
 from tests.playing import play
 

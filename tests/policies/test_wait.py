@@ -59,9 +59,8 @@ def test_impossible_waits_are_refused() -> None:
 
 def test_a_wait_is_waited() -> None:
     """Yang's receiver does not move before the end of its waiting time."""
-    from handover_marl.episode.callbacks import ActionRecorder
     from handover_marl.episode.episode import Episode
-    from handover_marl.episode.loop import run_episode
+    from handover_marl.episode.loop import ActionRecorder, run_episode
 
     episode, first = Episode("fast"), {}
     for wait in (0.0, 0.7):

@@ -13,9 +13,8 @@ from handover_marl import givers, receivers
 from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets import OfficialDataset, open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS, WAITING_JOINTS

@@ -13,9 +13,8 @@ import pytest
 from handover_marl.cli import main
 from handover_marl.config import TIME_STEP, ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.model_files.meshes import read_visual_meshes

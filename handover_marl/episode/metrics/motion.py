@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, TIME_STEP
-from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor

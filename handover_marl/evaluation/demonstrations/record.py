@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, check_obs_mode, get_camera_data_kind

@@ -9,8 +9,8 @@ import pytest
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics.fluency import FluencyMetrics, compute_fluency
 from handover_marl.episode.metrics.motion import (
     SAMPLE_STEPS,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.poses import transform_points
 from handover_marl.planning.clearance import compute_grasp_clearances

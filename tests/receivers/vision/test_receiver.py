@@ -10,9 +10,8 @@ from handover_marl import receivers
 from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import SETUPS
-from handover_marl.episode.callbacks import ActionRecorder
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import ActionRecorder, run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError

@@ -5,9 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
+from handover_marl.episode.loop import EpisodeCallback, run_episode
 
 
 class ContactComparison(EpisodeCallback):
