@@ -53,7 +53,7 @@ CHECKED = {
         for kind, names in (("features", list_features(agent)), ("scheme", list_schemes(agent)))
         for name in names
     },
-    "docs/reference/generated_scenes.md": {"generated scenes"},
+    "docs/how_to/generate_scenes.md": {"generated scenes"},
     "docs/reference/policies.md": {"receiver inputs"},
     "docs/reference/rewards.md": {"reward terms"},
     "docs/reference/rules_and_metrics.md": {
@@ -69,7 +69,7 @@ CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
 
 
 def test_parameters_of_generated_scenes() -> None:
-    rows = checked_table(REPOSITORY / "docs" / "reference" / "generated_scenes.md", "generated scenes")
+    rows = checked_table(REPOSITORY / "docs" / "how_to" / "generate_scenes.md", "generated scenes")
     for column, family in ((1, "default"), (2, "hard")):
         documented = {bare(row[0]): row[column] for row in rows}
         assert documented == {name: str(value) for name, value in asdict(FAMILY_DEFAULTS[family]).items()}

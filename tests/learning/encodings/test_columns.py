@@ -36,6 +36,9 @@ def read_columns(kind: str, agent: str, name: str) -> list[Column]:
     """Return the table of features, or of an action scheme ("scheme"), on the page."""
     columns = []
     for numbers, quantity, value, *_ in checked_table(PAGE, f"{kind} {agent}/{name}"):
+        if value == "as in `receiver`":
+            columns += read_columns(kind, agent, "receiver")
+            continue
         first, _, last = numbers.partition(" to ")
         columns.append(Column(slice(int(first), int(last or first) + 1), quantity, value))
     return columns
