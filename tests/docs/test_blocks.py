@@ -28,7 +28,7 @@ SHELL = [
 #: Pages with programs. The programs of own_object.md take long; test_own_object runs them and checks their results.
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "own_object"]
 #: Additional modules that the programs of a page need, by page.
-NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
+NEEDS = {"docs/how_to/wrist_camera.md": ("embreex",)} | {
     "README.md": ("viser",),
     "docs/how_to/demonstrations.md": ("embreex",),
     "docs/how_to/many_machines.md": ("ray",),
