@@ -3,7 +3,6 @@
 # make test        a venv with everything, then all tests
 # make quick       lint, types and the fast tests, in two minutes on two cores
 # make check       lint and types
-# make slow-tests  measures which tests are slow and writes tests/slow.txt
 # make loops       a venv with other RL libraries, then the tests of their training loops
 # make lerobot     a venv with LeRobot, then the conversion of demonstrations to its format
 # make newer       a venv with everything, then the tests without PyBullet: for Python 3.14, which it has no wheels for
@@ -34,7 +33,7 @@ INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-ba
 # The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
 SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: test benchmark quick fast types lint slow-tests check loops lerobot newer docs smoke release lowest resolve clean
+.PHONY: test benchmark quick fast types lint check loops lerobot newer docs smoke release lowest resolve clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
@@ -63,14 +62,9 @@ types: $(VENV)/.tested-with
 
 check: lint types
 
-slow-tests: $(VENV)/.tested-with
-	mkdir -p build
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -q --junitxml=build/times.xml
-	$(BIN)/python -m tests.slow build/times.xml
-
 # These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_homogeneous.py
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_flatten.py
 
 $(LOOPS)/.installed: setup.cfg constraints-loops.txt
 	$(PYTHON) -m venv $(LOOPS)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
 from handover_marl.assets.object_models import TEMPLATES_PACKAGE
-from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.geometry.model_files.urdf import render_urdf
 
 Side = Literal["left", "right"]
@@ -32,7 +32,7 @@ SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
 #: Order of the digits in the joint vector and among the links, three joints each, as in MANO.
 DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
-#: Folder of the hand models, made by `building/build_hands.py`.
+#: Folder of the hand models, made by `building/hands.py`.
 HANDS_FOLDER: Final = Path(__file__).parent / "data" / "hands"
 
 # Reference hand: positions z and y (m) of the knuckles and splay angles (rad) of straight fingers,
@@ -105,17 +105,15 @@ class HandGeometry:
         ring finger and thumb.
         """
         positions, rotations = self.compute_link_poses(dof)
-        ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], self.tips + self._compute_tip_offsets())
+        directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
+        tips = self.tips + directions * self.radii[:, 1:]
+        ends = np.einsum("...ij,...j->...i", rotations[..., 1:, :, :], tips)
         points = [positions[..., :1, :]]
         for digit in range(5):
             first = 1 + 3 * digit
             last = positions[..., first + 2, :] + ends[..., first + 1, :]
             points += [positions[..., first : first + 3, :], last[..., None, :]]
         return np.concatenate(points, axis=-2)
-
-    def _compute_tip_offsets(self) -> FloatArray:
-        directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
-        return np.asarray(directions * self.radii[:, 1:])
 
 
 def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:
@@ -192,19 +190,10 @@ def format_hand_name(subject: int, side: Side) -> str:
 
 
 def find_hand_urdf(subject: int, side: Side) -> Path:
-    """Return the path of a hand's URDF.
-
-    Raises:
-        UnknownNameError: The subject or the side does not exist.
-        DataNotFoundError: The file is missing.
-    """
-    make_hand_geometry(subject, side)
-    path = HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; build it with: python -m handover_marl.assets.building.build_hands"
-        )
-    return path
+    """Return the path of a hand's URDF; raises `UnknownNameError`."""
+    check_name("subject", subject, SUBJECTS)
+    check_name("side", side, SIDES)
+    return HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
 
 
 def _round_to_micrometres(values: FloatArray) -> FloatArray:
@@ -237,9 +226,6 @@ def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, 
 
 def format_numbers(values: Iterable[float]) -> str:
     """Return numbers with up to 6 decimals, separated by spaces."""
-    return " ".join(_format_number(value) for value in values)
-
-
-def _format_number(value: float) -> str:
-    text = f"{round(float(value), 6) + 0.0:.6f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    # Adding zero turns -0.0 into 0.0.
+    texts = (f"{round(float(value), 6) + 0.0:.6f}" for value in values)
+    return " ".join(text.rstrip("0").rstrip(".") for text in texts)

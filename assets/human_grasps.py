@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_from_matrices
-from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-#: Path of the grasps, made by `building/build_human_grasps.py`.
+#: Path of the grasps, made by `building/human_grasps.py`.
 GRASPS_FILE: Final = Path(__file__).parent / "data" / "human_grasps.npz"
 
 #: YCB class names in the order of the file.
@@ -81,7 +81,6 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
 
     Raises:
         UnknownNameError: The object, the subject or the side does not exist.
-        DataNotFoundError: The file is missing.
     """
     for kind, value, valid in (
         ("object", object_name, GRASPED_OBJECTS),
@@ -104,17 +103,5 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
 
 @cache
 def _load_arrays() -> dict[str, npt.NDArray[Any]]:
-    if not GRASPS_FILE.is_file():
-        raise DataNotFoundError(
-            f"{GRASPS_FILE} is missing; build it with: python -m handover_marl.assets.building.build_human_grasps"
-        )
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}
-
-
-def interpolate_wrist_distance(object_name: str, level: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Return the wrist distances (m) of a YCB class at quantile levels from 0 to 1.
-
-    Values between `LEVELS` are interpolated; beyond them the outermost values are returned.
-    """
-    return np.asarray(np.interp(np.asarray(level), LEVELS, WRIST_DISTANCE_QUANTILES[object_name]))

@@ -2,7 +2,7 @@
 
 The objects have the outer dimensions and the frames of the YCB scans that DexYCB and HandoverSim
 use, so object poses and grasps of both apply to them. Their shapes are simplified and made by
-`python -m handover_marl.assets.building.build_objects`.
+`python -m handover_marl.assets.building objects`.
 """
 
 import json
@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.execution.options import require_pybullet
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -36,27 +36,16 @@ TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 
 #: sRGB values (0 to 255) by color name.
 PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())
-PALETTE_FILES: Final = ("palette.png", "palette.mtl")
 
 #: Path of the table's URDF: HandoverSim's table as boxes, with a top of 1.77 x 0.73 x 0.04 m at a
 #: height of 0.92 m and four legs.
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
 
-def find_object_urdf(name: str, root: Path = OBJECTS_ROOT) -> Path:
-    """Return the path of the URDF of a YCB class, such as "025_mug".
-
-    Raises:
-        UnknownNameError: The class does not exist.
-        DataNotFoundError: The file is missing.
-    """
+def find_object_urdf(name: str) -> Path:
+    """Return the path of the URDF of a YCB class, such as "025_mug"; raises `UnknownNameError`."""
     check_name("object", name, CLASS_NAMES.values())
-    path = root / name / URDF_NAME
-    if not path.is_file():
-        raise DataNotFoundError(
-            f"{path} is missing; make it with `python -m handover_marl.assets.building.build_objects --out {root}`"
-        )
-    return path
+    return OBJECTS_ROOT / name / URDF_NAME
 
 
 @cache
@@ -84,10 +73,9 @@ def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def copy_palette(folder: Path) -> None:
-    """Copy the image and the material file of the colors, which all shipped objects have, into a folder."""
-    for name in PALETTE_FILES:
-        (folder / name).write_bytes((OBJECTS_ROOT / "025_mug" / name).read_bytes())
+def read_palette_files() -> dict[str, bytes]:
+    """Return the image and the material file of the colors, which all shipped objects have, by name."""
+    return {name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")}
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:

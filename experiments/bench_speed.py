@@ -27,7 +27,7 @@ from handover_marl.evaluation.reports.tables import format_table
 from handover_marl.execution.options import describe_machine
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory
 from handover_marl.learning.training.scene_arguments import SetupArgs
-from handover_marl.simulation.engines import CPU, CUDA, FAST, MUJOCO, WARP, list_available_physics
+from handover_marl.simulation.engines import CUDA, FAST, MUJOCO, WARP, list_available_physics
 
 MAX_TARGET_OFFSET = 0.05  # of joint targets from the start pose (rad)
 STEPS_PER_TURN = 5  # control steps for which an environment is measured before the next one
@@ -149,22 +149,13 @@ def measure_warp(args: Args, count: int) -> tuple[float, float]:
     return total / seconds, args.decisions * count / seconds
 
 
-def describe_device(device: str) -> str:
-    """Return the name of a device, and state for the processor that the figures are not those of a GPU."""
-    if device == CPU:
-        return "Warp's CPU device, which is for tests; these are no figures of a GPU"
-    import warp
-
-    return str(warp.get_device(device).name)
-
-
 def main(args: Args) -> None:
     """Measure and print a table, machine and date."""
     if args.warp:
         found = [(count, *measure_warp(args, count)) for count in args.sizes]
         rows = [(count, f"{steps:,.0f}", f"{decisions:,.1f}") for count, steps, decisions in found]
         print(format_table(("environments", "physics steps/s", "decisions/s"), rows))
-        print(f"\nObservation mode: {args.obs_mode}. Device: {describe_device(args.device)}.")
+        print(f"\nObservation mode: {args.obs_mode}. Device: {args.device} (Warp's cpu is for tests).")
     else:
         print(measure_processor(args))
     print(f"\n{describe_machine()}, {date.today().isoformat()}.")

@@ -1,15 +1,15 @@
-"""Make the results pages and their figure from stored outcomes.
+"""Make the results pages and their figure from stored evaluations.
 
     python experiments/make_results.py                              # pages and figure
     python experiments/make_results.py --add results/yang results/omg   # store these result folders first
     python experiments/make_results.py --measure yang2021 --data-dir DIR   # evaluate on all test splits before
 
-`docs/results/data/episodes/` has one file for each evaluation, with the outcome of every scene;
-`--add` writes these files, and appends uses of test splits to `test_use.csv`. `--measure` evaluates receivers in exact
-physics; a scene in the test splits of several setups is simulated once, and an interrupted run continues.
-Rows of evaluations whose outcomes were not stored are computed from the counts in `evaluations.json`. Each template
-`docs/results/data/NAME.md.jinja` becomes the page `docs/results/NAME.md`. Differences are computed by
-`handover-marl compare`, only between evaluations with stored outcomes.
+`docs/results/data/evaluations.json` has one row for each evaluation of a test split by the official protocol. `--add`
+writes rows, a file with the outcome of every scene to `docs/results/data/episodes/`, and the use of the test split to
+`test_use.csv`. `--measure` evaluates receivers in exact physics; a scene in the test splits of several setups is
+simulated once, and an interrupted run continues. Each template `docs/results/data/NAME.md.jinja` becomes the page
+`docs/results/NAME.md`. Differences are computed by `handover-marl compare`, only between evaluations with stored
+outcomes.
 """
 
 import csv
@@ -17,7 +17,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -29,19 +29,22 @@ from handover_marl.datasets.splits import SETUPS
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
+from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.statistics import compute_wilson_interval
-from handover_marl.evaluation.reports.tables import append_interval, format_csv, format_percent_rate
-from handover_marl.evaluation.results.episode_file import format_episode_file
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
-from handover_marl.evaluation.results.result_folder import ResultFolder, get_result_path
+from handover_marl.evaluation.reports.tables import (
+    append_interval,
+    compute_wilson_interval,
+    format_csv,
+    format_percent_rate,
+)
+from handover_marl.evaluation.results import ResultFolder, format_episode_file, get_result_path
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.policies.reference import parse_policy
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "results"
 DATA = FOLDER / "data"
-EPISODES, COUNTS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
+EPISODES, EVALUATIONS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
 HEADER = (
     "receiver",
     "input",
@@ -107,16 +110,13 @@ class Args:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluation of a receiver on a whole split with the official rules.
+    """Evaluation of a receiver on a whole test split by the official protocol: a row of `evaluations.json`.
 
     Attributes:
         receiver: Label of the receiver, without the waiting time and the hash of its own weights.
         dataset: "dexycb" or "synthetic".
         data: Description of the data: data set, objects in a scene, and substituted models.
         setup: Official setup.
-        split: Split of the setup.
-        giver: Label of the giver.
-        physics: Kind of physics.
         wait_s: Time that the receiver waits at the start (s).
         episodes: Number of episodes.
         success: Number of successes.
@@ -128,16 +128,13 @@ class Evaluation:
             time t and 0 for a failure, in percent.
         version: Version of the library.
         plan_s: Mean wall-clock time of the policy in successes (s), or None if it was not stored.
-        path: File with the outcome of every scene, or None if it was not stored.
+        path: File with the outcome of every scene, relative to `docs/results`; empty if it was not stored.
     """
 
     receiver: str
     dataset: str
     data: str
     setup: str
-    split: str
-    giver: str
-    physics: str
     wait_s: float
     episodes: int
     success: int
@@ -148,12 +145,12 @@ class Evaluation:
     as_percent: float
     version: str
     plan_s: float | None = None
-    path: Path | None = None
+    path: str = ""
 
     @property
     def key(self) -> tuple[object, ...]:
         """Values that identify an evaluation; one with the same key replaces it."""
-        return self.receiver, self.giver, self.dataset, self.setup, self.split, self.physics, self.wait_s
+        return self.receiver, self.dataset, self.setup, self.wait_s
 
     @property
     def name(self) -> str:
@@ -163,14 +160,12 @@ class Evaluation:
     @cached_property
     def report(self) -> Report:
         """Report of the stored outcomes."""
-        if self.path is None:
-            raise SystemExit(f"the outcomes of {self.key} are not stored")
-        return handover_marl.evaluate(self.path)
+        return handover_marl.evaluate(FOLDER / self.path)
 
     @property
     def conditions(self) -> str:
         """Physics, giver and data."""
-        return f"{self.physics} physics, giver `{self.giver}`, {self.data}"
+        return f"exact physics, giver `replay`, {self.data}"
 
     def format_rate(self, name: str) -> str:
         """Return the rate of an outcome with its 95 % Wilson interval (%), as text.
@@ -182,49 +177,8 @@ class Evaluation:
 
 
 def read_evaluations() -> list[Evaluation]:
-    """Return all evaluations: those with stored outcomes, and the others in `evaluations.json`."""
-    counts = [Evaluation(**entry) for entry in json.loads(COUNTS.read_text())]
-    stored = [make_evaluation(handover_marl.evaluate(path), path) for path in sorted(EPISODES.glob("*.json"))]
-    # A stored evaluation takes the place of the counts in the order of the rows.
-    return list(({one.key: one for one in counts} | {one.key: one for one in stored}).values())
-
-
-def make_evaluation(report: Report, path: Path | None = None) -> Evaluation:
-    """Return the evaluation that a report describes.
-
-    Args:
-        report: Report of a whole split.
-        path: File with the stored outcomes.
-
-    Raises:
-        SystemExit: The report is partial, or has other rules than the official ones.
-    """
-    metadata = report.metadata
-    if metadata.world != OFFICIAL_WORLD or report.is_partial:
-        raise SystemExit(f"{metadata.receiver} must be evaluated with the official rules on a whole split")
-    name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
-    others = ",".join(option for option in options.split(",") if not option.startswith("wait="))
-    success, contact, drop, timeout = (report.count(status) for status in EpisodeStatus if status)
-    return Evaluation(
-        f"{name}:{others}" if others else name,
-        metadata.dataset,
-        report.data_label,
-        metadata.setup,
-        metadata.split,
-        metadata.giver,
-        metadata.physics,
-        float(metadata.wait_s or 0.0),
-        len(report.episodes),
-        success,
-        contact,
-        drop,
-        timeout,
-        report.time_exec,
-        100.0 * report.average_success,
-        metadata.version,
-        report.time_plan,
-        path,
-    )
+    """Return the evaluations of `evaluations.json`."""
+    return [Evaluation(**entry) for entry in json.loads(EVALUATIONS.read_text())]
 
 
 def measure(
@@ -256,19 +210,45 @@ def measure(
 
 
 def add_evaluation(folder: Path, purpose: str) -> None:
-    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of a test split."""
+    """Store the outcomes in a result folder, in place of an earlier evaluation, and log the use of the test split.
+
+    Raises:
+        SystemExit: The evaluation is partial, or not one of the official protocol on a test split.
+    """
     report = handover_marl.evaluate(folder)
-    added, metadata = make_evaluation(report), report.metadata
+    metadata = report.metadata
+    protocol = (metadata.world, metadata.split, metadata.giver, metadata.physics)
+    if report.is_partial or protocol != (OFFICIAL_WORLD, "test", "replay", "exact"):
+        raise SystemExit(f"{folder} must be an evaluation by the official protocol on a whole test split")
+    name, _, options = re.sub("@own weights [0-9a-f]+", "", metadata.receiver).partition(":")
+    others = ",".join(option for option in options.split(",") if not option.startswith("wait="))
+    success, contact, drop, timeout = (report.count(status) for status in EpisodeStatus if status)
+    added = Evaluation(
+        f"{name}:{others}" if others else name,
+        metadata.dataset,
+        report.data_label,
+        metadata.setup,
+        float(metadata.wait_s or 0.0),
+        len(report.episodes),
+        success,
+        contact,
+        drop,
+        timeout,
+        report.official_means["exec_s"].mean,
+        100.0 * report.average_success,
+        metadata.version,
+        report.official_means["plan_s"].mean,
+    )
     EPISODES.mkdir(exist_ok=True)
     path = EPISODES / f"{re.sub(r'[^a-z0-9.]+', '-', '-'.join(map(str, added.key)))}.json"
     path.write_text(format_episode_file(metadata, report.episodes))
-    counts = [entry for entry in json.loads(COUNTS.read_text()) if Evaluation(**entry).key != added.key]
-    COUNTS.write_text(f"{json.dumps(counts, indent=1)}\n")
-    if added.split == "test":
-        split = f"{added.dataset} {added.setup}"
-        cells = [split, added.version, metadata.receiver, f"{added.giver}, {added.physics}", added.episodes, purpose]
-        line, log = format_csv([cells]), TEST_USE.read_text()
-        TEST_USE.write_text(log if line in log else log + line)
+    rows = {one.key: one for one in read_evaluations()}
+    rows[added.key] = replace(added, path=path.relative_to(FOLDER).as_posix())
+    EVALUATIONS.write_text(f"{json.dumps(list(map(asdict, rows.values())), indent=1)}\n")
+    split = f"{added.dataset} {added.setup}"
+    line = format_csv([[split, added.version, metadata.receiver, "replay, exact", added.episodes, purpose]])
+    log = TEST_USE.read_text()
+    TEST_USE.write_text(log if line in log else log + line)
 
 
 def format_row(one: Evaluation) -> list[str]:
@@ -278,10 +258,10 @@ def format_row(one: Evaluation) -> list[str]:
     total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
     times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
     score, version, outcomes = f"{one.as_percent:.1f}", one.version, NOT_STORED
-    if one.path is not None:
+    if one.path:
         score = append_interval(score, one.report.official_means["AS"].interval_95)
         version = f"{version} ({one.report.metadata.receiver_hash})"
-        outcomes = f"[scenes]({one.path.relative_to(FOLDER).as_posix()})"
+        outcomes = f"[scenes]({one.path})"
     return [*start, rates[0], *times, *rates[1:], score, version, outcomes]
 
 
@@ -301,24 +281,14 @@ def format_published_row(row: PublishedResult, receiver: str, setup: str, episod
 
 
 def select_evaluations(
-    evaluations: Iterable[Evaluation],
-    receivers: tuple[str, ...],
-    dataset: str = "dexycb",
-    split: str = "test",
-    giver: str = "replay",
-    physics: str = "exact",
+    evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
-    """Return the evaluations of some receivers under the same conditions.
+    """Return the evaluations of some receivers on one data set.
 
     Raises:
         SystemExit: The data of the evaluations differ.
     """
-    conditions = (dataset, split, giver, physics)
-    chosen = [
-        one
-        for one in evaluations
-        if one.name in receivers and (one.dataset, one.split, one.giver, one.physics) == conditions
-    ]
+    chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
     if len({one.data for one in chosen}) > 1:
         raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
     return chosen
@@ -361,19 +331,21 @@ def make_difference_table(
     """
     names = tuple(name for pair in pairs for name in pair[::2])
     chosen = select_evaluations(evaluations, names)
-    stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen if one.path is not None}
+    stored = {(one.setup, one.receiver, one.wait_s): one for one in chosen if one.path}
     rows, commands = [], []
     for setup in setups:
         for first, first_wait, second, second_wait in pairs:
-            sides = stored.get((setup, first, first_wait)), stored.get((setup, second, second_wait))
-            if sides[0] is None or sides[1] is None or sides[0].path is None or sides[1].path is None:
+            sides = [stored.get((setup, first, first_wait)), stored.get((setup, second, second_wait))]
+            known = [one for one in sides if one is not None]
+            if len(known) < len(sides):
                 continue
-            compared = handover_marl.compare(sides[0].path, sides[1].path)
-            labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in sides if one is not None]
+            paths = [FOLDER / one.path for one in known]
+            compared = handover_marl.compare(*paths)
+            labels = [f"`{one.receiver}` ({one.wait_s:g} s, version {one.version})" for one in known]
             gains = [str(row[3]) for row in compared.build_tables()[0].rows]
             rows.append([*labels, setup, str(len(compared.pairs)), *gains])
-            paths = (one.path.relative_to(FOLDER.parents[1]) for one in sides if one is not None and one.path)
-            commands.append(f"handover-marl compare {' '.join(map(str, paths))}")
+            files = [str(path.relative_to(FOLDER.parents[1])) for path in paths]
+            commands.append(f"handover-marl compare {' '.join(files)}")
     if not rows:
         return NO_DIFFERENCES
     header = ["A (wait)", "B (wait)", "setup", "n episodes", *(f"{name}, points" for name in (*OUTCOMES, "AS"))]
@@ -412,7 +384,7 @@ def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
     """Return Markdown items with the scenes in which a receiver failed on test splits of DexYCB, where stored."""
     lines = []
     for one in select_evaluations(evaluations, (receiver,)):
-        if one.path is not None:
+        if one.path:
             failed = [f"{each.scene_id} ({each.status.label})" for each in one.report.episodes if not each.success]
             lines.append(f"- {one.setup}, wait {one.wait_s:g} s, version {one.version}: {', '.join(failed) or 'none'}")
     return "\n".join(lines) or "The outcomes of single scenes were not stored."

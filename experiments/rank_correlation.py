@@ -23,7 +23,7 @@ from scipy import stats
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.published import PUBLISHED
-from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.reports.tables import format_percent_interval, format_table
 
 

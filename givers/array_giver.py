@@ -24,7 +24,7 @@ class NoConfig(CheckedConfig):
 class ArrayGiver(Giver):
     """Base class of givers whose state is in arrays (n, ...), one row for each episode; a giver by itself has one.
 
-    Subclasses define `start` and `decide`, and `allocate` if they keep a state. Actions do not depend on the other
+    Subclasses define `decide`, and `allocate` and `start` if they keep a state. Actions do not depend on the other
     episodes that act at the same time. Arrays are NumPy arrays or PyTorch tensors.
 
     Args:
@@ -56,7 +56,6 @@ class ArrayGiver(Giver):
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
         """Create the arrays of n episodes."""
 
-    @abstractmethod
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode of a row with a seed of its random numbers."""
 

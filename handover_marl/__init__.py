@@ -5,7 +5,6 @@ env = handover_marl.env(setup="s0", split="train")               PettingZoo AEC 
 env = handover_marl.freeze(env, "receiver", "replay")            one agent to control
 env = handover_marl.encode(env)                                  features and scaled outputs
 env = handover_marl.flatten(env)                                 vectors instead of dictionaries
-env = handover_marl.homogeneous(env)                             equal spaces for all agents
 env = handover_marl.vector_env(64, "receiver", "replay")         many environments in one process
 env = gymnasium.make("HandoverMARL/Receiver-v0", setup="s0")     Gymnasium environment of the robot
 robot = handover_marl.as_receiver(network)                       function, network or file as a receiver
@@ -31,13 +30,12 @@ _NAMES = {
     "envs.constructors": ("benchmark_env", "env", "parallel_env"),
     "envs.custom_rewards": ("combine_rewards", "declare_terms"),
     "envs.handover_env": ("HandoverEnv",),
-    "envs.reward_terms": ("TermWeights",),
+    "envs.rewards": ("TermWeights",),
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),
     "envs.wrappers.flatten": ("flatten",),
     "envs.wrappers.freeze": ("freeze",),
-    "envs.wrappers.homogeneous": ("homogeneous",),
     "episode.camera_observations": ("CameraCapture",),
     "episode.referee": ("EpisodeStatus",),
     "evaluation.benchmark": ("benchmark", "evaluate_pair"),
@@ -48,15 +46,13 @@ _NAMES = {
     "evaluation.demonstrations.record": ("demonstrate",),
     "evaluation.merge": ("merge",),
     "evaluation.rendering": ("render_plan", "render_scene"),
-    "evaluation.reports.report": ("Report",),
-    "evaluation.reports.report_files": ("evaluate",),
+    "evaluation.reports.report": ("Report", "evaluate"),
     "evaluation.strangers.protocol": ("strangers",),
     "evaluation.verification": ("verify",),
     "learning.action_scheme": ("ActionScheme",),
     "learning.adapters.as_policy": ("as_giver", "as_receiver"),
     "learning.adapters.export": ("export_policy",),
-    "learning.encodings.choices": ("declare_size",),
-    "learning.encodings.custom_features": ("FeatureExtractor",),
+    "learning.custom_encodings": ("FeatureExtractor", "declare_size"),
     "simulation.camera.images": ("SegmentationLabel",),
     "simulation.camera.noise": ("CameraNoise",),
 }

@@ -25,7 +25,6 @@ Details of the authors' scripts that determine the results:
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +38,8 @@ from handover_marl.geometry.panda import CLOSED, OPEN
 from handover_marl.geometry.poses import quaternion_from_matrix
 from handover_marl.planning.ik_solvers import IkStepper, make_ik_stepper
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
-from handover_marl.receivers.point_cloud_memory import PointCloudMemory, PointCloudMemoryConfig
+from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
+from handover_marl.receivers.point_cloud_memory import PointCloudMemory
 
 Array = npt.NDArray[np.float64]
 
@@ -68,8 +67,6 @@ class GaddpgReceiver(PhasedReceiver):
         wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for "w/o hold".
         max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
             the trained model. Default: the value in the library's own weights (30), or else 20.
-        memory: Configuration of the point cloud memory.
-        timing: Durations of the receiver's phases.
 
     Raises:
         OptionError: PyTorch is not installed, both network and weights are given, or a number is out of range.
@@ -84,7 +81,7 @@ class GaddpgReceiver(PhasedReceiver):
     name = "gaddpg"
     file_options = ("weights",)
     obs_mode = FULL_POINTCLOUD
-    default_timing = PhaseTiming(step_ms=150)
+    step_ms = 150
 
     def __init__(
         self,
@@ -93,19 +90,13 @@ class GaddpgReceiver(PhasedReceiver):
         weights: str | None = None,
         wait: float | None = None,
         max_steps: int | None = None,
-        memory: PointCloudMemoryConfig | None = None,
-        timing: PhaseTiming | None = None,
     ) -> None:
-        super().__init__(context, wait, timing)
+        super().__init__(context, wait)
         self._network, self._label, own_steps = _load_network(network, weights)
-        config = memory or PointCloudMemoryConfig()
-        if max_steps is None and memory is None:
-            max_steps = own_steps
-        if max_steps is not None:
-            if isinstance(max_steps, bool) or not isinstance(max_steps, int) or max_steps < 1:
-                raise OptionError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
-            config = replace(config, max_steps=max_steps)
-        self.memory = PointCloudMemory(config)
+        if max_steps is not None and (type(max_steps) is not int or max_steps < 1):
+            raise OptionError(f"max_steps must be a whole number of at least 1, got {max_steps!r}")
+        max_steps = own_steps if max_steps is None else max_steps
+        self.memory = PointCloudMemory() if max_steps is None else PointCloudMemory(max_steps)
         self._start = np.array(context.panda.start_joints)
         self._ik_stepper: IkStepper | None = None
         self._start_approach()
@@ -132,11 +123,11 @@ class GaddpgReceiver(PhasedReceiver):
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions."""
-        timing, self._now_ms = self.timing, round(1000.0 * float(observation["time"][0]))
-        elapsed = self._now_ms - timing.wait_ms
+        self._now_ms = round(1000.0 * float(observation["time"][0]))
+        elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
-            return self._command(self._start, OPEN, timing.wait_ms)
-        number, is_last = elapsed // timing.step_ms, elapsed % timing.step_ms == timing.step_ms - 1
+            return self._command(self._start, OPEN, self._wait_ms)
+        number, is_last = elapsed // self.step_ms, elapsed % self.step_ms == self.step_ms - 1
         if self._close_ms is None and number > self._decided:
             self._check_end(observation)
         if self._close_ms is None and number > self._decided:
@@ -145,9 +136,9 @@ class GaddpgReceiver(PhasedReceiver):
         if self._close_ms is None and is_last:
             self._check_end(observation)
         if self._close_ms is None or self._now_ms < self._close_ms:
-            end = timing.wait_ms + (number + 1) * timing.step_ms
+            end = self._wait_ms + (number + 1) * self.step_ms
             return self._command(self._target, OPEN, end if is_last else end - 1)
-        closed_ms = self._close_ms + timing.close_ms
+        closed_ms = self._close_ms + CLOSE_MS
         if self._now_ms < closed_ms:
             return self._command(self._target, CLOSED, closed_ms)
         return self._carry(observation, closed_ms)
@@ -158,7 +149,7 @@ class GaddpgReceiver(PhasedReceiver):
             return
         self._is_checked = True
         if self.memory.remaining == 0 or self.memory.is_object_caged(self._base_from_hand(observation)):
-            self._close_ms = self.timing.wait_ms + (self._decided + 1) * self.timing.step_ms
+            self._close_ms = self._wait_ms + (self._decided + 1) * self.step_ms
 
     def _decide(self, observation: Observation) -> Array:
         """Return the joints (9,) that the network's decision leads to."""
@@ -181,9 +172,9 @@ class GaddpgReceiver(PhasedReceiver):
         solver, position = require_reset(self._ik_stepper, self.name), observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
-        step = offset / length * self.timing.retreat_step
+        step = offset / length * RETREAT_STEP
         joints = []
-        for _ in range(math.ceil(length / self.timing.retreat_step)):
+        for _ in range(math.ceil(length / RETREAT_STEP)):
             position += step
             joints.append(solver.solve_step(observation["robot_joint_position_exact"], position))
         return joints or [self._target]

@@ -28,7 +28,7 @@ from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerCo
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary
-from handover_marl.receivers.phases import PhasedReceiver, PhaseTiming
+from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
 
 Array = npt.NDArray[np.float64]
 
@@ -58,9 +58,8 @@ class OmgReceiver(PhasedReceiver):
 
     Args:
         context: The robot, the objects and their grasps.
-        wait: Time at the waiting pose (s); default: the time in `timing`.
+        wait: Time at the waiting pose (s); default: 3.
         config: Configuration of the planner.
-        timing: Durations of the receiver's phases.
 
     Raises:
         OptionError: The extra `planning` is not installed.
@@ -70,7 +69,7 @@ class OmgReceiver(PhasedReceiver):
     """
 
     name = "omg"
-    default_timing = PhaseTiming(step_ms=130)
+    step_ms = 130
     #: Configuration of the planner unless another is given.
     default_config: ClassVar[PlannerConfig] = PlannerConfig()
 
@@ -79,9 +78,8 @@ class OmgReceiver(PhasedReceiver):
         context: PolicyContext,
         wait: float | None = None,
         config: PlannerConfig | None = None,
-        timing: PhaseTiming | None = None,
     ) -> None:
-        super().__init__(context, wait, timing)
+        super().__init__(context, wait)
         require_modules(f"receiver {self.name!r}", "planning", *_REQUIRED_MODULES)
         self.config = config or self.default_config
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
@@ -129,18 +127,18 @@ class OmgReceiver(PhasedReceiver):
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
-        elapsed = self._now_ms - self.timing.wait_ms
+        elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
-            return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, self.timing.wait_ms)
+            return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, self._wait_ms)
         if not self._has_planned:
             self._plan, self._has_planned = self._make_plan(observation), True
         if self._plan is None:
             return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, math.inf)
-        number = elapsed // self.timing.step_ms
+        number = elapsed // self.step_ms
         path = self._plan.trajectory
         if number < len(path):
             return self._command(path[number], OPEN, self._compute_waypoint_start(number + 1))
-        closed_ms = self._compute_waypoint_start(len(path)) + self.timing.close_ms
+        closed_ms = self._compute_waypoint_start(len(path)) + CLOSE_MS
         if self._now_ms < closed_ms:
             return self._command(path[-1], CLOSED, closed_ms)
         if not self._retreat:
@@ -148,7 +146,7 @@ class OmgReceiver(PhasedReceiver):
         return self._carry(observation, self._retreat_ms)
 
     def _compute_waypoint_start(self, number: int) -> int:
-        return self.timing.wait_ms + number * self.timing.step_ms
+        return self._wait_ms + number * self.step_ms
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = self.context.object_names[int(observation["object_classes"][0])]
@@ -192,7 +190,7 @@ class OmgReceiver(PhasedReceiver):
         """Return arm joints (7,) along the straight line to the goal, with free hand rotation."""
         hand = observation["gripper_pose"][:3].astype(np.float64)
         goal = np.array(self.context.protocol.goal_center)
-        count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / self.timing.retreat_step))
+        count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / RETREAT_STEP))
         arm = observation["robot_joint_position"][:ARM_DOF].astype(np.float64)
         solver, path = require_reset(self._ik_solver, self.name), []
         for share in np.arange(1, count + 1) / count:

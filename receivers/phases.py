@@ -2,7 +2,6 @@
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,22 +12,10 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import CLOSED
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 
-
-@dataclass(frozen=True)
-class PhaseTiming:
-    """Durations of the phases of a receiver, as in HandoverSim.
-
-    Attributes:
-        step_ms: Time for which each decision or waypoint is commanded (ms).
-        wait_ms: Time at the start or waiting pose (ms).
-        close_ms: Time for which the fingers close (ms).
-        retreat_step: Distance between waypoints on the straight path to the goal (m).
-    """
-
-    step_ms: int
-    wait_ms: int = 3000
-    close_ms: int = 500
-    retreat_step: float = 0.03
+# Times as in HandoverSim (ms): at the start or waiting pose, and while the fingers close.
+_WAIT_MS, CLOSE_MS = 3000, 500
+#: Distance between waypoints on the straight path to the goal (m).
+RETREAT_STEP = 0.03
 
 
 class PhasedReceiver(Receiver):
@@ -36,18 +23,15 @@ class PhasedReceiver(Receiver):
 
     Args:
         context: The robot and the task.
-        wait: Time at the start or waiting pose (s); default: the time in `timing`.
-        timing: Durations of the receiver's phases.
+        wait: Time at the start or waiting pose (s); default: 3, as in HandoverSim.
     """
 
-    #: Durations of the phases unless others are given.
-    default_timing: ClassVar[PhaseTiming]
+    #: Time for which each decision or waypoint is commanded (ms).
+    step_ms: ClassVar[int]
 
-    def __init__(self, context: PolicyContext, wait: float | None, timing: PhaseTiming | None) -> None:
+    def __init__(self, context: PolicyContext, wait: float | None) -> None:
         super().__init__(context)
-        self.timing = timing or self.default_timing
-        if wait is not None:
-            self.timing = replace(self.timing, wait_ms=milliseconds_from_wait(wait))
+        self._wait_ms = _WAIT_MS if wait is None else milliseconds_from_wait(wait)
         self._start_timing()
 
     def _start_timing(self) -> None:
@@ -58,7 +42,7 @@ class PhasedReceiver(Receiver):
     @property
     def wait(self) -> float:
         """Time at the start or waiting pose (s)."""
-        return self.timing.wait_ms / 1000.0
+        return self._wait_ms / 1000.0
 
     @property
     def hold_time(self) -> float:
@@ -73,8 +57,8 @@ class PhasedReceiver(Receiver):
         """Return the action of the retreat that began at a time (ms)."""
         if not self._retreat:
             self._retreat = self._plan_retreat(observation)
-        number, last = (self._now_ms - start_ms) // self.timing.step_ms, len(self._retreat) - 1
-        until_ms = start_ms + (number + 1) * self.timing.step_ms if number < last else math.inf
+        number, last = (self._now_ms - start_ms) // self.step_ms, len(self._retreat) - 1
+        until_ms = start_ms + (number + 1) * self.step_ms if number < last else math.inf
         return self._command(self._retreat[min(number, last)], CLOSED, until_ms)
 
     @abstractmethod

@@ -8,7 +8,7 @@ for variable in ("LOKY_MAX_CPU_COUNT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 os.environ.setdefault("RAY_worker_niceness", "0")
 
 # ruff: noqa: E402
-from collections import defaultdict
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,6 @@ from hypothesis import settings
 
 from handover_marl.datasets import DATA_DIR_VARIABLE, OfficialDataset
 from tests.fake_layout import write_layout
-from tests.slow import module_name, read_slow_tests, test_name
 
 # The time of an example depends on what else the machine does.
 settings.register_profile("tests", deadline=None)
@@ -95,20 +94,9 @@ def recordings(real_data: Path) -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow tests, and begin with the files that take most time, so that no core waits at the end.
-
-    The tests of a file stay together and share its fixtures.
-    """
-    times = read_slow_tests()
-    # In the order of the items: all worker processes must compute equal sums.
-    functions = dict.fromkeys((str(item.path), test_name(module_name(item.nodeid), item.name)) for item in items)
-    file_times: defaultdict[str, float] = defaultdict(float)
-    for path, name in functions:
-        file_times[path] += times.get(name, 0.0)
-    for item in items:
-        if test_name(module_name(item.nodeid), item.name) in times:
-            item.add_marker(pytest.mark.slow)
-    items.sort(key=lambda item: (-file_times[str(item.path)], str(item.path)))
+    """Begin with the files that have most slow tests, so that no core waits at the end."""
+    n_slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: (-n_slow[item.path], item.path))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

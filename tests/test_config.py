@@ -20,7 +20,6 @@ from handover_marl.config import (
     ProtocolConfig,
     WorldConfig,
 )
-from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import OptionError
 from handover_marl.simulation.camera.noise import CameraNoise
 
@@ -35,9 +34,6 @@ MADE: tuple[CheckedConfig, ...] = (
     OFFICIAL_CONFIG.giver,
     CameraConfig(),
     CameraNoise(),
-    SHAPED,
-    SHAPED.receiver,
-    SHAPED.giver,
 )
 FIELDS = [(config, part.name) for config in MADE for part in fields(config)]  # type: ignore[arg-type]
 WRONG = (
@@ -59,6 +55,7 @@ WRONG = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "name"), FIELDS, ids=lambda part: part if isinstance(part, str) else type(part).__name__
 )

@@ -71,17 +71,19 @@ def test_conforming_policies() -> None:
         check_receiver(name, scenes=ONE, steps=500)
 
 
-@pytest.mark.parametrize("name", [name for name in givers.list_available() if name != "learned"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in givers.list_available() if name not in ("learned", "population")])
 def test_our_givers_conform(name: str) -> None:
-    check_giver(name, scenes=ONE, steps=1000)
+    check_giver(name, scenes=ONE, steps=600)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["yang2021", "omg", "omg_hand_aware"])
+@pytest.mark.parametrize("name", ["yang2021", "omg"])
 def test_our_receivers_conform(name: str) -> None:
     check_receiver(name, scenes=ONE, steps=3600)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "error", "message"),
     [

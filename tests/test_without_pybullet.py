@@ -80,6 +80,7 @@ def rollout() -> str:
     return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not is_pybullet_installed(), reason="there is nothing to compare with")
 def test_an_episode_is_the_same_to_the_bit(elsewhere: dict[str, str]) -> None:
     reported = python(elsewhere, "from tests.test_without_pybullet import *; print(rollout())").strip()
@@ -101,71 +102,48 @@ def test_the_panda_that_ships_is_pybullets() -> None:
 
 
 #: Steps of episodes in which agents observe and act, but which end before the handover.
-SHORT = 2000
+SHORT = 1500
 PLAYING = f"""
-import itertools
 import sys
 import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG, ProtocolConfig, WorldConfig
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.simulation.engines import list_available_physics
+from handover_marl.testing import check_giver, check_receiver
 
 assert not is_pybullet_installed()
 assert list_available_physics() == ("mujoco",)
 scene = dict(dataset="synthetic", physics="mujoco", scenes=[{SCENE}], workers=1)
 short = WorldConfig(protocol=ProtocolConfig(horizon_steps={SHORT}))
-for giver, receiver in itertools.product({{givers}}, {{receivers}}):
-    config = OFFICIAL_CONFIG if (giver, receiver) in {{whole}} else short
-    report = handover_marl.evaluate_pair(giver, receiver, world_config=config, **scene)
+for giver, receiver, is_whole in {{pairs}}:
+    report = handover_marl.evaluate_pair(giver, receiver, world_config=OFFICIAL_CONFIG if is_whole else short, **scene)
     assert "mujoco physics without PyBullet" in str(report)
     fluency = report.episodes[0].fluency
-    assert 0.0 <= fluency.min_distance < 1.0
+    assert fluency.min_distance is None or 0.0 <= fluency.min_distance < 1.0
     print(receiver, report.episodes[0].status.label)
+check_receiver("random", scenes=(9,), steps=500)
+check_giver("noisy", scenes=(9,), steps=500)
 assert "handover_marl.simulation.bullet.client" not in sys.modules
 """
 
 
-def test_yang_plays_with_every_giver(elsewhere: dict[str, str]) -> None:
-    names = ["cooperative", "population", "replay", "tired"]
-    whole = [(giver, "yang2021") for giver in names]
-    reported = python(elsewhere, PLAYING.format(receivers=["yang2021"], givers=names, whole=whole)).splitlines()
-    assert len(reported) == len(names) > 2
-    outcomes = dict(zip(names, reported, strict=True))
-    assert outcomes["replay"] == "yang2021 success"
+@pytest.mark.slow
+def test_policies_play_and_can_be_checked(elsewhere: dict[str, str]) -> None:
+    """Shipped policies play in one process; `yang2021` and `reactive` play whole handovers."""
+    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("noisy", "hold", False)]
+    pairs.append(("tired", "random", False))
+    if importlib.util.find_spec("igl") is not None:
+        # The number of copies limits the time of the validation of grasps.
+        pairs += [("replay", "omg_hand_aware:wait=0.5", False), ("replay", "reactive:preparation_max_copies=1", True)]
+    if importlib.util.find_spec("torch") is not None and importlib.util.find_spec("embreex") is not None:
+        pairs.append(("replay", "vision", False))
+    reported = python(elsewhere, PLAYING.format(pairs=pairs)).splitlines()
+    assert [line.partition(" ")[0] for line in reported] == [receiver for _, receiver, _ in pairs]
+    for line, (_, _, is_whole) in zip(reported, pairs, strict=True):
+        assert line.endswith(" success") == is_whole, line
 
 
-def test_policies_can_be_checked(elsewhere: dict[str, str]) -> None:
-    python(
-        elsewhere,
-        """
-from handover_marl.testing import check_giver, check_receiver
-check_receiver("random", scenes=(9,), steps=2000)
-check_giver("noisy", scenes=(9,), steps=2000)
-""",
-    )
-
-
-def test_hold_and_random_play(elsewhere: dict[str, str]) -> None:
-    reported = python(elsewhere, PLAYING.format(receivers=["hold", "random"], givers=["replay"], whole=[]))
-    assert reported.startswith("hold timeout\nrandom ")
-
-
-@pytest.mark.skipif(importlib.util.find_spec("igl") is None, reason="the extra planning is not installed")
-def test_planners_play(elsewhere: dict[str, str]) -> None:
-    # The number of copies limits the time of the validation of grasps.
-    receivers = ["omg_hand_aware", "reactive:preparation_max_copies=1"]
-    whole = [("replay", receiver) for receiver in receivers]
-    reported = python(elsewhere, PLAYING.format(receivers=receivers, givers=["replay"], whole=whole))
-    assert reported.splitlines() == [f"{receiver} success" for receiver in receivers]
-
-
-@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the extra train is not installed")
-@pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
-def test_who_sees_plays(elsewhere: dict[str, str]) -> None:
-    reported = python(elsewhere, PLAYING.format(receivers=["vision"], givers=["replay"], whole=[]))
-    assert reported.startswith("vision ")
-
-
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("embreex") is None, reason="the extra vision is not installed")
 def test_gaddpg_moves_towards_points(elsewhere: dict[str, str]) -> None:
     """GA-DDPG moves the gripper without PyBullet's inverse kinematics; the network always predicts a step forwards."""
@@ -216,6 +194,7 @@ for options in (*refused, dict(physics="mujoco", obs_mode="state+pointcloud", re
 """
 
 
+@pytest.mark.slow
 def test_environments_run_and_say_what_they_cannot(elsewhere: dict[str, str]) -> None:
     has_rays = importlib.util.find_spec("embreex") is not None
     python(elsewhere, ENVIRONMENT.format(obs_modes=["state", "state+pointcloud"] if has_rays else ["state"]))
@@ -251,6 +230,7 @@ print(json.dumps(found))
     return [(status, errors) for status, errors in json.loads(reported)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(REFUSED)), ids=[arguments[0] for arguments, _ in REFUSED])
 def test_commands_say_what_they_cannot(refusals: list[tuple[int, str]], number: int) -> None:
     status, errors = refusals[number]
@@ -266,6 +246,7 @@ def test_the_doctor_says_what_can_be_played(elsewhere: dict[str, str]) -> None:
     assert "--physics mujoco" in reported
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not is_pybullet_installed(), reason="there is no result with PyBullet")
 def test_results_with_and_without_do_not_share_a_folder(
     elsewhere: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -1,6 +1,6 @@
 """Lofted surfaces with convex collision parts, the building blocks of the object models.
 
-Lengths are in millimetres; `build_objects` converts them to metres. An outline is an array (n, 2), a
+Lengths are in millimetres; `building.objects` converts them to metres. An outline is an array (n, 2), a
 ring an outline in space (n, 3), a loft a surface through consecutive rings.
 """
 

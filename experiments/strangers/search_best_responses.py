@@ -22,7 +22,7 @@ import handover_marl
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.evaluation.reports.tables import NO_VALUE, format_table
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.learning.training.scene_arguments import EvaluationArgs
 from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
 
@@ -68,29 +68,14 @@ class Args(EvaluationArgs):
     n_scenes: int = 36
 
 
-@dataclass(frozen=True)
-class BestResponse:
-    """Result of a search.
-
-    Attributes:
-        receiver: Receiver with its settings.
-        score: Average success on the scenes of `Args.split` (0..1).
-        success_rate: Success rate on the same scenes (0..1).
-    """
-
-    receiver: str
-    score: float
-    success_rate: float
-
-
 def draw_policy(rng: np.random.Generator) -> str:
     """Return the receiver `reactive` with random settings, whose logarithms are uniformly distributed."""
     drawn = {key: float(np.exp(rng.uniform(*np.log(limits)))) for key, limits in SEARCH_SPACE.items()}
     return "reactive:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in drawn.items())
 
 
-def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestResponse:
-    """Search the best response to a giver.
+def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> handover_marl.Report:
+    """Search the best response to a giver, and return its report on the scenes of `Args.split`.
 
     Args:
         args: Options of the search.
@@ -109,8 +94,7 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> BestR
         for number, receiver in enumerate(receivers)
     ]
     best = receivers[int(np.argmax(scores))]
-    report = evaluate_draw(args, giver, best, args.split, scenes, args.out / "best" / args.split / folder)
-    return BestResponse(best, report.average_success, report.success_rate)
+    return evaluate_draw(args, giver, best, args.split, scenes, args.out / "best" / args.split / folder)
 
 
 def evaluate_draw(
@@ -121,14 +105,15 @@ def evaluate_draw(
     return handover_marl.evaluate_pair(giver, receiver, split=split, scenes=scenes, **options)
 
 
-def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], BestResponse], n_scenes: int) -> str:
+def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], handover_marl.Report]) -> str:
     """Return the table of the best responses, one row for each partner."""
     rows = []
     for number, partner in enumerate(partners):
         responses = [found[key] for key in sorted(found) if key[0] == number]
-        best = max(responses, key=lambda response: response.score)
-        scores = ", ".join(f"{100 * response.score:.1f}" for response in responses)
-        rows.append([partner.name, partner.family, scores, f"{100 * best.success_rate:.1f}", n_scenes, best.receiver])
+        best = max(responses, key=lambda response: response.average_success)
+        scores = ", ".join(f"{100 * response.average_success:.1f}" for response in responses)
+        cells = [f"{100 * best.success_rate:.1f}", len(best.episodes), best.metadata.receiver]
+        rows.append([partner.name, partner.family, scores, *cells])
     return format_table(["giver", "family", "AS % of searches", "success % of the best", "n", "best response"], rows)
 
 
@@ -147,8 +132,8 @@ def main(args: Args) -> None:
     partners = list_partners(args)
     tasks = [(number, repeat) for number in range(len(partners)) for repeat in range(args.searches)]
 
-    def make_search() -> Callable[[tuple[int, int]], BestResponse]:
-        def run(task: tuple[int, int]) -> BestResponse:
+    def make_search() -> Callable[[tuple[int, int]], handover_marl.Report]:
+        def run(task: tuple[int, int]) -> handover_marl.Report:
             number, repeat = task
             partner, seed = partners[number], (0 if args.givers else number, repeat)
             return search(args, partner.policy, Path(f"{partner.name}-{repeat}"), seed)
@@ -156,7 +141,7 @@ def main(args: Args) -> None:
         return run
 
     found = dict(map_with_progress(make_search, tasks, "best responses", PoolConfig(args.workers), progress=True))
-    print(format_results(partners, found, args.n_scenes))
+    print(format_results(partners, found))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import tyro
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches, StateAugmentationConfig
+from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches
 from handover_marl.learning.imitation.gaddpg.data_generation import (
     CHUNK_SIZE,
     DataGeneratorConfig,
@@ -32,10 +32,7 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     make_plans,
 )
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner, GaddpgLearnerConfig
-from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig
-from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig
@@ -56,15 +53,12 @@ class Args(ImitationArgs):
             all these setups, so that no test scene is used.
         val_setup: Setup whose validation split selects the network.
         scenarios: Number of scenarios for which the expert plans.
+        rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate
             selects the network.
-        scenario: Distribution of the scenarios.
-        costs: Costs by which the expert ranks grasps.
         expert: Configuration of the expert's choice of goal grasps.
-        rollout: Configuration of the rollouts.
-        augment: Configuration of the data augmentation.
         learner: Hyperparameters of the network's training.
         approach: Configuration of the network's approach to a grasp; slower than the expert's,
             since the giver may still move.
@@ -80,11 +74,7 @@ class Args(ImitationArgs):
     repeated_share: float = 0.5
     updates: int = 15_000
     waits: tuple[float, ...] = (3.0,)
-    scenario: ImitationScenarioConfig = field(default_factory=ImitationScenarioConfig)
-    costs: GraspCostConfig = field(default_factory=GraspCostConfig)
     expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
-    rollout: ImitationRolloutConfig = field(default_factory=ImitationRolloutConfig)
-    augment: StateAugmentationConfig = field(default_factory=StateAugmentationConfig)
     learner: GaddpgLearnerConfig = field(default_factory=GaddpgLearnerConfig)
     approach: ApproachFieldConfig = field(default_factory=lambda: ApproachFieldConfig(spare_steps=5))
     max_steps: int = 30
@@ -122,24 +112,20 @@ def main(args: Args) -> Path:
     network = GaddpgNetwork(args.approach, args.max_steps)
     learner = GaddpgLearner(network, args.updates, args.torch_device, args.learner)
     run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
-    generator = DataGeneratorConfig(
-        scenes, data.name, args.data_dir, args.seed, args.scenario, args.costs, args.expert, args.rollout
-    )
+    generator = DataGeneratorConfig(scenes, data.name, args.data_dir, args.seed, args.expert)
     plans = make_plans(run.folder / "plans", generator, args.scenarios, args.workers)
 
     def load_states(tasks: list[RolloutTask], name: str, weights: Path | None = None) -> ImitationStates:
         return collect_states(run.folder / "states" / name, generator, tasks, weights, args.workers)
 
-    def make_batches(states: ImitationStates) -> ImitationBatches:
-        return ImitationBatches(states, args.expert.approach, args.augment)
-
     numbers = sorted(plans)[: max(1, len(plans) // HELD_OUT_STRIDE)]
     held_out = load_states([RolloutTask(numbers, [plans[number] for number in numbers], HELD_OUT_REPETITION)], "held")
     return run.train(
         lambda number: load_states(make_tasks(args, plans, number), f"round_{number}", run.latest if number else None),
-        make_batches,
-        make_batches(held_out),
+        ImitationBatches,
+        ImitationBatches(held_out),
         [{"wait": wait} for wait in args.waits],
+        args.rounds,
     )
 
 

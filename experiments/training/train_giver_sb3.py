@@ -13,16 +13,24 @@ logs, and a checkpoint, from which `--resume` continues.
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+import numpy as np
+import numpy.typing as npt
 import torch
 import tyro
 from stable_baselines3 import PPO
 
-from handover_marl.execution.options import count_available_cores
-from handover_marl.learning.training.stable_baselines import PpoArgs, record_first_decisions, train_agent
+import handover_marl
+from handover_marl import givers
+from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.pool import map_with_progress
+from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
+
+Vectors: TypeAlias = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -66,10 +74,7 @@ def imitate(args: Args, model: PPO) -> None:
     """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
     if not args.teacher:
         return
-    found = record_first_decisions(
-        args, args.receiver, args.teacher, args.demonstrations, args.seed, count_available_cores()
-    )
-    inputs, targets = map(torch.as_tensor, found)
+    inputs, targets = map(torch.as_tensor, record_first_decisions(args))
     optimizer = torch.optim.Adam(model.policy.parameters(), lr=1e-3)
     generator = torch.Generator().manual_seed(args.seed)
     for _ in range(args.imitation_epochs):
@@ -81,6 +86,33 @@ def imitate(args: Args, model: PPO) -> None:
     with torch.no_grad():
         error = float((compute_means(model, inputs) - targets).square().mean().sqrt())
     print(f"outputs differ from those of {args.teacher} by {error:.3f} (root mean square)")
+
+
+def record_first_decisions(args: Args, workers: int | None = None) -> tuple[Vectors, Vectors]:
+    """Return the features (n, m) of the first decision in n episodes, and the outputs nearest to the teacher's action.
+
+    Args:
+        args: Arguments of the training.
+        workers: Number of processes, on which the decisions do not depend; default: one per core.
+    """
+
+    def make_recorder() -> Callable[[int], tuple[Vectors, Vectors]]:
+        env = handover_marl.freeze(handover_marl.parallel_env(args.make_env_config()), "giver", args.receiver)
+        env = handover_marl.encode(env, args.features, args.actions)
+        teacher = givers.make(args.teacher, args.open_dataset())
+
+        def record(seed: int) -> tuple[Vectors, Vectors]:
+            features = env.reset(seed=seed)[0]["giver"]
+            teacher.reset(seed)
+            action = teacher.act(env.get_last_observation("giver"))
+            return features, env.outputs_from_action("giver", action)
+
+        return record
+
+    seeds = range(args.seed, args.seed + args.demonstrations)
+    found = dict(map_with_progress(make_recorder, seeds, "first decisions", PoolConfig(workers), progress=True))
+    inputs, outputs = zip(*(found[seed] for seed in seeds), strict=True)
+    return np.stack(inputs), np.stack(outputs)
 
 
 def compute_means(model: PPO, inputs: torch.Tensor) -> torch.Tensor:

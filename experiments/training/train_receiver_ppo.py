@@ -8,9 +8,8 @@ then on one device, for example `--backend warp --device cuda --num-envs 1024`. 
 `handover-marl benchmark --setup s0 --receiver learned:runs/ppo.npz`.
 """
 
-import copy
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +21,8 @@ from torch import nn
 from torch.distributions import Normal
 
 import handover_marl
-from handover_marl.evaluation.reports.statistics import compute_wilson_interval
-from handover_marl.learning.adapters.torch_modules import dense_network_from_module
+from handover_marl.evaluation.reports.tables import compute_wilson_interval
+from handover_marl.learning.adapters.export import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import make_mlp
@@ -49,8 +48,6 @@ class Args(SetupArgs):
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
         rollout: Number of decisions in each environment between updates.
-        overlap: Whether the next rollout starts before the update, so that simulation and learning take place at the
-            same time. Each update then learns from a rollout of networks that are one update older.
         epochs: Number of passes over the collected decisions in each update.
         minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
@@ -75,7 +72,6 @@ class Args(SetupArgs):
     backend: str = THREADS
     device: str = CPU
     rollout: int = 16
-    overlap: bool = False
     epochs: int = 8
     minibatch_size: int = 256
     learning_rate: float = 1e-3
@@ -190,35 +186,20 @@ def compute_advantages(
     return advantages
 
 
-def start_rollouts(pool: ThreadPoolExecutor, collectors: list[Collector], model: ActorCritic) -> list[Future[Rollout]]:
-    """Start a rollout of each collector with copies of the networks, which an update meanwhile does not change."""
-    networks = copy.deepcopy(model)
-    return [pool.submit(collector.collect, networks) for collector in collectors]
-
-
 def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
-    """Update the networks by PPO (Schulman et al., 2017).
-
-    The networks of an overlapping rollout are older than those at the start of the update. The change from the latter
-    is limited, and decisions are weighted by the ratio of both probabilities (Hilton et al., NeurIPS 2022).
-    """
+    """Update the networks by PPO (Schulman et al., 2017)."""
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
-    starts = rows.log_probs
-    if args.overlap:
-        with torch.no_grad():
-            starts = model.compute_distribution(rows.features).log_prob(rows.actions).sum(-1)
-    weights = (starts - rows.log_probs).exp()
     for _ in range(args.epochs):
         for numbers in torch.randperm(count).to(args.device).split(args.minibatch_size):
             part = Batch(*(values[numbers] for values in rows))
             policy = model.compute_distribution(part.features)
-            ratio = (policy.log_prob(part.actions).sum(-1) - starts[numbers]).exp()
+            ratio = (policy.log_prob(part.actions).sum(-1) - part.log_probs).exp()
             clipped = ratio.clamp(1.0 - args.clip_range, 1.0 + args.clip_range)
             gain = (part.advantages - part.advantages.mean()) / (part.advantages.std() + 1e-8)
             value_loss = (model.compute_value(part.features) - part.targets).square().mean()
             optimizer.zero_grad()
-            (0.5 * value_loss - (weights[numbers] * torch.min(ratio * gain, clipped * gain)).mean()).backward()
+            (0.5 * value_loss - torch.min(ratio * gain, clipped * gain).mean()).backward()
             nn.utils.clip_grad_norm_(model.parameters(), 0.5)
             optimizer.step()
 
@@ -235,21 +216,11 @@ def train(args: Args) -> ActorCritic:
         model = ActorCritic(*sizes, args).to(args.device)
         optimizer = torch.optim.Adam(model.parameters(), args.learning_rate)
         decisions, first_step = 0, time.monotonic()
-
-        def start_next() -> list[Future[Rollout]]:
-            within_limits = decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes
-            return start_rollouts(pool, collectors, model) if within_limits else []
-
-        running = start_next()
-        while running:
-            rollouts = [rollout.result() for rollout in running]
+        while decisions < args.decisions and time.monotonic() - started < 60.0 * args.minutes:
+            rollouts = list(pool.map(lambda collector: collector.collect(model), collectors))
             batch = Batch(*(torch.cat(parts, dim=1) for parts in zip(*(each.batch for each in rollouts), strict=True)))
             collected, decisions = time.monotonic(), decisions + batch.advantages.numel()
-            if not args.overlap:
-                update(model, optimizer, batch, args)
-            running = start_next()
-            if args.overlap:
-                update(model, optimizer, batch, args)
+            update(model, optimizer, batch, args)
             now = time.monotonic()
             learning_s += now - collected
             outcomes = [outcome for rollout in rollouts for outcome in rollout.outcomes]

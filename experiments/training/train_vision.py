@@ -6,11 +6,10 @@ The script needs the extras `train`, `planning` and `vision`.
 
 The script renders views of a training split from random poses of the wrist camera, validates the objects'
 grasps in simulation if that was not done yet, and trains the network to predict good grasps. With
-`--extra-datasets generated:n=1000,seed=7`, the training scenes of other data sets are used too. In
-later rounds, views recorded while the receiver uses the trained network are added (DAgger). After
-every round the receiver is evaluated on the validation split in fast physics. The folder gets
-`vision.npz`, the best network (`--receiver vision:weights=runs/vision/vision.npz`),
-TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
+`--extra-datasets generated:n=1000,seed=7`, the training scenes of other data sets are used too. At the end the
+receiver is evaluated on the validation split in fast physics. The folder gets `vision.npz`
+(`--receiver vision:weights=runs/vision/vision.npz`), TensorBoard logs, the views, and a checkpoint, from which
+`--resume` continues.
 """
 
 import re
@@ -24,9 +23,8 @@ import tyro
 from handover_marl.datasets import open_dataset
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.imitation.samples import join_samples
-from handover_marl.learning.imitation.vision.training import GraspLearner, GraspTrainingConfig, ViewBatches
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
-from handover_marl.learning.imitation.vision.views import GraspViews
+from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
+from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
 from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
 
@@ -41,40 +39,34 @@ class Args(ImitationArgs):
     Attributes:
         setup: Official setup, s0 to s3, or a setup of other data; default: the first of the dataset.
         robot: Robot model: panda or panda_camera.
-        views: Number of rendered camera views per scene in the first round.
-        round_views: Number of views per scene in a later round.
-        round_stride: Use every n-th scene in a later round, with another offset in each round.
+        views: Number of rendered camera views per scene.
         stride: Use every n-th scene of the training split.
         extra_datasets: Other data sets, whose training scenes (of their first setup) are used too; `data_dir` is not
             theirs.
-        views_seed: Seed of the first round's views; default: `seed`.
+        views_seed: Seed of the views; default: `seed`.
     """
 
     out: str = "runs/vision"
     setup: str | None = None
     robot: str = "panda_camera"
     views: int = 80
-    round_views: int = 60
-    round_stride: int = 3
     stride: int = 1
     extra_datasets: tuple[str, ...] = ()
     views_seed: int | None = None
 
 
-def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int], number: int) -> GraspViews:
-    """Return the views of scenes of a data set in a round; generate missing ones."""
-    folder = run.folder / "views" / f"round_{number}"
-    data_dir = args.data_dir
+def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int]) -> GraspViews:
+    """Return the views of scenes of a data set; generate missing ones."""
+    folder, data_dir = run.folder / "views", args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
-    seed = args.seed if args.views_seed is None or number else args.views_seed
-    count, weights = (args.round_views, str(run.latest)) if number else (args.views, None)
-    config = ViewDatasetConfig(dataset, data_dir, args.robot, count, seed, weights=weights)
+    seed = args.seed if args.views_seed is None else args.views_seed
+    config = GraspViewConfig(dataset, data_dir, args.robot, args.views, seed)
     return generate_views(config, scenes, folder, args.workers)
 
 
 def main(args: Args) -> Path:
-    """Train in all rounds; return the path of the best network's weights."""
+    """Train; return the path of the network's weights."""
     data = args.open_dataset(args.robot)
     setup = data.resolve_setup(args.setup)
     scenes = data.list_scenes(setup, "train")[:: args.stride]
@@ -83,19 +75,17 @@ def main(args: Args) -> Path:
         extra = open_dataset(name, robot=args.robot)
         training[name] = extra.list_scenes(extra.resolve_setup(None), "train")[:: args.stride]
     torch.manual_seed(args.seed)
-    learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device, GraspTrainingConfig())
+    learner = GraspLearner(GraspNetwork(), args.updates, args.torch_device)
     run = ImitationRun(args, "vision", setup, args.robot, learner, ("updates",))
-    others = load_views(args, run, args.dataset, select_held_out_scenes(scenes), 0)
+    others = load_views(args, run, args.dataset, select_held_out_scenes(scenes))
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 
-    def load_round(number: int) -> GraspViews:
-        """Return the views of all data sets in a round; in later ones, of a part of the scenes."""
-        first, stride = (number % args.round_stride, args.round_stride) if number else (0, 1)
-        parts = training.items()
-        return join_samples([load_views(args, run, name, ids[first::stride] or ids, number) for name, ids in parts])
+    def load_all(number: int) -> GraspViews:
+        """Return the views of all data sets."""
+        return join_samples([load_views(args, run, name, ids) for name, ids in training.items()])
 
     return run.train(
-        load_round, lambda views: ViewBatches(views, args.torch_device), ViewBatches(held_out, args.torch_device)
+        load_all, lambda views: ViewBatches(views, args.torch_device), ViewBatches(held_out, args.torch_device)
     )
 
 

@@ -18,7 +18,7 @@ after the last written policy.
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import train_giver_sb3
 import train_receiver_ppo
@@ -83,60 +83,34 @@ class Args(SetupArgs):
             raise OptionError(f"out must be a path without commas and equals signs, got {self.out}")
 
 
-def train_receiver(args: Args, giver: str, path: Path, seed: int, features: str, share: float = 1.0) -> Path:
-    """Train a receiver with a frozen giver and write its policy file, unless this file exists.
+def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
+    """Train a policy with a frozen partner and write its file, unless this file exists.
+
+    The training of a giver that was interrupted, or that stopped after a smaller share of its decisions, continues in
+    its folder.
 
     Args:
         args: Arguments of the script.
-        giver: Giver with options.
+        agent: Agent that learns.
+        partner: Policy of the other agent, with options.
         path: Policy file.
         seed: Seed of the training.
-        features: Features of the receiver.
-        share: Share of the decisions in `args.receiver` after which the training stops.
+        share: Share of the decisions in `args.receiver` or `args.giver` after which the training stops.
     """
-    if not path.exists():
-        changed = replace(
-            args.receiver,
-            data_dir=args.data_dir,
-            dataset=args.dataset,
-            setup=args.setup,
-            giver=giver,
-            out=path,
-            seed=seed,
-            features=features,
-            decisions=round(share * args.receiver.decisions),
-        )
+    if path.exists():
+        return path
+    where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset, "setup": args.setup, "seed": seed}
+    if agent == "receiver":
+        features = "close_stack" if args.method == "history" else args.receiver.features
+        decisions = round(share * args.receiver.decisions)
+        changed = replace(args.receiver, giver=partner, out=path, features=features, decisions=decisions, **where)
         train_receiver_ppo.main(changed)
-    return path
-
-
-def train_giver(args: Args, receiver: str, path: Path, folder: Path, seed: int, share: float = 1.0) -> Path:
-    """Train a giver with a frozen receiver and write its policy file, unless this file exists.
-
-    A training that was interrupted, or that stopped after a smaller share of its decisions, continues in its folder.
-
-    Args:
-        args: Arguments of the script.
-        receiver: Receiver with options.
-        path: Policy file.
-        folder: Folder of the training.
-        seed: Seed of the training.
-        share: Share of the decisions in `args.giver` after which the training stops.
-    """
-    if not path.exists():
-        changed = replace(
-            args.giver,
-            data_dir=args.data_dir,
-            dataset=args.dataset,
-            setup=args.setup,
-            receiver=receiver,
-            out=str(folder),
-            seed=seed,
-            decisions=round(share * args.giver.decisions),
-            resume=folder.exists(),
-        )
-        policy = train_giver_sb3.main(changed)
-        write_atomically(path, policy.read_bytes())
+        return path
+    folder, decisions = path.with_name(f"giver_{seed}"), round(share * args.giver.decisions)
+    policy = train_giver_sb3.main(
+        replace(args.giver, receiver=partner, out=str(folder), decisions=decisions, resume=folder.exists(), **where)
+    )
+    write_atomically(path, policy.read_bytes())
     return path
 
 
@@ -164,25 +138,18 @@ def train_pairs(args: Args) -> Path:
     folder = open_folder(args, "pairs", ("ego", "method", "seeds", "partner", "population"))
     partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
-        for label, share in (("mid", 0.5), ("final", 1.0)):
-            path = folder / f"receiver_{label}_{seed}.npz"
-            train_receiver(args, "replay", path, seed, args.receiver.features, share)
-            partners["receiver"].append(_make_partner(path))
-        receiver, run = f"learned:{path}", folder / f"giver_{seed}"
-        mid, final = (folder / f"giver_{label}_{seed}.npz" for label in ("mid", "final"))
-        if final.exists() and not mid.exists():
-            raise ResultsError(f"{mid} must exist beside {final.name}; remove {run} and {final} to train it again")
-        train_giver(args, receiver, mid, run, seed, 0.5)
-        train_giver(args, receiver, final, run, seed)
-        partners["giver"] += [_make_partner(mid), _make_partner(final)]
+        for agent, partner in (("receiver", "replay"), ("giver", f"learned:{folder}/receiver_final_{seed}.npz")):
+            mid, final = (folder / f"{agent}_{label}_{seed}.npz" for label in ("mid", "final"))
+            if final.exists() and not mid.exists():
+                raise ResultsError(f"{mid} must exist beside {final.name}; remove {final} and {folder / agent}_{seed}")
+            for path, share in ((mid, 0.5), (final, 1.0)):
+                train_policy(args, agent, partner, path, seed, share)
+                policy = f"learned:{{folder}}/{path.name}"
+                partners[agent].append(Partner(path.stem, "pairs", TRAIN, policy, "Network of a pair."))
     description = f"Networks of {args.pairs} pairs, after half of their training and after all of it."
     file = folder / _PAIRS_FILE
     write_atomically(file, format_population("pairs", "1", description, partners["giver"], partners["receiver"]))
     return file
-
-
-def _make_partner(path: Path) -> Partner:
-    return Partner(path.stem, "pairs", TRAIN, f"learned:{{folder}}/{path.name}", "Network of a pair.")
 
 
 def choose_partner(args: Args) -> str:
@@ -201,15 +168,8 @@ def main(args: Args) -> list[Path]:
     """
     args = args.resolve_setup()
     folder = open_folder(args, f"{args.ego}_{args.method}", ("seeds",))
-    partner, paths = choose_partner(args), []
-    for seed in args.seeds:
-        path = folder / f"{seed}.npz"
-        if args.ego == "giver":
-            paths.append(train_giver(args, partner, path, folder / str(seed), seed))
-        else:
-            features = "close_stack" if args.method == "history" else args.receiver.features
-            paths.append(train_receiver(args, partner, path, seed, features))
-    return paths
+    partner = choose_partner(args)
+    return [train_policy(args, args.ego, partner, folder / f"{seed}.npz", seed) for seed in args.seeds]
 
 
 if __name__ == "__main__":

@@ -12,13 +12,12 @@ from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 
 _Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional]
-_PagePath = Annotated[str | None, tyro.conf.arg(metavar="FILE.html")]
 
 
 def run_evaluate(
     folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
     /,
-    out: _PagePath = None,
+    out: Annotated[str | None, tyro.conf.arg(metavar="FILE.html")] = None,
     episodes: Annotated[str | None, tyro.conf.arg(metavar="FILE.csv")] = None,
     table_format: TableFormat = "markdown",
 ) -> None:
@@ -30,18 +29,16 @@ def run_evaluate(
         episodes: Output file (.csv) with one row per episode; default: none.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.reports.report_files import evaluate
+    from handover_marl.evaluation.reports.report import evaluate, find_replay_links, render_report_page
 
     path, csv_path = _check_path(out, ".html"), _check_path(episodes, ".csv")
     report = evaluate(folder)
     if csv_path is not None:
         write_atomically(csv_path, report.format_episodes_csv())
     if path is not None:
-        from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
-
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
-    print_tables(report, table_format, _describe_page(path))
+    print_tables(report, table_format, "Page not saved; add --out FILE.html." if path is None else f"Page: {path}")
 
 
 def run_verify(
@@ -89,7 +86,6 @@ def run_compare(
     first: Annotated[str, tyro.conf.arg(metavar="PATH")],
     second: Annotated[str, tyro.conf.arg(metavar="PATH")],
     /,
-    out: _PagePath = None,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Compare two evaluations scene by scene.
@@ -97,20 +93,11 @@ def run_compare(
     Args:
         first: Result folder, or a file of docs/results/data/episodes.
         second: Result folder or file of the same setup, split and data.
-        out: Output file (.html) for the comparison as a web page; default: none.
         table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.comparison import compare
 
-    path = _check_path(out, ".html")
-    comparison = compare(first, second)
-    if path is not None:
-        from handover_marl.evaluation.comparison import render_comparison_page
-        from handover_marl.evaluation.reports.report_files import find_replay_links
-
-        one, other = (find_replay_links(Path(side).expanduser(), path.parent) for side in (first, second))
-        write_atomically(path, render_comparison_page(comparison, (one, other)))
-    print_tables(comparison, table_format, _describe_page(path))
+    print_tables(compare(first, second), table_format)
 
 
 def run_merge(
@@ -175,7 +162,7 @@ def run_strangers_table(
         trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed tables.
     """
-    from handover_marl.evaluation.strangers.leaderboard import make_leaderboard
+    from handover_marl.evaluation.strangers.protocol import make_leaderboard
 
     paths, names = _split_names(folders)
     leaderboard = make_leaderboard(paths, population, references, names, trust)
@@ -215,16 +202,11 @@ def run_strangers_references(
         trust: Import modules that the population names, and run code in policy files.
         table_format: Format of the printed table.
     """
-    from handover_marl.evaluation.strangers.reference_update import update_references
-    from handover_marl.policies.populations import load_population
+    from handover_marl.evaluation.strangers.protocol import update_references
 
-    summary = update_references(folders, population, out, trust)
-    path = load_population(population, trust).references_path if out is None else Path(out).expanduser()
-    print_tables(summary, table_format, f"References: {path}")
-
-
-def _describe_page(path: Path | None) -> str:
-    return "Page not saved; add --out FILE.html." if path is None else f"Page: {path}"
+    table = update_references(folders, population, out, trust)
+    path = table.population.references_path if out is None else Path(out).expanduser()
+    print_tables(table, table_format, f"References: {path}")
 
 
 def _check_path(out: str | None, suffix: str) -> Path | None:

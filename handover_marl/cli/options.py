@@ -8,9 +8,8 @@ import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
-from handover_marl.episode.scene_config import SceneConfig
 from handover_marl.errors import OptionError
-from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
+from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig
 
 _Value = TypeVar("_Value")
 # Field of a configuration without an option.
@@ -51,11 +50,10 @@ SceneNumbers = Annotated[
 
 
 @dataclass(frozen=True)
-class SceneArguments(SceneConfig):
-    """Options that configure scenes and simulation; other fields can be set only in Python.
+class PairArguments(EvaluationConfig):
+    """Options that configure scenes, policies and simulation; other fields can be set only in Python.
 
     Attributes:
-        seed: Seed of the random draws of policies, camera and initial joint positions.
         initial_joint_noise: Largest deviation of each of the robot's seven initial arm joint positions (rad), drawn
             from the seed.
     """
@@ -65,40 +63,49 @@ class SceneArguments(SceneConfig):
     data_dir: _Folder = None
     camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
-    seed: int = 0
+    giver: PolicyName = REPLAY
+    receiver: PolicyName = "yang2021"
     initial_joint_noise: Annotated[float, tyro.conf.arg(metavar="RAD")] = 0.0
 
     def __post_init__(self) -> None:
         """Do nothing: `make_config` checks the values, so that errors are printed without tyro's help text."""
 
-    def make_config(self, **policies: Any) -> EvaluationConfig:
-        """Make the configuration with these options and with policies by agent."""
-        values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(SceneConfig)}
+    def make_config(self) -> EvaluationConfig:
+        """Make the configuration with these options."""
+        values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(EvaluationConfig)}
         if self.initial_joint_noise:
             values["world_config"] = WorldConfig(initial_joint_noise=self.initial_joint_noise)
-        return EvaluationConfig(**values, **policies, seed=self.seed)
+        return EvaluationConfig(**values)
 
 
 @dataclass(frozen=True)
-class RenderArguments(SceneArguments):
-    """Options of `render` that configure the scene."""
+class ReceiverArguments(PairArguments):
+    """Options that configure scenes, the receiver and simulation."""
+
+    giver: _Hidden[str] = REPLAY
+
+
+@dataclass(frozen=True)
+class SceneArguments(ReceiverArguments):
+    """Options that configure scenes and simulation."""
+
+    receiver: _Hidden[str] = "yang2021"
+
+
+@dataclass(frozen=True)
+class RenderArguments(PairArguments):
+    """Options of `render` that configure the scene and the giver."""
 
     setup: _Hidden[str | None] = None
     split: _Hidden[str] = "test"
     scenes: _Hidden[tuple[int, ...] | None] = None
+    receiver: _Hidden[str] = "yang2021"
     initial_joint_noise: _Hidden[float] = 0.0
 
 
 @dataclass(frozen=True)
 class ExecutionArguments(ExecutionConfig):
     """Options that configure workers and output."""
-
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    backend: Literal["local", "ray"] = "local"
-    ray_address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    shard: Annotated[str | None, tyro.conf.arg(metavar="K/N")] = None
-    out: _Folder = None
-    replays: Literal["none", "failed", "all"] = "none"
 
     def __post_init__(self) -> None:
         """Do nothing: `make_config` checks the values."""

@@ -7,8 +7,9 @@ import tyro
 
 from handover_marl.cli.options import (
     ExecutionArguments,
-    PolicyName,
+    PairArguments,
     PopulationName,
+    ReceiverArguments,
     RenderArguments,
     SceneArguments,
     TableFormat,
@@ -17,7 +18,7 @@ from handover_marl.cli.streams import print_result, print_tables
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import ExecutionConfig
 
-_EXECUTION, _VAL_SCENES = ExecutionArguments(), SceneArguments(split="val")
+_EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
 # Fields of `EvaluationConfig` that apply to a single scene.
 _SCENE_FIELDS = ("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver")
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
@@ -26,15 +27,13 @@ _OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
 
 
 def run_benchmark(
-    receiver: PolicyName = "yang2021",
-    evaluation: SceneArguments = SceneArguments(),
+    evaluation: ReceiverArguments = ReceiverArguments(),
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Run HandoverSim's official protocol and print its table.
 
     Args:
-        receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         evaluation: Scenes and simulation.
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
@@ -42,22 +41,18 @@ def run_benchmark(
     from handover_marl.evaluation.benchmark import benchmark
 
     config = execution.make_config()
-    report = benchmark(evaluation.make_config(receiver=receiver), execution=config)
+    report = benchmark(evaluation.make_config(), execution=config)
     print_tables(report, table_format, _describe_path(config, "report.html"))
 
 
 def run_pair(
-    giver: PolicyName = "replay",
-    receiver: PolicyName = "yang2021",
-    evaluation: SceneArguments = _VAL_SCENES,
+    evaluation: PairArguments = _VAL_PAIR,
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table.
 
     Args:
-        giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
-        receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         evaluation: Scenes and simulation.
         execution: Workers and output; outcomes do not depend on them.
         table_format: Format of the printed tables.
@@ -65,14 +60,12 @@ def run_pair(
     from handover_marl.evaluation.benchmark import evaluate_pair
 
     config = execution.make_config()
-    report = evaluate_pair(evaluation.make_config(giver=giver, receiver=receiver), execution=config)
+    report = evaluate_pair(evaluation.make_config(), execution=config)
     print_tables(report, table_format, _describe_path(config, "report.html"))
 
 
 def run_agreement(
-    giver: PolicyName = "replay",
-    receiver: PolicyName = "yang2021",
-    evaluation: SceneArguments = _VAL_SCENES,
+    evaluation: PairArguments = _VAL_PAIR,
     against: str = "fast",
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
@@ -80,8 +73,6 @@ def run_agreement(
     """Compare outcomes of the same scenes in exact and in other physics.
 
     Args:
-        giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
-        receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         evaluation: Scenes and simulation; the physics option is ignored.
         against: Physics to compare with exact physics, fast or mujoco.
         execution: Workers and output; outcomes do not depend on them.
@@ -90,7 +81,7 @@ def run_agreement(
     from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
 
     config = execution.make_config()
-    result = compare_physics(evaluation.make_config(giver=giver, receiver=receiver), against=against, execution=config)
+    result = compare_physics(evaluation.make_config(), against=against, execution=config)
     print_tables(result, table_format, _describe_path(config, AGREEMENT_FILE))
 
 
@@ -174,9 +165,7 @@ def run_demonstrate(
     ] = "state",
     keep: Literal["all", "success"] = "all",
     fps: int | None = None,
-    giver: PolicyName = "replay",
-    receiver: PolicyName = "reactive",
-    evaluation: SceneArguments = SceneArguments(split="train"),
+    evaluation: PairArguments = PairArguments(split="train", receiver="reactive"),
     execution: ExecutionArguments = _EXECUTION,
 ) -> None:
     """Record episodes of a train split for imitation learning (--out DIR).
@@ -185,17 +174,13 @@ def run_demonstrate(
         obs_mode: Observation mode of the recording, independent of the receiver's.
         keep: Episodes to store: all, with their outcomes, or success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
-        giver: The person's policy, e.g. replay, cooperative, learned:FILE or my_package:MyGiver.
-        receiver: The robot's policy, e.g. yang2021, omg:wait=1.5, learned:FILE or my_package:MyReceiver.
         evaluation: Scenes and simulation.
         execution: Workers and output; the data do not depend on them.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
     config = execution.make_config()
-    result = demonstrate(
-        evaluation.make_config(giver=giver, receiver=receiver), obs_mode=obs_mode, keep=keep, fps=fps, execution=config
-    )
+    result = demonstrate(evaluation.make_config(), obs_mode=obs_mode, keep=keep, fps=fps, execution=config)
     print_result(f"{result}\n\n{_describe_path(config, 'report.html')}")
 
 
@@ -212,7 +197,6 @@ def run_render(
     position: _Point = None,
     target: _Point = None,
     vertical_fov: float | None = None,
-    giver: PolicyName = "replay",
     evaluation: RenderArguments = RenderArguments(),
     progress: bool = True,
     trust: bool = False,
@@ -232,15 +216,14 @@ def run_render(
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
         target: Point at the center of its image in the world frame (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
-        giver: The person's policy.
-        evaluation: Scene data and simulation.
+        evaluation: Scene data, giver and simulation.
         progress: Show a progress bar on stderr.
         trust: Run code in policy files.
     """
     from handover_marl.config import CameraConfig
     from handover_marl.evaluation.rendering import render_scene
 
-    options: Any = {key: getattr(evaluation.make_config(giver=giver), key) for key in _SCENE_FIELDS} | {"trust": trust}
+    options: Any = {key: getattr(evaluation.make_config(), key) for key in _SCENE_FIELDS} | {"trust": trust}
     size, pose = {"width": width, "height": height}, {"position": position, "target": target}
     given = {**size, **pose, "vertical_fov": vertical_fov}
     camera: Any = {name: value for name, value in given.items() if value is not None}

@@ -33,22 +33,23 @@ def print_result(text: object) -> None:
     print(text, flush=True)
 
 
-def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str) -> None:
-    """Print a result and the path of its report; the path goes to stderr if the format is CSV or LaTeX.
+def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str = "") -> None:
+    """Print a result and a note, which goes to stderr if the format is CSV or LaTeX.
 
     Args:
         result: Result to print.
         table_format: Format of the tables.
-        note: Sentence with the path.
+        note: Sentence on files, such as the path of a report.
 
     Raises:
         OSError: The output is closed, or its disk full.
     """
     if table_format == "markdown":
-        print_result(f"{result}\n\n{note}")
+        print_result("\n\n".join(filter(None, (str(result), note))))
     else:
         print_result(result.format(table_format))
-        print_message(note)
+        if note:
+            print_message(note)
 
 
 def print_message(text: str) -> None:

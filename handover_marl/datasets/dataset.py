@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl import config
-from handover_marl.assets.object_models import TABLE_URDF
+from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
 from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
+from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
@@ -116,8 +117,8 @@ class Dataset(ABC):
     """Numbered handover scenes with their URDF models, robot grasps, setups and splits.
 
     By default, scene numbers, setups, splits and object classes are HandoverSim's; a data set with others
-    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`. By default, the robot is the library's model;
-    a data set with another one overrides `panda_urdf`.
+    overrides `n_scenes`, `setups`, `object_names` and `list_scenes`. By default, robot, objects and grasps are the
+    library's; a data set with others overrides `panda_urdf`, `find_object_urdf` and `load_grasps`.
 
     Args:
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
@@ -180,9 +181,8 @@ class Dataset(ABC):
     def load_scene(self, scene_id: int) -> Scene:
         """Load a scene by its number, with its motion."""
 
-    @abstractmethod
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps of an object class.
+        """Load the robot grasps of an object class, by default the library's.
 
         Returns:
             (n, 4, 4) gripper poses in the object's frame (m), or None for a class that is too large
@@ -191,18 +191,18 @@ class Dataset(ABC):
         Raises:
             DataNotFoundError: The grasp file is missing.
         """
+        return load_object_grasps(object_name)
 
-    @abstractmethod
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of an object class's URDF.
+        """Return the path of an object class's URDF, by default the library's.
 
         Raises:
             DataNotFoundError: The file is missing.
         """
+        return find_object_urdf(object_name)
 
-    @abstractmethod
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check before a long computation that all files of the given scenes exist.
+    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:  # noqa: B027
+        """Check before a long computation that all files of the given scenes exist; by default, do nothing.
 
         Raises:
             DataNotFoundError: A file is missing.

@@ -94,6 +94,7 @@ class OfficialDataset(Dataset):
                 )
         self._assets = self.data_dir / "assets"
         self._info = lru_cache(maxsize=None)(lambda scene_id: read_scene_info(self._find_meta_file(scene_id), scene_id))
+        self._load_grasps = lru_cache(maxsize=None)(load_grasps)
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))
 
@@ -110,27 +111,13 @@ class OfficialDataset(Dataset):
     def load_scene(self, scene_id: int) -> Scene:
         """Load a scene with its motion in the world frame."""
         self.check_scene_id(scene_id)
-        info = self._info(scene_id)[0]
-        object_dof, hand_dof = self.load_motion(scene_id)
+        info, order = self._info(scene_id)
+        object_dof, hand_dof = read_scene_motion(require_file(self._pose_path(scene_id)), order)
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
         span = (int(present[0]), int(present[-1])) if len(present) else None
         return self.make_scene(info, self._find_scene_assets(info), object_dof, hand_dof, span)
-
-    def load_motion(self, scene_id: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Load the motion of a scene in the table's frame (m, rad).
-
-        Returns:
-            Objects (T, n, 6), the handed-over one first, and hand (T, 51), both at 1 kHz.
-
-        Raises:
-            SceneError: The scene number does not exist.
-            DataNotFoundError: The meta file or the pose file is missing.
-            DataFormatError: The meta file or the pose file is damaged.
-        """
-        self.check_scene_id(scene_id)
-        return read_scene_motion(require_file(self._pose_path(scene_id)), self._info(scene_id)[1])
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a YCB class's URDF."""
@@ -139,7 +126,7 @@ class OfficialDataset(Dataset):
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Load the robot grasps of a YCB class."""
         path = self._find_grasp_file(object_name)
-        return None if path is None else _read_grasps(path, path.stat().st_mtime_ns)
+        return None if path is None else self._load_grasps(path)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Check that all files of the given scenes exist, and read the grasps of their objects."""
@@ -191,12 +178,6 @@ class OfficialDataset(Dataset):
     def _find_grasp_file(self, name: str) -> Path | None:
         path = self._assets / "grasps" / f"{name}.npy"
         return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
-
-
-@lru_cache(maxsize=64)
-def _read_grasps(path: Path, modified_ns: int) -> npt.NDArray[np.float64]:
-    """Load a grasp file; an unchanged file is read once."""
-    return load_grasps(path)
 
 
 def _encode_mesh_sizes(urdf: Path) -> bytes:

@@ -54,24 +54,21 @@ def list_required_files() -> tuple[str, ...]:
     return tuple(path for path in read_third_party_checksums() if not path.endswith(_OPTIONAL_ENDINGS))
 
 
-def is_stand_in(content: bytes) -> bool:
-    """Return whether the content of a file is marked as a stand-in."""
-    return STAND_IN.encode() in content[:_HEADER_BYTES]
-
-
 def is_stand_in_file(path: Path) -> bool:
     """Return whether a file exists, can be read and is marked as a stand-in."""
     try:
-        check_plain_file(path)
-        with path.open("rb") as file:
-            return is_stand_in(file.read(_HEADER_BYTES))
+        return _is_stand_in(read_plain_file(path))
     except (OSError, ValueError):
         return False
 
 
+def _is_stand_in(content: bytes) -> bool:
+    return STAND_IN.encode() in content[:_HEADER_BYTES]
+
+
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
     """Return the origin of a third-party file from its path in `assets/` and its content."""
-    if is_stand_in(content):
+    if _is_stand_in(content):
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
     same = known is not None and hashlib.sha256(content).hexdigest() == known

@@ -21,8 +21,6 @@ from handover_marl.geometry.panda import PANDA
 DATA_DIR_VARIABLE: Final = "HANDOVER_MARL_DATA"
 #: Name of DexYCB if a data folder is given or set, else of the synthetic scenes.
 AUTO: Final = "auto"
-#: Separates the kind of a data set from the argument.
-SEPARATOR: Final = ":"
 #: Advice for a machine whose data folder is missing or differs.
 DATA_FOLDER_ADVICE = (
     f"Machines share no files: every node needs the same data folder, at the same path or named by {DATA_DIR_VARIABLE} "
@@ -48,8 +46,7 @@ class DatasetKind:
 
 
 def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    if data_dir is not None:
-        raise OptionError(f"synthetic scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
+    _refuse_folder("synthetic", data_dir)
     # DexYCB needs none of the generator's imports, which take long.
     from handover_marl.datasets.synthetic import SyntheticDataset
 
@@ -57,11 +54,15 @@ def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
 
 
 def _open_generated(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    if data_dir is not None:
-        raise OptionError(f"generated scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
+    _refuse_folder("generated", data_dir)
     from handover_marl.datasets.generated.dataset import GeneratedDataset
 
     return GeneratedDataset(argument, robot)
+
+
+def _refuse_folder(kind: str, data_dir: str | None) -> None:
+    if data_dir is not None:
+        raise OptionError(f"{kind} scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
 
 
 def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:
@@ -138,8 +139,8 @@ def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
         UnknownNameError: There is no such kind, or the argument is missing or superfluous.
     """
     text = name if isinstance(name, str) else ""
-    kind, separator, argument = text.partition(SEPARATOR)
-    if kind not in KINDS or bool(separator) != (SEPARATOR in KINDS[kind].usage) or (separator and not argument):
+    kind, separator, argument = text.partition(":")
+    if kind not in KINDS or bool(separator) != (":" in KINDS[kind].usage) or (separator and not argument):
         raise UnknownNameError("dataset", name, ("auto", *(each.usage for each in KINDS.values())))
     return KINDS[kind], argument
 

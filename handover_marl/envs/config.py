@@ -27,11 +27,8 @@ class EnvConfig(SceneConfig):
         render_mode: None, "rgb_array" (needs no screen) or "human" (PyBullet's window).
         camera: Camera of the "rgb_array" images.
         rewards: Preset rewards "sparse", 1 for a completed handover, or "shaped", with potential-based
-            shaping and costs in addition; a `RewardConfig`, weights of the terms of preset rewards;
-            `TermWeights`, weights of reward terms that can be combined freely and have no discount; a function
-            of a `Transition` that returns terms by agent; a combination (`combine_rewards`); or the text
-            `module:name` that names one of these. Success is the term `task` of preset rewards and the
-            reward term `success`, so that a combination can have both.
+            shaping and costs in addition; `TermWeights`, weights of reward terms; a function of a `Transition` that
+            returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: "state", "pointcloud", "scene_pointcloud", "rgbd",
             "full_pointcloud", or "state+" and one of the last four; both robots have a wrist camera.

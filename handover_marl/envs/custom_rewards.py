@@ -9,17 +9,10 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.reward_terms import TermRewardSource, TermWeights
-from handover_marl.envs.rewards import (
-    REWARDS,
-    PresetRewards,
-    RewardConfig,
-    Terms,
-    make_reward_config,
-)
+from handover_marl.envs.rewards import REWARDS, Terms, TermWeights, WeightedTerms, is_finite_number
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.observations import add_episode_axis
-from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError
+from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW
 from handover_marl.policies.registry import import_reference
 
@@ -59,7 +52,7 @@ class CombinedRewards:
 
 
 #: Value of `rewards`: name, weights, function, combination, or text `module:name`.
-RewardLike: TypeAlias = str | RewardConfig | TermWeights | CombinedRewards | CustomReward
+RewardLike: TypeAlias = str | TermWeights | CombinedRewards | CustomReward
 
 
 def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRewards:
@@ -77,7 +70,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
     pairs = []
     for part in parts:
         weight, reward = part if isinstance(part, tuple) and len(part) == 2 else (1.0, part)
-        if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not math.isfinite(weight):
+        if not is_finite_number(weight):
             raise OptionError(f"weight of a reward must be a finite number, got {weight!r}")
         resolve_rewards(reward)
         pairs.append((float(weight), reward))
@@ -85,7 +78,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the `RewardConfig`, weights, combination or function that a value of `rewards` refers to.
+    """Return the weights, combination or function that a value of `rewards` refers to.
 
     Raises:
         UnknownNameError: There is no reward of that name, or `module:name` cannot be imported.
@@ -93,12 +86,13 @@ def resolve_rewards(rewards: Any) -> Any:
     """
     if isinstance(rewards, str) and ":" in rewards:
         rewards = import_reference("rewards", rewards, (*REWARDS, "module:name"))
-    if isinstance(rewards, (str, RewardConfig)):
-        return make_reward_config(rewards)
+    if isinstance(rewards, str):
+        check_name("rewards", rewards, REWARDS)
+        return REWARDS[rewards]
     if not isinstance(rewards, (TermWeights, CombinedRewards)) and not callable(rewards):
         raise OptionError(
-            f"rewards must be one of {', '.join(REWARDS)}, a RewardConfig, TermWeights, a function of a transition or "
-            f"module:name, got {rewards!r}"
+            f"rewards must be one of {', '.join(REWARDS)}, TermWeights, a function of a transition or module:name, got "
+            f"{rewards!r}"
         )
     return rewards
 
@@ -106,7 +100,7 @@ def resolve_rewards(rewards: Any) -> Any:
 def set_discount(rewards: RewardLike, discount: float) -> Any:
     """Return the rewards with a learner's discount factor in all shaping terms; functions stay unchanged."""
     found = resolve_rewards(rewards)
-    if isinstance(found, RewardConfig):
+    if isinstance(found, TermWeights):
         return replace(found, gamma=discount)
     if isinstance(found, CombinedRewards):
         return CombinedRewards(tuple((weight, set_discount(part, discount)) for weight, part in found.parts))
@@ -117,7 +111,7 @@ class RewardSource(Protocol):
     """Reward terms of both agents, computed from transitions."""
 
     def start(self, transition: Transition) -> dict[str, Terms]:
-        """Start an episode; return the terms, all 0, by agent."""
+        """Start an episode with a transition in which nothing moves; return the terms, all 0, by agent."""
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the reward terms of a control step, by agent."""
@@ -133,42 +127,41 @@ def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
         goal: (3,) position to which the gripper must bring the object, world frame (m).
     """
     found = resolve_rewards(rewards)
-    if isinstance(found, RewardConfig):
-        return PresetRewardSource(found, goal)
     if isinstance(found, CombinedRewards):
         return SummedRewardSource([(weight, make_reward_source(part, goal)) for weight, part in found.parts])
     if isinstance(found, TermWeights):
-        return TermRewardSource(found)
+        return WeightedRewardSource(found, goal)
     return CustomRewardSource(found() if isinstance(found, type) else copy.deepcopy(found))
 
 
-class PresetRewardSource:
-    """Source of the terms of preset rewards: "sparse", "shaped" or a `RewardConfig`.
+class WeightedRewardSource:
+    """Source of weighted reward terms of the library.
 
     Args:
-        config: Weights of the terms.
+        weights: Weights of the terms.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
     """
 
-    def __init__(self, config: RewardConfig, goal: Position) -> None:
-        self._rewards = PresetRewards(config, goal, 1, NUMPY_ARRAYS)
+    def __init__(self, weights: TermWeights, goal: Position) -> None:
+        self._terms = WeightedTerms(weights, goal, 1, NUMPY_ARRAYS)
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent."""
-        self._rewards.start(ONLY_ROW, self._read_state(transition))
-        return {agent: dict.fromkeys(names, 0.0) for agent, names in self._rewards.names.items()}
+        self._terms.start(ONLY_ROW, _read_state(transition))
+        return {agent: dict.fromkeys(weights, 0.0) for agent, weights in self._terms.weights.items()}
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the reward terms of a control step, by agent."""
-        status = np.array([int(transition.status)])
-        terms = self._rewards.compute_terms(ONLY_ROW, status, self._read_state(transition))
+        """Return the weighted terms of a control step by agent."""
+        terms = self._terms.compute(ONLY_ROW, np.array([int(transition.status)]), _read_state(transition))
         return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in terms.items()}
 
-    def _read_state(self, transition: Transition) -> dict[str, Any]:
-        if not self._rewards.needs_state:
-            return {}
-        state = add_episode_axis(transition.next_state)
-        return {**state, "grasped": np.array([transition.contacts.both_fingers_touch])}
+
+def _read_state(transition: Transition) -> dict[str, Any]:
+    """Return the state after a control step as arrays (1, ...), see `WeightedTerms`."""
+    contacts = transition.contacts
+    forces = {"object_force": contacts.robot_object_force, "hand_force": contacts.robot_hand_force}
+    values = {"grasped": contacts.both_fingers_touch, **forces}
+    return {**add_episode_axis(transition.next_state), **{key: np.array([value]) for key, value in values.items()}}
 
 
 class SummedRewardSource:
@@ -216,28 +209,26 @@ class CustomRewardSource:
     """
 
     def __init__(self, function: CustomReward) -> None:
-        self.function = function
-        self.name = str(getattr(function, "__qualname__", None) or type(function).__qualname__)
-        declared = getattr(function, "terms", None)
-        self._names = None if declared is None else self._check_declared(declared)
+        self._function = function
+        self._name = str(getattr(function, "__qualname__", None) or type(function).__qualname__)
+        self._start: dict[str, Terms] | None = None
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent.
 
-        Args:
-            transition: Transition in which nothing moves.
-
         Raises:
             RewardError: The function fails or returns something else than terms by agent.
         """
-        reset = getattr(self.function, "reset", None)
+        reset = getattr(self._function, "reset", None)
         if callable(reset):
             self._run(reset, transition)
-        if self._names is None:
+        if self._start is None:
+            declared = getattr(self._function, "terms", None)
             # A copy, so that this call leaves nothing in the function's memory.
-            first = self._run(copy.deepcopy(self.function), transition)
-            self._names = self._check_declared(first)
-        return {agent: dict.fromkeys(names, 0.0) for agent, names in self._names.items()}
+            found = self._run(copy.deepcopy(self._function), transition) if declared is None else declared
+            self._check_agents(found)
+            self._start = {agent: dict.fromkeys(found.get(agent, ()), 0.0) for agent in AGENTS}
+        return {agent: dict(terms) for agent, terms in self._start.items()}
 
     def compute(self, transition: Transition) -> dict[str, Terms]:
         """Return the checked terms of a control step by agent; terms that are not returned are 0.
@@ -247,28 +238,24 @@ class CustomRewardSource:
             RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is
                 no finite number.
         """
-        if self._names is None:
+        if self._start is None:
             raise ResetNeededError("no episode is running; call start() before compute()")
-        found = self._run(self.function, transition)
-        if type(found) is not dict:
-            self._check_mapping("terms", found)
-        terms = {agent: dict.fromkeys(names, 0.0) for agent, names in self._names.items()}
+        found = self._run(self._function, transition)
+        self._check_agents(found)
+        terms = {agent: dict(own) for agent, own in self._start.items()}
         for agent, own in found.items():
-            checked = terms.get(agent)
-            if checked is None:
-                raise self._make_unknown_agent_error(agent)
-            if type(own) is not dict:
-                self._check_mapping(f"terms of the {agent}", own)
             for name, value in own.items():
-                if name not in checked:
+                where = f"term {name!r} of the {agent} in reward {self._name!r}"
+                if name not in terms[agent]:
                     raise RewardError(
-                        f"term {name!r} of the {agent} in reward {self.name!r} must be one of "
-                        f"{', '.join(self._names[agent]) or 'none'}, the terms of the first call; return it in every "
-                        "step, or declare it with @declare_terms"
+                        f"{where} must be one of {', '.join(terms[agent]) or 'none'}, the terms of the first call; "
+                        "return it in every step, or declare it with @declare_terms"
                     )
-                # Fast for what is mostly returned.
-                is_finite = type(value) is float and value - value == 0.0
-                checked[name] = value if is_finite else self._check_value(agent, name, value)
+                if np.ndim(value) or not isinstance(value, (int, float, np.number, np.bool_, np.ndarray)):
+                    raise RewardError(f"{where} must be a single number, got {value!r}; convert it with float()")
+                if not math.isfinite(value):
+                    raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
+                terms[agent][name] = float(value)
         return terms
 
     def _run(self, function: Callable[[Transition], Any], transition: Transition) -> Any:
@@ -277,47 +264,13 @@ class CustomRewardSource:
         except HandoverError:
             raise
         except Exception as error:  # code of the user
-            raise RewardError(f"reward {self.name!r} failed ({type(error).__name__}: {error})") from error
+            raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
-    def _check_declared(self, declared: Any) -> dict[str, tuple[str, ...]]:
-        """Return the names of the terms of both agents."""
-        self._check_mapping("terms", declared)
-        for agent, names in declared.items():
-            if agent not in AGENTS:
-                raise self._make_unknown_agent_error(agent)
-            if isinstance(names, str) or not hasattr(names, "__iter__"):
-                self._check_mapping(f"terms of the {agent}", names)
-            for name in names:
-                if not isinstance(name, str) or not name.isprintable() or not name:
-                    raise RewardError(
-                        f"names of the terms of the {agent} in reward {self.name!r} must be printable text, got "
-                        f"{name!r}"
-                    )
-        return {agent: tuple(declared.get(agent, ())) for agent in AGENTS}
-
-    def _check_mapping(self, what: str, value: object) -> None:
-        if not isinstance(value, Mapping):
+    def _check_agents(self, found: Any) -> None:
+        """Check that a user-defined reward returned or declared terms by agent and name."""
+        is_by_agent = isinstance(found, Mapping) and not found.keys() - set(AGENTS)
+        if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in found.values()):
             raise RewardError(
-                f"{what} of reward {self.name!r} must be a dict, got {value!r}; return "
+                f"terms of reward {self._name!r} must be a dict for {' and '.join(AGENTS)}, got {found!r}; return "
                 '{"receiver": {"name": value}, "giver": {}}'
             )
-
-    def _make_unknown_agent_error(self, agent: object) -> RewardError:
-        return RewardError(
-            f"terms of reward {self.name!r} must be for {' and '.join(AGENTS)}, got some for {agent!r}; correct the "
-            "name of the agent"
-        )
-
-    def _check_value(self, agent: str, name: str, value: object) -> float:
-        where = f"term {name!r} of the {agent} in reward {self.name!r}"
-        try:
-            number = np.asarray(value)
-        except Exception:  # tensors with a gradient, ragged lists
-            number = np.array(None)
-        if number.dtype.kind not in "biuf":
-            raise RewardError(f"{where} must be a number, got {type(value).__name__}; convert it with float()")
-        if number.shape != ():
-            raise RewardError(f"{where} must be a single number, got an array of shape {number.shape}; sum it")
-        if not np.isfinite(number):
-            raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
-        return float(number)

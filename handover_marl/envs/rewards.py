@@ -1,207 +1,296 @@
-"""Preset rewards of both agents: named terms, weighted by a frozen configuration and summed.
+"""Reward terms, each with formula and unit, and their weighted sums; the preset rewards are weights.
 
-The default is a sparse reward: 1 to both agents in the step that completes the handover. `SHAPED`
-adds potential-based shaping for the receiver and costs for the giver. A shaping term (Ng et al.,
-"Policy invariance under reward transformations", ICML 1999) is gamma times the potential after a
-step minus the potential before it; the potential is 0 once the episode has terminated. The
-discounted sum of a shaping term over an episode depends only on the first state, so that shaping
-does not change the optimal policy.
+| term | value in a control step of duration T | unit |
+|---|---|---|
+| success | 1 in the step that completes the handover, else 0 | 1 |
+| contact | 1 in the step in which the robot touches the person's hand, else 0 | 1 |
+| drop | 1 in the step in which the object is dropped, else 0 | 1 |
+| distance | shaping; potential: 1 minus the distance (m) of fingertips and object's origin, 1 while grasped | 1 |
+| grasp | shaping; potential: 1 while both fingers touch the object, else 0 | 1 |
+| goal | shaping; potential: 1 minus the distance (m) of hand link and goal while grasped, else 0 | 1 |
+| effort | squared speed at which the wrist's displacement from the recording changes, times T | m^2/s |
+| discomfort | displacement of the wrist (m) plus a third of its rotation (rad) from the recording, times T | s |
+| waiting | T if the object is held out and not yet released before the step, else 0 | s |
+| gripper_path | distance of the hand link's positions before and after the step | m |
+| hand_path | distance of the person's wrist positions before and after the step; 0 without a hand | m |
+| gripper_jerk | norm of the third difference of the last four positions of the hand link, divided by T^2 | m/s^2 |
+| hand_jerk | the same for the person's wrist; 0 without a hand | m/s^2 |
+| object_force | sum of the normal forces between robot and object at the end of the step, times T | N s |
+| hand_force | sum of the normal forces between robot and human hand at the end of the step, times T | N s |
+| time | T | s |
+| clearance | min(d, 0.1 m) - 0.1 m, times T, at most 0; 0 without a hand | m s |
+
+The hand link is the Panda's `panda_hand`; the object is grasped while both fingers touch it. d is the distance between
+the four boxes that bound the open gripper and the nearest of the 16 joint origins of the person's hand. Terms with a
+length or a time in their unit are sums or integrals over time: their sum over an episode hardly depends on the control
+period. The jerk terms are the norm of the jerk integrated over the step; they are 0 in the first two steps of an
+episode and in a last step that is shorter than the others.
+
+A shaping term (Ng et al., "Policy invariance under reward transformations", ICML 1999) is gamma times the potential
+after a step minus the potential before it; the potential is 0 once the episode has terminated. The discounted sum of a
+shaping term over an episode depends only on the first state, so that shaping does not change the optimal policy.
 """
 
-from collections.abc import Mapping
+import functools
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from handover_marl.config import CheckedConfig, bounded
-from handover_marl.envs.arguments import GIVER, RECEIVER
+import numpy as np
+
+from handover_marl.envs.arguments import AGENTS
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory
+from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, as_arrays, get_namespace, widen
 from handover_marl.geometry.panda import FINGERTIPS
-from handover_marl.geometry.poses import compute_lengths, transform_points
+from handover_marl.geometry.poses import compute_lengths, inverse_transform_points, transform_points
+from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
 Terms = dict[str, float]
 #: Values (r,) of terms by name.
 ArrayTerms: TypeAlias = dict[str, AnyArray]
 
-# Terms with the value 1 in the step in which the status has a bit.
-_OUTCOMES = {
-    "task": EpisodeStatus.SUCCESS,
-    "contact": EpisodeStatus.HUMAN_CONTACT,
-    "drop": EpisodeStatus.OBJECT_DROP,
+#: Distance beyond which the term `clearance` is 0 (m).
+CLEARANCE_MARGIN = 0.1
+# Columns of a stored state: time (s), pose of the hand link, position of the object (m), whether both fingers touch it,
+# wrist (m, NaN without a hand) and its displacement from the recording (m), and whether the object is held out.
+_TIME, _GRIPPER, _HAND_LINK, _OBJECT, _GRASPED = 0, slice(1, 8), slice(1, 4), slice(8, 11), 11
+_WRIST, _DISPLACEMENT, _OFFERED, _SIZE = slice(12, 15), slice(15, 18), 18, 19
+# Stored states of an episode, the newest last; four positions determine a third difference.
+_COUNT = 4
+# Durations of control steps are multiples of 1 ms, known from times in single precision.
+_STEPS_PER_SECOND, _SAME_DURATION = 1000.0, 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Last control step of r episodes, as arrays with the episode as first axis.
+
+    Attributes:
+        states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
+        state: Whole state after the step, see `WeightedTerms`.
+        status: Bits (r,) of `EpisodeStatus` after the step.
+        goal: (3,) position to which the gripper must bring the object, world frame (m).
+        gamma: Discount factor of the shaping terms.
+    """
+
+    states: AnyArray
+    state: Mapping[str, AnyArray]
+    status: AnyArray
+    goal: AnyArray
+    gamma: float
+
+    @property
+    def duration(self) -> AnyArray:
+        """Durations (r,) of the control steps (s)."""
+        steps = (self.states[:, -1, _TIME] - self.states[:, -2, _TIME]) * _STEPS_PER_SECOND
+        return get_namespace(steps).round(steps) / _STEPS_PER_SECOND
+
+
+def compute_outcome(outcome: EpisodeStatus, steps: Steps) -> AnyArray:
+    """Return 1 where the status after a step has a bit, else 0."""
+    return widen((steps.status & int(outcome)) != 0)
+
+
+def compute_distance_potential(steps: Steps, states: AnyArray) -> AnyArray:
+    """Return 1 minus the distance of fingertips and object (m), 1 while it is grasped, in states (r, 19)."""
+    fingertips = transform_points(states[:, _GRIPPER], np.array(FINGERTIPS))
+    is_grasped = states[:, _GRASPED]
+    return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
+
+
+def compute_grasp_potential(steps: Steps, states: AnyArray) -> AnyArray:
+    """Return 1 while both fingers touch the object, else 0, in states (r, 19)."""
+    return states[:, _GRASPED]
+
+
+def compute_goal_potential(steps: Steps, states: AnyArray) -> AnyArray:
+    """Return 1 minus the distance of hand link and goal (m) while the object is grasped, in states (r, 19)."""
+    return states[:, _GRASPED] * (1.0 - compute_lengths(states[:, _HAND_LINK] - steps.goal))
+
+
+def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Steps) -> AnyArray:
+    """Return the discounted potential after each step minus that before it."""
+    # A timeout truncates an episode; only termination ends its potential.
+    goes_on = widen((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
+    return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
+
+
+def compute_effort(steps: Steps) -> AnyArray:
+    """Return the squared speed of the wrist's displacement times the duration (m^2/s)."""
+    change = steps.states[:, -1, _DISPLACEMENT] - steps.states[:, -2, _DISPLACEMENT]
+    return compute_lengths(change) ** 2 / steps.duration
+
+
+def compute_discomfort(steps: Steps) -> AnyArray:
+    """Return the wrist's offset from the recording (m, and rad / 3) times the duration."""
+    deviation = widen(steps.state["deviation"])
+    return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
+
+
+def compute_path(position: slice, steps: Steps) -> AnyArray:
+    """Return the distance (m) of positions before and after each step; 0 without a hand."""
+    return _replace_nan(compute_lengths(steps.states[:, -1, position] - steps.states[:, -2, position]))
+
+
+def compute_jerk(position: slice, steps: Steps) -> AnyArray:
+    """Return the norm of the third difference of the last four positions, divided by T^2 (m/s^2)."""
+    a, b, c, d = (steps.states[:, number, position] for number in range(_COUNT))
+    jerk = compute_lengths(d - 3.0 * c + 3.0 * b - a) / steps.duration**2
+    xp, durations = get_namespace(jerk), steps.states[:, 1:, _TIME] - steps.states[:, :-1, _TIME]
+    is_regular = xp.max(durations, axis=1) - xp.min(durations, axis=1) < _SAME_DURATION
+    return _replace_nan(xp.where(is_regular, jerk, 0.0))
+
+
+def compute_clearance(steps: Steps) -> AnyArray:
+    """Return min(d, 0.1) - 0.1 after each step, times its duration (m s); 0 without a hand."""
+    distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
+    missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
+    return widen(is_present) * missing * steps.duration
+
+
+def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
+    """Return the distances (r,) in m of the open grippers from the joint origins of the hands."""
+    points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
+    xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
+    outside = (xp.abs(points[:, :, None] - centers) - halves).clip(0.0)
+    return xp.min(compute_lengths(outside), axis=(1, 2))
+
+
+def _replace_nan(values: AnyArray) -> AnyArray:
+    xp = get_namespace(values)
+    return xp.where(xp.isnan(values), 0.0, values)
+
+
+#: Functions from the last control steps to values (r,) of reward terms, by name; units stand in the module's table.
+TERMS: dict[str, Callable[[Steps], AnyArray]] = {
+    "success": functools.partial(compute_outcome, EpisodeStatus.SUCCESS),
+    "contact": functools.partial(compute_outcome, EpisodeStatus.HUMAN_CONTACT),
+    "drop": functools.partial(compute_outcome, EpisodeStatus.OBJECT_DROP),
+    "distance": functools.partial(compute_shaping, compute_distance_potential),
+    "grasp": functools.partial(compute_shaping, compute_grasp_potential),
+    "goal": functools.partial(compute_shaping, compute_goal_potential),
+    "effort": compute_effort,
+    "discomfort": compute_discomfort,
+    "waiting": lambda steps: steps.states[:, -2, _OFFERED] * steps.duration,
+    "gripper_path": functools.partial(compute_path, _HAND_LINK),
+    "hand_path": functools.partial(compute_path, _WRIST),
+    "gripper_jerk": functools.partial(compute_jerk, _HAND_LINK),
+    "hand_jerk": functools.partial(compute_jerk, _WRIST),
+    "object_force": lambda steps: steps.state["object_force"] * steps.duration,
+    "hand_force": lambda steps: steps.state["hand_force"] * steps.duration,
+    "time": lambda steps: steps.duration,
+    "clearance": compute_clearance,
 }
-# Columns of the stored states: time (s), wrist displacement (m) and rotation (rad), whether the object is offered, and
-# potentials of the shaping terms.
-_TIME, _DISPLACEMENT, _ROTATION, _OFFERED, _POTENTIALS, _SIZE = 0, slice(1, 4), slice(4, 7), 7, slice(8, 11), 11
+# Terms that depend on the status alone, and on forces.
+_OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"object_force", "hand_force"}
+
+
+def is_finite_number(value: object) -> bool:
+    """Return whether a value is a finite number, which True and False are not."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @dataclass(frozen=True)
-class ReceiverWeights(CheckedConfig):
-    """Weights of the receiver's reward terms.
+class TermWeights:
+    """Weights of reward terms, a value that `rewards` and `combine_rewards` accept.
 
     Attributes:
-        task: Weight of the reward 1 in the step that completes the handover.
-        distance: Weight of shaping with the potential 1 minus the distance (m) between the center
-            of the fingertips and the object's origin; the potential is 1 while the object is grasped.
-        grasp: Weight of shaping with the potential 1 while both fingers touch the object, else 0.
-        goal: Weight of shaping with the potential 1 minus the distance (m) between hand link and
-            goal while the object is grasped, else 0.
-        contact: Weight of the value 1 in the step in which the robot touches the person.
-        drop: Weight of the value 1 in the step in which the object is dropped.
-    """
-
-    task: float = 1.0
-    distance: float = 0.0
-    grasp: float = 0.0
-    goal: float = 0.0
-    contact: float = 0.0
-    drop: float = 0.0
-
-
-@dataclass(frozen=True)
-class GiverWeights(CheckedConfig):
-    """Weights of the giver's reward terms.
-
-    Attributes:
-        task: Weight of the reward 1 in the step that completes the handover.
-        effort: Weight of the squared speed at which the wrist's displacement from the recording
-            changes, integrated over time (m^2/s).
-        discomfort: Weight of the wrist's offset from the recording, integrated over time; the offset
-            is the displacement (m) plus a third of the rotation (rad).
-        waiting: Weight of the time (s) for which the object is held out and not yet taken.
-        contact: Weight of the value 1 in the step in which the robot touches the person.
-        drop: Weight of the value 1 in the step in which the object is dropped.
-    """
-
-    task: float = 1.0
-    effort: float = 0.0
-    discomfort: float = 0.0
-    waiting: float = 0.0
-    contact: float = 0.0
-    drop: float = 0.0
-
-
-@dataclass(frozen=True)
-class RewardConfig(CheckedConfig):
-    """Weights of the terms of both agents' preset rewards.
-
-    Attributes:
-        receiver: Weights of the receiver's terms.
-        giver: Weights of the giver's terms.
+        receiver: Weights of the receiver's terms by name, see `handover_marl.envs.rewards`.
+        giver: Weights of the giver's terms by name.
         gamma: Discount factor of the shaping terms; should equal the learner's discount factor.
+
+    Raises:
+        UnknownNameError: There is no reward term of a name.
+        OptionError: A weight is not a finite number, or `gamma` is not from 0 to 1.
     """
 
-    receiver: ReceiverWeights = field(default_factory=ReceiverWeights)
-    giver: GiverWeights = field(default_factory=GiverWeights)
-    gamma: float = bounded(0.99, 0.0, 1.0)
+    receiver: Mapping[str, float] = field(default_factory=dict)
+    giver: Mapping[str, float] = field(default_factory=dict)
+    gamma: float = 0.99
+
+    def __post_init__(self) -> None:
+        for agent in AGENTS:
+            weights = getattr(self, agent)
+            if not isinstance(weights, Mapping):
+                raise OptionError(f"{agent} of TermWeights must be a dict of weights by term, got {weights!r}")
+            for name, weight in weights.items():
+                check_name("reward term", name, TERMS)
+                if not is_finite_number(weight):
+                    raise OptionError(f"weight of term {name!r} of the {agent} must be a finite number, got {weight!r}")
+        if not is_finite_number(self.gamma) or not 0.0 <= self.gamma <= 1.0:
+            raise OptionError(f"gamma of TermWeights must be a number from 0 to 1, got {self.gamma!r}")
 
 
-SPARSE = RewardConfig()
-SHAPED = RewardConfig(
-    # The task outweighs the potentials that are lost at the end of the episode.
-    receiver=ReceiverWeights(task=3.0, distance=0.5, grasp=0.5, goal=0.5, contact=-0.5, drop=-0.5),
-    giver=GiverWeights(effort=-0.05, discomfort=-0.02, waiting=-0.02, contact=-0.5, drop=-0.5),
+#: Reward 1 to both agents in the step that completes the handover.
+SPARSE = TermWeights({"success": 1.0}, {"success": 1.0})
+#: Shaping for the receiver and costs for the giver in addition. Success outweighs the potentials that are lost at the
+#: end of the episode.
+SHAPED = TermWeights(
+    {"success": 3.0, "distance": 0.5, "grasp": 0.5, "goal": 0.5, "contact": -0.5, "drop": -0.5},
+    {"success": 1.0, "effort": -0.05, "discomfort": -0.02, "waiting": -0.02, "contact": -0.5, "drop": -0.5},
 )
 REWARDS = {"sparse": SPARSE, "shaped": SHAPED}
 
 
-def make_reward_config(rewards: str | RewardConfig) -> RewardConfig:
-    """Return the reward configuration with a name; return a `RewardConfig` unchanged.
+class WeightedTerms:
+    """Weighted reward terms of both agents in n episodes, on arrays with the episode as first axis.
 
-    Raises:
-        UnknownNameError: There is no reward of that name.
-        OptionError: `rewards` is neither a name nor a configuration.
-    """
-    if isinstance(rewards, RewardConfig):
-        return rewards
-    if not isinstance(rewards, str):
-        raise OptionError(f"rewards must be one of {', '.join(REWARDS)} or a RewardConfig, got {rewards!r}")
-    check_name("rewards", rewards, REWARDS)
-    return REWARDS[rewards]
-
-
-class PresetRewards:
-    """Weighted terms of the preset rewards of both agents in n episodes, on arrays with the episode as first axis.
-
-    The argument `state` of methods has arrays (r, ...): `time`, `gripper_pose`, `object_poses`, `deviation`, `holding`
-    and `released` of the giver's observation, and `grasped` (r,), whether both fingers of the robot touch the object.
+    The argument `state` of methods has arrays (r, ...): the giver's observation, and `grasped` (r,), whether both
+    fingers of the robot touch the object, `object_force` and `hand_force` (r,), the forces of the robot on both (N).
 
     Args:
-        config: Weights of the terms.
+        weights: Weights of the terms.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         count: Number n of episodes.
         arrays: Creator of the arrays.
 
     Attributes:
-        needs_state: Whether a term with a weight depends on the state; if not, `state` may be empty.
+        weights: Weights by agent and name.
+        needs_state: Whether a term depends on the state; if not, `state` may be empty.
+        needs_forces: Whether a term depends on forces; if not, `state` may lack them.
     """
 
-    def __init__(self, config: RewardConfig, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
-        self._config, self._arrays = config, arrays
-        self._goal, self._fingertips = (arrays.asarray(point, "float64") for point in (goal, FINGERTIPS))
-        self._weights = {GIVER: vars(config.giver), RECEIVER: vars(config.receiver)}
-        weights = [item for own in self._weights.values() for item in own.items()]
-        self.needs_state = any(weight for name, weight in weights if name not in _OUTCOMES)
-        self._last = arrays.zeros((count, _SIZE))
-
-    @property
-    def names(self) -> dict[str, tuple[str, ...]]:
-        """Names of the terms by agent."""
-        return {agent: tuple(weights) for agent, weights in self._weights.items()}
+    def __init__(self, weights: TermWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
+        self.weights: dict[str, Mapping[str, float]] = {agent: getattr(weights, agent) for agent in AGENTS}
+        self._names = {name for own in self.weights.values() for name in own}
+        self.needs_state, self.needs_forces = bool(self._names - _OUTCOMES), bool(self._names & _FORCES)
+        self._xp, self._goal, self._gamma = arrays.xp, arrays.asarray(goal, "float64"), weights.gamma
+        self._states = arrays.full((count, _COUNT, _SIZE), math.nan)
 
     def start(self, rows: AnyIndices, state: Mapping[str, AnyArray]) -> None:
         """Start episodes `rows` (r,) in a state."""
         if self.needs_state:
-            self._last[rows] = self._summarize(state)
+            self._states[rows] = math.nan
+            self._states[rows, -1] = self._summarize(state)
 
-    def compute_terms(self, rows: AnyIndices, status: AnyArray, state: Mapping[str, AnyArray]) -> dict[str, ArrayTerms]:
-        """Return the weighted reward terms of a control step by agent, and store the states after it.
+    def compute(self, rows: AnyIndices, status: AnyArray, state: Mapping[str, AnyArray]) -> dict[str, ArrayTerms]:
+        """Return the weighted terms of a control step by agent, and store the states after it.
 
         Args:
             rows: Indices (r,) of the episodes.
             status: Bits (r,) of `EpisodeStatus` after the step.
             state: State after the step.
         """
-        xp = self._arrays.xp
-        values = {name: xp.astype((status & int(bit)) != 0, xp.float64) for name, bit in _OUTCOMES.items()}
+        states = self._states[rows]
         if self.needs_state:
-            now, before = self._summarize(state), self._last[rows]
-            self._last[rows] = now
-            values |= self._compute_giver_costs(before, now) | self._compute_shaping(before, now, status)
-        zeros = xp.zeros_like(values["task"])
-        return {
-            agent: {name: weight * values.get(name, zeros) for name, weight in weights.items()}
-            for agent, weights in self._weights.items()
-        }
-
-    def _compute_giver_costs(self, before: AnyArray, now: AnyArray) -> ArrayTerms:
-        xp, change = self._arrays.xp, now - before
-        period, path = change[:, _TIME], compute_lengths(change[:, _DISPLACEMENT])
-        offset = compute_lengths(now[:, _DISPLACEMENT]) + compute_lengths(now[:, _ROTATION]) / 3.0
-        is_later = period > 0.0
-        return {
-            "effort": xp.where(is_later, path**2 / xp.where(is_later, period, 1.0), 0.0),
-            "discomfort": offset * period,
-            "waiting": before[:, _OFFERED] * period,
-        }
-
-    def _compute_shaping(self, before: AnyArray, now: AnyArray, status: AnyArray) -> ArrayTerms:
-        # A timeout truncates an episode; only termination ends its potential.
-        goes_on = (status & ~int(EpisodeStatus.TIMEOUT)) == 0
-        new = self._arrays.xp.where(goes_on[:, None], now[:, _POTENTIALS], 0.0)
-        shaping = self._config.gamma * new - before[:, _POTENTIALS]
-        return {"distance": shaping[:, 0], "grasp": shaping[:, 1], "goal": shaping[:, 2]}
+            states = self._xp.concat([states[:, 1:], self._summarize(state)[:, None]], axis=1)
+            self._states[rows] = states
+        steps = Steps(states, state, status, self._goal, self._gamma)
+        values = {name: TERMS[name](steps) for name in self._names}
+        return {agent: {name: own[name] * values[name] for name in own} for agent, own in self.weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Return what the terms depend on, (r, 11) float64."""
-        xp, gripper, grasped = self._arrays.xp, state["gripper_pose"], state["grasped"]
-        to_object = transform_points(gripper, self._fingertips) - state["object_poses"][:, 0, :3]
+        """Return the stored part (r, 19) of a state, float64."""
+        xp = self._xp
         columns = [
             state["time"],
-            state["deviation"][:, 1:],
-            xp.astype((state["holding"] > 0) & (state["released"] <= 0), xp.float64),
-            xp.where(grasped, 1.0, 1.0 - compute_lengths(to_object))[:, None],
-            grasped[:, None],
-            xp.where(grasped, 1.0 - compute_lengths(gripper[:, :3] - self._goal), 0.0)[:, None],
+            state["gripper_pose"],
+            state["object_poses"][:, 0, :3],
+            state["grasped"][:, None],
+            xp.where(state["hand_present"] != 0.0, state["hand_keypoints"][:, 0], math.nan),
+            state["deviation"][:, 1:4],
+            (state["holding"] > 0) & (state["released"] <= 0),
         ]
         return xp.concat([xp.astype(column, xp.float64) for column in columns], axis=1)

@@ -9,14 +9,14 @@ from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, World
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
 from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
+from handover_marl.episode.lockstep import make_judge
 from handover_marl.episode.observations import (
     Observation,
     observe,
     observe_giver_motion,
     select_receiver_observation,
 )
-from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind, requests_release
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
@@ -124,10 +124,10 @@ class Episode:
 
     def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int:
         """Simulate up to `steps` physics steps at once; return their number."""
-        states = RefereeStateBatch.from_states([self._referee.get_state()])
+        states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
         simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
-        self._referee.restore(states.select(0))
+        self._referee.restore(states.select_rows(0))
         self._contacts = None
         return int(simulated[0])
 

@@ -3,9 +3,9 @@
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
+from handover_marl.episode.lockstep import make_judge
 from handover_marl.episode.observations import Observation, observe_giver_motion, state_space
-from handover_marl.episode.referee import RELEASE_REASONS, Referee, ReleaseReason
+from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason
 from handover_marl.episode.spaces import requests_release
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -43,9 +43,8 @@ class Episodes:
         arrays = self.arrays = make_tensor_factory(backend.device) if backend.name == WARP else NUMPY_ARRAYS
         self.motion = GiverMotion(count, config.giver, arrays)
         self._worlds = make_worlds(config.physics, count, backend, arrays)
-        start = RefereeStateBatch.from_states([Referee(config.protocol).get_state()])
-        self._start = RefereeStateBatch(*map(arrays.asarray, start))
-        self.referees = RefereeStateBatch(*(arrays.xp.tile(array, (count,)) for array in self._start))
+        self._start = Referee(config.protocol).get_state()
+        self.referees = RefereeState(*(arrays.full(count, value, "int64") for value in self._start))
         self.state: Observation = {
             key: arrays.zeros((count, *(space.shape or ())), "float32") for key, space in state_space().items()
         }
@@ -71,7 +70,7 @@ class Episodes:
         for urdf in scene.urdfs:
             check_collision_meshes(urdf)
         self._worlds.reset(row, scene, self.motion.reset(row, scene), self.config.draw_initial_joints(seed))
-        self.referees.assign_rows(self.arrays.asarray([row]), self._start)
+        self.referees.assign_rows(row, self._start)
         self._scene_ids[row], count = scene.info.scene_id, len(scene.info.object_ids)
         for key in ("object_mask", "object_classes"):
             self.state[key][row] = 0.0

@@ -1,7 +1,5 @@
 """Rules of release and end for many episodes in lockstep, on arrays."""
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -15,37 +13,7 @@ Counts = npt.NDArray[np.int_]
 _ACTIVE, _PASSIVE = RELEASE_REASONS.index(ReleaseReason.ACTIVE), RELEASE_REASONS.index(ReleaseReason.PASSIVE)
 
 
-class RefereeStateBatch(NamedTuple):
-    """States of the referees of n episodes: the fields of `RefereeState` as arrays or tensors (n,)."""
-
-    status: AnyArray
-    steps: AnyArray
-    release_reason: AnyArray
-    release_step: AnyArray
-    active_steps: AnyArray
-    passive_steps: AnyArray
-    goal_steps: AnyArray
-
-    @classmethod
-    def from_states(cls, states: list[RefereeState]) -> "RefereeStateBatch":
-        """Stack the referee states of n episodes."""
-        return cls(*np.array(states, dtype=np.int_).reshape(-1, len(RefereeState._fields)).T.copy())
-
-    def select(self, number: int) -> RefereeState:
-        """Return the referee state of the episode with this index."""
-        return RefereeState(*(int(array[number]) for array in self))
-
-    def select_rows(self, rows: AnyArray) -> "RefereeStateBatch":
-        """Return the referee states of the episodes with these indices."""
-        return RefereeStateBatch(*(array[rows] for array in self))
-
-    def assign_rows(self, rows: AnyArray, states: "RefereeStateBatch") -> None:
-        """Set the referee states of the episodes with these indices."""
-        for array, values in zip(self, states, strict=True):
-            array[rows] = values
-
-
-def make_judge(referees: RefereeStateBatch, rules: ProtocolConfig) -> JudgeFunction:
+def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
     """Return the function by which worlds in a rollout apply the rules of release and end to their steps.
 
     Args:
@@ -61,16 +29,14 @@ def make_judge(referees: RefereeStateBatch, rules: ProtocolConfig) -> JudgeFunct
             # Worlds on a device are simulated after their ends, too.
             xp, running = get_namespace(last), before.status == 0
             taken, released = xp.where(running, taken, 0), running & released
-            after = RefereeStateBatch(*(xp.where(running, new, old) for new, old in zip(after, before, strict=True)))
+            after = RefereeState(*(xp.where(running, new, old) for new, old in zip(after, before, strict=True)))
         referees.assign_rows(rows, after)
         return RolloutEnd(taken, released, after.status != 0)
 
     return judge
 
 
-def judge_steps(
-    before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig
-) -> tuple[AnyArray, RefereeStateBatch]:
+def judge_steps(before: RefereeState, contacts: ContactBatch, config: ProtocolConfig) -> tuple[AnyArray, RefereeState]:
     """Apply release and end rules to k steps of n episodes, up to the first release or end of each.
 
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
@@ -114,7 +80,7 @@ def judge_steps(
     )
     steps = before.steps + last + 1
     reason = xp.where(active[now] >= config.release_steps, _ACTIVE, _PASSIVE)
-    return last, RefereeStateBatch(
+    return last, RefereeState(
         status=xp.where(succeeds[now], int(EpisodeStatus.SUCCESS), status),
         steps=steps,
         release_reason=xp.where(releases[now], reason, before.release_reason),
@@ -125,7 +91,7 @@ def judge_steps(
     )
 
 
-def _is_uneventful(before: RefereeStateBatch, contacts: ContactBatch, config: ProtocolConfig) -> bool:
+def _is_uneventful(before: RefereeState, contacts: ContactBatch, config: ProtocolConfig) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
         (before.release_reason >= 0).any()
@@ -135,9 +101,7 @@ def _is_uneventful(before: RefereeStateBatch, contacts: ContactBatch, config: Pr
     )
 
 
-def _judge_time_limit(
-    before: RefereeStateBatch, n_steps: int, config: ProtocolConfig
-) -> tuple[Counts, RefereeStateBatch]:
+def _judge_time_limit(before: RefereeState, n_steps: int, config: ProtocolConfig) -> tuple[Counts, RefereeState]:
     """Apply the time limit alone to k steps; see `judge_steps`."""
     last = np.clip(config.horizon_steps - before.steps - 1, 0, n_steps - 1)
     steps, none = before.steps + last + 1, np.zeros_like(last)

@@ -5,6 +5,7 @@ from enum import Enum, IntFlag
 from typing import NamedTuple
 
 from handover_marl.config import ProtocolConfig
+from handover_marl.geometry.arrays import AnyArray, AnyIndices
 from handover_marl.simulation.contacts import Contacts, find_points_in_grasp_region
 
 
@@ -42,7 +43,7 @@ class EpisodeStatus(IntFlag):
 
 
 class RefereeState(NamedTuple):
-    """Saved state of the referee of an episode, as integers.
+    """State of the referee of an episode as integers, or of n episodes as arrays or tensors (n,).
 
     Attributes:
         status: Bits of the `EpisodeStatus`.
@@ -55,13 +56,22 @@ class RefereeState(NamedTuple):
         goal_steps: Consecutive steps for which the gripper has held the object at the goal.
     """
 
-    status: int
-    steps: int
-    release_reason: int
-    release_step: int
-    active_steps: int
-    passive_steps: int
-    goal_steps: int
+    status: AnyArray
+    steps: AnyArray
+    release_reason: AnyArray
+    release_step: AnyArray
+    active_steps: AnyArray
+    passive_steps: AnyArray
+    goal_steps: AnyArray
+
+    def select_rows(self, rows: AnyIndices) -> "RefereeState":
+        """Return the states of the episodes with these indices."""
+        return RefereeState(*(array[rows] for array in self))
+
+    def assign_rows(self, rows: AnyIndices, states: "RefereeState") -> None:
+        """Set the states of the episodes with these indices."""
+        for array, values in zip(self, states, strict=True):
+            array[rows] = values
 
 
 class Referee:
@@ -103,7 +113,7 @@ class Referee:
         return self.status
 
     def get_state(self) -> RefereeState:
-        """Return the referee's state as integers, for `restore`."""
+        """Return the referee's state as integers."""
         return RefereeState(
             status=int(self.status),
             steps=self.steps,
@@ -115,13 +125,12 @@ class Referee:
         )
 
     def restore(self, state: RefereeState) -> None:
-        """Restore a state that `get_state` returned."""
-        self.status, self.steps = EpisodeStatus(state.status), state.steps
-        self.released = state.release_reason >= 0
-        self.release_reason = RELEASE_REASONS[state.release_reason] if self.released else None
-        self.release_step = state.release_step if self.released else None
-        self._active_steps, self._passive_steps = state.active_steps, state.passive_steps
-        self._goal_steps = state.goal_steps
+        """Restore a state of one episode."""
+        status, self.steps, reason, release_step, *counts = map(int, state)
+        self.status, self.released = EpisodeStatus(status), reason >= 0
+        self.release_reason = RELEASE_REASONS[reason] if self.released else None
+        self.release_step = release_step if self.released else None
+        self._active_steps, self._passive_steps, self._goal_steps = counts
 
     def _judge_release(self, contacts: Contacts) -> ReleaseReason | None:
         if not contacts.robot_touches_object:

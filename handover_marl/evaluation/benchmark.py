@@ -22,17 +22,14 @@ from handover_marl.evaluation.config import (
     build_configs,
     resolve_config,
 )
-from handover_marl.evaluation.episode_runner import EpisodeWriter, SceneTask, run_episodes
+from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
+from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.episode_tables import format_scene_cells
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import write_report
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata
-from handover_marl.evaluation.results.result_folder import ResultFolder
-from handover_marl.execution.options import PoolConfig, check_pool, forward_signature
-from handover_marl.execution.pool import Pool
-from handover_marl.execution.tasks import open_pool, share_pool
+from handover_marl.evaluation.reports.report import Report, write_report
+from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
+from handover_marl.execution.options import check_pool, forward_signature
+from handover_marl.execution.pool import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.visualization.replay_scene import require_replay_extra
 
@@ -40,9 +37,6 @@ from handover_marl.visualization.replay_scene import require_replay_extra
 MakeWriter: TypeAlias = Callable[[Path, EvaluationConfig], EpisodeWriter]
 
 _SHARD = re.compile(r"(\d{1,4})/(\d{1,4})")
-# Widths of the columns of the progress display; the sum fits a terminal of 80 columns.
-_WIDTHS = {"scene id": 8, "object name": 22, "subject": 10, "side": 5, "outcome": 15, "steps": 5, "plan s": 6}
-_COLORS = {"success": "green", "contact": "red", "drop": "yellow", "timeout": "magenta"}
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "world_config"))
@@ -132,74 +126,64 @@ def run_evaluations(
     Raises:
         HandoverError: The same errors as `benchmark`.
     """
-    evaluations = [_Evaluation(config, execution.for_subfolder(name), recorded) for name, config in parts]
+    prepared = [_prepare(config, execution.for_subfolder(name), recorded) for name, config in parts]
     reports = []
-    with share_pool(execution) as open_workers:
-        for evaluation in evaluations:
-            reports.append(evaluation.run(open_workers, make_writer))
+    with contextlib.closing(open_pool(execution)) as pool:
+        for config, metadata, folder, tasks in prepared:
+            writers: list[EpisodeWriter] = []
+            if folder is not None:
+                if make_writer is not None:
+                    writers.append(make_writer(folder.path, config))
+                if execution.replays != REPLAYS_NONE:
+                    writers.append(ReplayWriter(folder.path, execution.replays))
+                # The result folder is the last: its files mark scenes as finished.
+                writers.append(folder)
+            found = [folder.read(task.index, task.fingerprint) if folder else None for task in tasks]
+            stored = {task: result for task, result in zip(tasks, found, strict=True) if result is not None}
+            results = {
+                task: result for task, result in stored.items() if all(writer.contains(result) for writer in writers)
+            }
+            remaining = [task for task in tasks if task not in results]
+            with (
+                _show_progress(len(tasks), results.values(), execution.progress) as show,
+                contextlib.closing(run_episodes(config, remaining, pool, tuple(writers))) as finished,
+            ):
+                for number, (result, contents) in finished:
+                    _check_same_outcome(stored.get(remaining[number]), result)
+                    for writer, content in zip(writers, contents, strict=True):
+                        writer.write(result, content)
+                    results[remaining[number]] = result
+                    show(result)
+            episodes = tuple(results[task] for task in tasks)
+            reports.append(Report(metadata, episodes, len(tasks) - len(remaining)))
+            if folder is not None:
+                write_report(folder.path, reports[-1])
     return reports
 
 
-class _Evaluation:
-    """Evaluation of one giver with one receiver on the scenes of a split; see `run_evaluations`."""
-
-    def __init__(self, config: EvaluationConfig, execution: ExecutionConfig, recorded: str) -> None:
-        check_name("replays", execution.replays, REPLAY_CHOICES)
-        if execution.replays != REPLAYS_NONE:
-            if execution.folder is None:
-                raise OptionError("replays need an output folder; pass out= (--out DIR)")
-            require_replay_extra()
-        check_pool(execution)
-        self.config, dataset = resolve_config(config, execution.trust)
-        split_ids = dataset.list_scenes(self.config.setup, self.config.split)
-        scenes, shard = tuple(self.config.scenes or ()), execution.shard or ""
-        if shard:
-            self.config = replace(self.config, scenes=select_shard(shard, scenes))
-            shard += "" if scenes == split_ids else f" of {','.join(map(str, scenes))}"
-        self._execution = execution
-        self._metadata = ResultMetadata.from_config(self.config, recorded, shard, len(split_ids))
-        self._n_split_scenes = len(split_ids)
-        self.folder: ResultFolder | None = None
-        if execution.folder is not None:
-            self.folder = ResultFolder(execution.folder, self._metadata, self.config.world_config, execution.fresh)
-        indices = {scene: index for index, scene in enumerate(split_ids)}
-        self._tasks = [
-            SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in self.config.scenes or ()
-        ]
-
-    def run(self, open_workers: Callable[[], Pool], make_writer: MakeWriter | None) -> Report:
-        """Simulate the scenes that have no result yet, write the report and return it."""
-        folder, replays = self.folder, self._execution.replays
-        all_writers: tuple[EpisodeWriter, ...] = ()
-        if folder is not None:
-            recorders = [] if make_writer is None else [make_writer(folder.path, self.config)]
-            replay_writers = [] if replays == REPLAYS_NONE else [ReplayWriter(folder.path, replays)]
-            # The result folder is the last: its files mark scenes as finished.
-            all_writers = (*recorders, *replay_writers, folder)
-        found = [folder.read(task.index, task.fingerprint) if folder else None for task in self._tasks]
-        stored = {task: result for task, result in zip(self._tasks, found, strict=True) if result is not None}
-        results = {
-            task: result for task, result in stored.items() if all(writer.contains(result) for writer in all_writers)
-        }
-        remaining = [task for task in self._tasks if task not in results]
-        # Without tasks there is no need to connect to a cluster.
-        pool = open_workers() if remaining else open_pool(PoolConfig(workers=1))
-        with (
-            _show_progress(len(self._tasks), results.values(), self._execution.progress) as show,
-            contextlib.closing(run_episodes(self.config, remaining, pool, all_writers)) as finished,
-        ):
-            for number, (result, contents) in finished:
-                task = remaining[number]
-                _check_same_outcome(stored.get(task), result)
-                for writer, content in zip(all_writers, contents, strict=True):
-                    writer.write(result, content)
-                results[task] = result
-                show(result)
-        episodes = tuple(results[task] for task in self._tasks)
-        report = Report(self._metadata, episodes, self._n_split_scenes, len(self._tasks) - len(remaining))
-        if folder is not None:
-            write_report(folder.path, report)
-        return report
+def _prepare(
+    config: EvaluationConfig, execution: ExecutionConfig, recorded: str
+) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
+    """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
+    check_name("replays", execution.replays, REPLAY_CHOICES)
+    if execution.replays != REPLAYS_NONE:
+        if execution.folder is None:
+            raise OptionError("replays need an output folder; pass out= (--out DIR)")
+        require_replay_extra()
+    check_pool(execution)
+    config, dataset = resolve_config(config, execution.trust)
+    split_ids = dataset.list_scenes(config.setup, config.split)
+    scenes, shard = tuple(config.scenes or ()), execution.shard or ""
+    if shard:
+        config = replace(config, scenes=select_shard(shard, scenes))
+        shard += "" if scenes == split_ids else f" of {','.join(map(str, scenes))}"
+    metadata = ResultMetadata.from_config(config, recorded, shard, len(split_ids))
+    folder = None
+    if execution.folder is not None:
+        folder = ResultFolder(execution.folder, metadata, config.world_config, execution.fresh)
+    indices = {scene: index for index, scene in enumerate(split_ids)}
+    tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
+    return config, metadata, folder, tasks
 
 
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
@@ -229,35 +213,25 @@ def _show_progress(
 
     Args:
         n_scenes: Number of scenes.
-        stored: Results of an earlier run in the same folder, shown first.
+        stored: Results of an earlier run in the same folder, which count as finished.
         enabled: Whether to show anything.
     """
     if not enabled:
         yield lambda result: None
         return
+    n_finished, n_success = len(stored), sum(result.success for result in stored)
+
+    def add(result: EpisodeResult) -> None:
+        nonlocal n_finished, n_success
+        n_finished, n_success = n_finished + 1, n_success + result.success
+        bar.update(task, advance=1, description=f"success {100 * n_success / n_finished:5.1f} %")
+        scene, name, _, _, outcome, steps, _, plan_s = format_scene_cells(result)
+        console.print(f"{scene:>5} {name:22} {outcome:12} {steps:>5} steps, plan {plan_s} s")
+
     console = Console(stderr=True, highlight=False)
-    successes: list[bool] = []
-
-    def print_row(cells: Sequence[str], style: str) -> None:
-        row = " ".join(cell.ljust(width) for cell, width in zip(cells, _WIDTHS.values(), strict=True))
-        console.print(row.rstrip(), style=style)
-
-    def add(result: EpisodeResult, style: str | None = None) -> None:
-        successes.append(result.success)
-        bar.update(task, advance=1, description=f"success {100 * sum(successes) / len(successes):5.1f} %")
-        scene, name, subject, side, outcome, steps, _, plan_s = format_scene_cells(result)
-        cells = (scene, name, subject.partition("-")[2], side, outcome, steps, plan_s)
-        print_row(cells, style or _COLORS.get(outcome, "red"))
-
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bar:
-        task = bar.add_task("success   -  ", total=n_scenes)
-        print_row(tuple(_WIDTHS), "bold")
-        if stored:
-            text = f"{len(stored)} of {n_scenes} episodes are from an earlier run in this folder:"
-            console.print(text, style="dim")
-        for result in stored:
-            add(result, "dim")
+        task = bar.add_task("success   -  ", total=n_scenes, completed=n_finished)
         yield add
 
 

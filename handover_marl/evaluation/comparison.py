@@ -1,8 +1,8 @@
 """Comparison of two evaluations of the same scenes: of two result folders, or of two physics engines."""
 
+import functools
 import os
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,17 @@ from handover_marl.errors import ResultsError, check_name
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
+    EpisodePair,
     build_difference_table,
     build_fluency_difference_table,
     build_rate_table,
 )
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.reports.report import Report, evaluate
 from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, format_percent_interval
-from handover_marl.evaluation.results.episode_result import EpisodeResult
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.engines import EXACT, FAST, PHYSICS, check_physics
-from handover_marl.version import __version__
-from handover_marl.visualization.web_page import render_page
 
 AGREEMENT_FILE = "agreement.md"
 _NOTE = (
@@ -42,22 +39,16 @@ class Comparison(TabularResult):
     Attributes:
         first: Report of evaluation A.
         second: Report of evaluation B.
-        pairs: Results (A, B) of each common scene, in the split's order.
     """
 
     first: Report
     second: Report
-    pairs: tuple[tuple[EpisodeResult, EpisodeResult], ...]
 
-    @property
-    def note(self) -> str:
-        """Sentences on the number of compared scenes and the kinds of confidence intervals."""
-        return _NOTE.format(n=len(self.pairs))
-
-    @property
-    def changes(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
-        """Pairs of results (A, B) of the scenes with different outcomes."""
-        return [(first, second) for first, second in self.pairs if first.status != second.status]
+    @functools.cached_property
+    def pairs(self) -> list[EpisodePair]:
+        """Results (A, B) of each common scene, in the split's order."""
+        by_index = {result.index: result for result in self.second.episodes}
+        return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 
     def build_tables(self) -> list[ReportTable]:
         """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""
@@ -69,7 +60,53 @@ class Comparison(TabularResult):
         headings = f"A: {self.first.heading}\nB: {self.second.heading}"
         rates, differences, fluency = self.build_tables()
         changes = differences if differences.rows else "Every scene has the same outcome."
-        return [headings, self.note, rates, changes, fluency]
+        return [headings, _NOTE.format(n=len(self.pairs)), rates, changes, fluency]
+
+
+class Agreement(Comparison):
+    """Outcomes of the same policies in exact physics, the first report, and in another physics, the second one."""
+
+    def write(self, folder: Path) -> None:
+        """Write the comparison of two physics engines to `agreement.md`.
+
+        Raises:
+            ResultsError: The folder cannot be written.
+        """
+        write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.second.metadata.physics} physics\n\n{self}\n")
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""
+        name = self.second.metadata.physics
+        counts = Counter((exact.status.label, other.status.label) for exact, other in self.pairs)
+        labels = sorted({label for pair in counts for label in pair})
+        rows = [[f"exact: {exact}", *(counts[exact, other] for other in labels)] for exact in labels]
+        return [
+            ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
+            build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
+            build_difference_table(self.pairs, (EXACT, name)),
+        ]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and the sentence on numbers of steps."""
+        metadata, n = self.first.metadata, len(self.pairs)
+        confusion, rates, differences = self.build_tables()
+        same = [(exact, other) for exact, other in self.pairs if exact.status == other.status]
+        steps = np.array([abs(other.steps - exact.steps) for exact, other in same])
+        heading = (
+            f"{metadata.setup} {metadata.split}, {self.first.extent}. Receiver {self.first.policies_label}, "
+            f"data: {self.first.data_label}.\n"
+            f"Exact and {self.second.metadata.physics} physics agree on the outcome of {len(steps)} of {n} "
+            f"scenes: {100 * len(steps) / n:.2f} % (95 % interval {format_percent_interval(len(steps), n)})."
+        )
+        if not len(steps):
+            return [heading, confusion, rates, differences]
+        median, percentile = np.percentile(steps, [50, 95])
+        sentence = (
+            f"Of the scenes with the same outcome, {np.mean(steps == 0):.0%} have the same number of steps. The "
+            f"numbers of steps (ms) differ by {median:g} in the median, by {percentile:g} or less in 95 %, and by "
+            f"{steps.max()} at most."
+        )
+        return [heading, confusion, rates, sentence, differences]
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:
@@ -88,118 +125,17 @@ def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Co
         values = [getattr(each.metadata, key) for each in (report, other)]
         if values[0] != values[1]:
             raise ResultsError(f"{first} and {second} must have the same {key}, got {values[0]} and {values[1]}")
-    by_index = {result.index: result for result in other.episodes}
-    pairs = tuple((result, by_index[result.index]) for result in report.episodes if result.index in by_index)
-    if not pairs:
+    comparison = Comparison(report, other)
+    if not comparison.pairs:
         raise ResultsError(
             f"{first} and {second} must have at least one scene in common; compare folders of the same split"
         )
     # Versions may compute fingerprints of the same data differently; the heading shows both versions.
     is_same_version = report.metadata.version == other.metadata.version
-    for one, two in pairs if is_same_version else ():
+    for one, two in comparison.pairs if is_same_version else ():
         if one.fingerprint and two.fingerprint and one.fingerprint != two.fingerprint:
             raise ResultsError(f"{first} and {second} were computed from different data (scene {one.scene_id})")
-    return Comparison(report, other, pairs)
-
-
-def render_comparison_page(
-    comparison: Comparison, replays: tuple[Mapping[int, str], Mapping[int, str]] = ({}, {})
-) -> str:
-    """Render a comparison as a self-contained web page.
-
-    Args:
-        comparison: The comparison.
-        replays: Links to replay pages of A and of B by scene number, relative to the page.
-    """
-    names = [report.metadata.receiver for report in (comparison.first, comparison.second)]
-    return render_page(
-        "comparison.html",
-        version=__version__,
-        title=f"{names[0]} (A) and {names[1]} (B)",
-        sides=[("A", comparison.first.heading), ("B", comparison.second.heading)],
-        rates=comparison.build_tables()[0],
-        note=comparison.note,
-        changes=comparison.changes,
-        replays=replays,
-    )
-
-
-@dataclass(frozen=True)
-class Agreement(TabularResult):
-    """Outcomes of the same policies in two physics engines. `str(agreement)` is tables in Markdown.
-
-    Attributes:
-        exact: Report in exact physics.
-        other: Report of the same scenes in another physics.
-    """
-
-    exact: Report
-    other: Report
-
-    @property
-    def pairs(self) -> list[tuple[EpisodeResult, EpisodeResult]]:
-        """Results (exact physics, other physics) of each scene."""
-        return list(zip(self.exact.episodes, self.other.episodes, strict=True))
-
-    @property
-    def n_same_outcome(self) -> int:
-        """Number of scenes with the same outcome in both physics engines."""
-        return sum(exact.status == other.status for exact, other in self.pairs)
-
-    @property
-    def rate(self) -> float:
-        """Share of scenes with the same outcome in both physics engines (0..1)."""
-        return self.n_same_outcome / len(self.exact.episodes)
-
-    @property
-    def step_differences(self) -> list[int]:
-        """Numbers of steps in the other physics minus those in exact physics, for the scenes with equal outcomes."""
-        return [other.steps - exact.steps for exact, other in self.pairs if exact.status == other.status]
-
-    @property
-    def confusion(self) -> Counter[tuple[str, str]]:
-        """Number of scenes for each pair of outcomes (exact physics, other physics)."""
-        return Counter((exact.status.label, other.status.label) for exact, other in self.pairs)
-
-    def write(self, folder: Path) -> None:
-        """Write the comparison of two physics engines to `agreement.md`.
-
-        Raises:
-            ResultsError: The folder cannot be written.
-        """
-        write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.other.metadata.physics} physics\n\n{self}\n")
-
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""
-        name, counts = self.other.metadata.physics, self.confusion
-        labels = sorted({label for pair in counts for label in pair})
-        rows = [[f"exact: {exact}", *(counts[exact, other] for other in labels)] for exact in labels]
-        return [
-            ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
-            build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
-            build_difference_table(self.pairs, (EXACT, name)),
-        ]
-
-    def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, tables and the sentence on numbers of steps."""
-        metadata, n = self.exact.metadata, len(self.exact.episodes)
-        confusion, rates, differences = self.build_tables()
-        heading = (
-            f"{metadata.setup} {metadata.split}, {self.exact.extent}. Receiver {self.exact.policies_label}, "
-            f"data: {self.exact.data_label}.\n"
-            f"Exact and {self.other.metadata.physics} physics agree on the outcome of {self.n_same_outcome} of {n} "
-            f"scenes: {100 * self.rate:.2f} % (95 % interval {format_percent_interval(self.n_same_outcome, n)})."
-        )
-        steps = np.abs(self.step_differences)
-        if not len(steps):
-            return [heading, confusion, rates, differences]
-        median, percentile = np.percentile(steps, [50, 95])
-        sentence = (
-            f"Of the scenes with the same outcome, {np.mean(steps == 0):.0%} have the same number of steps. The "
-            f"numbers of steps (ms) differ by {median:g} in the median, by {percentile:g} or less in 95 %, and by "
-            f"{steps.max()} at most."
-        )
-        return [heading, confusion, rates, sentence, differences]
+    return comparison
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)

@@ -7,7 +7,7 @@ objects or as keyword arguments.
 from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal
 
 from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
@@ -24,12 +24,13 @@ from handover_marl.simulation.engines import check_physics
 #: Name of the giver of official results, which replays the recording.
 REPLAY = "replay"
 #: Choices of the episodes that get a replay page.
-REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL = "none", "failed", "all"
-REPLAY_CHOICES = (REPLAYS_NONE, REPLAYS_FAILED, REPLAYS_ALL)
+REPLAYS_NONE: Final = "none"
+REPLAYS_ALL: Final = "all"
+REPLAY_CHOICES = (REPLAYS_NONE, "failed", REPLAYS_ALL)
 #: Fields of `ExecutionConfig` that do not apply to a single scene.
 MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
 
-_SEED_LIMIT = 2**63
+_SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,10 @@ class EvaluationConfig(SceneConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         # Plain values, so that configurations compare, hash and pickle.
-        object.__setattr__(self, "seed", _check_seed(self.seed))
+        seed: object = self.seed
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
+            raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(seed)}")
+        object.__setattr__(self, "seed", int(seed))
         if self.data_dir is not None:
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
 
@@ -88,7 +92,7 @@ class ExecutionConfig(PoolConfig):
     progress: bool = True
     trust: bool = False
     fresh: bool = False
-    replays: str = REPLAYS_NONE
+    replays: Literal["none", "failed", "all"] = REPLAYS_NONE
 
     def __post_init__(self) -> None:
         for name in ("progress", "trust", "fresh"):
@@ -183,10 +187,3 @@ def require_policy_reference(policy: PolicyLike) -> PolicyReference:
     if not isinstance(policy, PolicyReference):
         raise TypeError("the configuration is not resolved; call resolve_config() first")
     return policy
-
-
-def _check_seed(seed: object) -> int:
-    """Return a seed as a plain integer; data sets store it with 64 bits."""
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or abs(int(seed)) >= _SEED_LIMIT:
-        raise OptionError(f"seed must be an integer of at most 64 bits, got {shorten_text(seed)}")
-    return int(seed)

@@ -13,25 +13,25 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
 from handover_marl.evaluation.reports.episode_tables import (
-    FLUENCY_NOTE,
-    compute_rate_difference,
     estimate_fluency,
-    format_fluency_row,
 )
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
     FLUENCY,
     N_EPISODES,
+    NO_VALUE,
     RATES,
     REPORTED_STATUSES,
     TIMES,
     WAIT,
+    MeanEstimate,
     ReportTable,
     TabularResult,
     append_interval,
+    compute_paired_difference,
+    compute_wilson_interval,
     format_csv,
     format_percent_difference,
     format_percent_rate,
@@ -44,6 +44,7 @@ from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_
 
 PolicyPair = tuple[str, str]
 CROSSPLAY_CSV = "crossplay.csv"
+_NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
 _CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
@@ -70,45 +71,29 @@ class CrossPlay(TabularResult):
         """Labels of the receivers, the columns of the matrix."""
         return tuple(dict.fromkeys(receiver for _, receiver in self.reports))
 
-    @property
-    def title(self) -> str:
-        """Title of two lines: evaluated scenes, number of episodes and physics."""
-        report = self._first_report
-        metadata, n = report.metadata, len(report.episodes)
-        return (
-            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
-        )
-
-    @property
-    def success_rates(self) -> list[list[float]]:
-        """Success rates (0..1), one row per giver and one column per receiver."""
-        return [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
-
-    def compute_gain(
-        self, pair: PolicyPair, baseline: PolicyPair, flag: EpisodeStatus = EpisodeStatus.SUCCESS
-    ) -> tuple[float, float, float]:
-        """Compute the difference of an outcome's rate between two pairs of policies.
-
-        Args:
-            pair: Labels of giver and receiver.
-            baseline: Labels of the giver and the receiver whose rate is subtracted.
-            flag: Outcome whose rate is compared, e.g. success.
-
-        Returns:
-            Difference, lower and upper end of its 95 % interval (-1..1).
-        """
-        return compute_rate_difference(self.reports[pair].episodes, self.reports[baseline].episodes, flag)
-
     def to_csv(self) -> str:
         """Return CSV text with one row per pair of policies.
 
         Rates are in 0..1, times in s, fluency metrics in the units of `FluencyMetrics`. KEY_low and
         KEY_high are the ends of a 95 % interval, KEY_n is the number of episodes of a mean.
         """
-        rates = [f"{column.key}{suffix}" for column in RATES for suffix in ("", "_low", "_high")]
-        means = [f"{column.key}{suffix}" for column in _CSV_MEANS for suffix in ("", "_low", "_high", "_n")]
-        header = ["giver", "receiver", *_CSV_IDENTITY, "data", N_EPISODES.key, *rates, WAIT.key, *means]
-        return format_csv([header, *(_format_csv_row(pair, report) for pair, report in self.reports.items())])
+        rows = []
+        for (giver, receiver), report in self.reports.items():
+            n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
+            row: dict[str, Any] = {"giver": giver, "receiver": receiver}
+            row |= {key: getattr(report.metadata, key) for key in _CSV_IDENTITY}
+            row |= {"data": report.data_label, N_EPISODES.key: n}
+            for column, flag in zip(RATES, REPORTED_STATUSES, strict=True):
+                interval = compute_wilson_interval(report.count(flag), n)
+                row[column.key] = report.compute_rate(flag)
+                row |= {f"{column.key}_low": interval[0], f"{column.key}_high": interval[1]}
+            row[WAIT.key] = report.metadata.wait_s
+            for key in (column.key for column in _CSV_MEANS):
+                found = means.get(key, MeanEstimate(None, None, 0))
+                low, high = found.interval_95 or (None, None)
+                row |= {key: found.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": found.n}
+            rows.append({key: f"{value:.6f}" if isinstance(value, float) else value for key, value in row.items()})
+        return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
     def write(self, folder: Path) -> None:
         """Write tables (Markdown, CSV) and heat map; requires the extra `plot`.
@@ -120,11 +105,17 @@ class CrossPlay(TabularResult):
 
         write_atomically(folder / "crossplay.md", f"# Cross-play\n\n{self}\n")
         write_atomically(folder / CROSSPLAY_CSV, self.to_csv())
-        picture = draw_heat_map(self.success_rates, self.givers, self.receivers, self.title)
+        rates = [[self.reports[giver, receiver].success_rate for receiver in self.receivers] for giver in self.givers]
+        report = self._first_report
+        metadata, n = report.metadata, len(report.episodes)
+        title = (
+            f"{metadata.setup} {metadata.split}, {n} episodes a cell\n{report.data_label}, {metadata.physics} physics"
+        )
+        picture = draw_heat_map(rates, self.givers, self.receivers, title)
         write_atomically(folder / "crossplay.png", picture)
 
     def build_tables(self) -> list[ReportTable]:
-        """Build the matrix of success rates and the tables of rates, gains and fluency metrics."""
+        """Build the matrix of success rates and the tables of rates and gains."""
         baseline, titles = self.givers[0], [N_EPISODES.title, "success gain, points", "contact gain, points"]
         combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
         giver_gains = [
@@ -137,13 +128,11 @@ class CrossPlay(TabularResult):
             for giver in self.givers
             for receiver, other in combinations
         ]
-        fluency = [[*pair, *format_fluency_row(report.episodes)] for pair, report in self.reports.items()]
         return [
             self._build_matrix(),
             self._build_rate_table(),
             ReportTable(["giver", "other giver", "receiver", *titles], giver_gains, n_keys=3),
             ReportTable(["receiver", "other receiver", "giver", *titles], receiver_gains, n_keys=3),
-            ReportTable(["giver", "receiver", *(column.title for column in FLUENCY)], fluency, n_keys=2),
         ]
 
     def build_sections(self) -> list[str | ReportTable]:
@@ -155,7 +144,7 @@ class CrossPlay(TabularResult):
             f"physics, data: {report.data_label}.\n"
             "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene."
         )
-        return [heading, *self.build_tables(), FLUENCY_NOTE]
+        return [heading, *self.build_tables(), _NOTE]
 
     @property
     def _first_report(self) -> Report:
@@ -178,14 +167,18 @@ class CrossPlay(TabularResult):
                 append_interval(f"{100 * (score.mean or 0.0):.2f}", score.interval_95),
                 append_interval(format_seconds(exec_s.mean), exec_s.interval_95, ".3f", 1.0),
             ]
-            rows.append([*pair, len(report.episodes), *rates, report.wait_label, *cells, exec_s.n])
+            rows.append([*pair, len(report.episodes), *rates, report.metadata.wait_s or NO_VALUE, *cells, exec_s.n])
         columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
-        statuses = (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
-        gains = [format_percent_difference(self.compute_gain(pair, baseline, status)) for status in statuses]
-        return [len(self.reports[pair].episodes), *gains]
+        """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
+        sides = [self.reports[each].episodes for each in (pair, baseline)]
+        differences = [
+            compute_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
+            for status in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
+        ]
+        return [len(sides[0]), *map(format_percent_difference, differences)]
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))
@@ -264,24 +257,3 @@ def format_pair_folder(pair: PolicyPair) -> str:
         return name
     start = name.encode()[:_MAX_NAME_BYTES].decode(errors="ignore")
     return f"{start}-{hashlib.sha256(repr(pair).encode()).hexdigest()[:12]}"
-
-
-def _format_csv_row(pair: PolicyPair, report: Report) -> list[object]:
-    n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
-    rates = [
-        _format_csv_number(value)
-        for flag in REPORTED_STATUSES
-        for value in (report.compute_rate(flag), *compute_wilson_interval(report.count(flag), n))
-    ]
-    estimates = [means.get(column.key, MeanEstimate(None, None, 0)) for column in _CSV_MEANS]
-    cells = [
-        cell
-        for each in estimates
-        for cell in (*map(_format_csv_number, (each.mean, *(each.interval_95 or (None, None)))), each.n)
-    ]
-    identity = [getattr(report.metadata, key) for key in _CSV_IDENTITY]
-    return [*pair, *identity, report.data_label, n, *rates, report.metadata.wait_s, *cells]
-
-
-def _format_csv_number(value: float | None) -> str:
-    return "" if value is None else f"{value:.6f}"

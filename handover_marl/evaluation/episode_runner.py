@@ -7,7 +7,6 @@ installed there. Library and data are compared with the main machine's before a 
 
 import contextlib
 import functools
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,63 +19,13 @@ from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodePolicy, derive_robot_seed, run_episode
 from handover_marl.episode.metrics.fluency import compute_fluency
-from handover_marl.episode.metrics.motion_trace import TraceRecorder
+from handover_marl.episode.metrics.motion import TraceRecorder
 from handover_marl.errors import ActionError, DataNotFoundError, OptionError, PolicyError
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.execution.files import write_atomically
+from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter
 from handover_marl.execution.options import describe_machine
 from handover_marl.execution.pool import Pool
-from handover_marl.policies.bundle import PolicyBundle
-from handover_marl.policies.policy import Policy
-
-
-class EpisodeRecorder(EpisodeCallback, ABC):
-    """Callback that records an episode while it is simulated and encodes it as one file."""
-
-    @abstractmethod
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the recording of the last episode as bytes; empty if no file is needed.
-
-        Args:
-            result: Outcome of that episode.
-        """
-
-
-class EpisodeWriter(ABC):
-    """Writer of one file for each episode.
-
-    The main process writes; worker processes hold a pickled copy, which only creates recorders.
-    """
-
-    @abstractmethod
-    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of episodes in one worker process.
-
-        Args:
-            config: Resolved configuration of the evaluation.
-            receiver: The robot's policy in this process.
-        """
-
-    @abstractmethod
-    def contains(self, result: EpisodeResult) -> bool:
-        """Return whether the file of an episode exists already or is not needed.
-
-        Episodes without their file are simulated again.
-        """
-
-    @abstractmethod
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the file of an episode."""
-
-    def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the file of an episode, unless its recorder returned nothing.
-
-        Raises:
-            ResultsError: The file cannot be written.
-        """
-        if content:
-            write_atomically(self.get_path(result), content)
+from handover_marl.policies.reference import PolicyBundle
 
 
 @dataclass(frozen=True)
@@ -141,7 +90,8 @@ class EpisodeRunner:
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
         check_scene_fingerprint(task.scene_id, fingerprint, task.fingerprint)
         self.episode.reset(scene, derive_robot_seed(self.config.seed, scene))
-        callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *self._recorders]
+        recorders = [recorder for recorder, _ in self._recorders]
+        callbacks: list[EpisodeCallback] = [self._trace_recorder, self._action_recorder, *recorders]
         try:
             run_episode(self.episode, receiver or self.receiver, self.giver, seed=self.config.seed, callbacks=callbacks)
         except (ActionError, OptionError, PolicyError) as error:
@@ -164,7 +114,7 @@ class EpisodeRunner:
             machine=self._machine,
             fluency=compute_fluency(self._trace_recorder.trace),
         )
-        return result, tuple(recorder.encode(result) for recorder in self._recorders)
+        return result, tuple(encode(result) for _, encode in self._recorders)
 
     def close(self) -> None:
         """Free the memory and the physics client of the simulation."""
@@ -187,52 +137,39 @@ def run_episodes(
         writers: Writers whose recorders observe the episodes.
 
     Returns:
-        Generator of pairs (index of the task, episode); closing it ends the workers.
+        Generator of pairs (index of the task, episode); closing it ends the tasks that still run.
 
     Raises:
         WorkerError: Two workers died over the same scene, or the cluster cannot be used.
         HandoverError: Error of the library in a worker, raised again with its type.
     """
-    parallelism = " ".join(filter(None, (f"{min(pool.n_workers, len(tasks))} at a time", pool.location)))
-    open_runner: Callable[[], contextlib.AbstractContextManager[Callable[[SceneTask], FinishedEpisode]]]
+    # Without tasks there is no need to connect to a cluster.
+    n_workers = min(pool.n_workers, len(tasks)) if tasks else 0
+    parallelism = " ".join(filter(None, (f"{n_workers} at a time", pool.location)))
+    bundles: tuple[PolicyBundle, ...] = ()
     if pool.is_remote:
-        bundles = tuple(
-            PolicyBundle.pack(require_policy_reference(getattr(config, agent))) for agent in ("giver", "receiver")
-        )
-        location = DataLocation.from_data_dir(config.data_dir, config.dataset)
-        open_runner = functools.partial(_open_remote_runner, config, location, bundles, parallelism, writers)
-    else:
-        open_runner = functools.partial(_open_runner, config, parallelism, writers)
-    return pool.map_unordered(open_runner, tasks, _describe_task)
-
-
-def _describe_task(task: SceneTask) -> str:
-    return f"simulating scene {task.scene_id}"
+        bundles = tuple(map(PolicyBundle.pack, map(require_policy_reference, (config.giver, config.receiver))))
+    location = DataLocation.from_data_dir(config.data_dir, config.dataset) if pool.is_remote else None
+    open_runner = functools.partial(_open_runner, config, parallelism, writers, bundles, location)
+    return pool.map_unordered(open_runner, tasks, lambda task: f"simulating scene {task.scene_id}")
 
 
 @contextlib.contextmanager
 def _open_runner(
-    config: EvaluationConfig, parallelism: str, writers: tuple[EpisodeWriter, ...]
-) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    with contextlib.closing(EpisodeRunner(config, parallelism, writers)) as runner:
-        yield runner.run
-
-
-@contextlib.contextmanager
-def _open_remote_runner(
     config: EvaluationConfig,
-    location: DataLocation,
-    bundles: tuple[PolicyBundle, ...],
     parallelism: str,
     writers: tuple[EpisodeWriter, ...],
+    bundles: tuple[PolicyBundle, ...],
+    location: DataLocation | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Open a runner on a machine with other files: unpack policies and find the data folder."""
-    with TemporaryDirectory() as folder:
-        policies = {bundle.reference.agent: bundle.unpack(Path(folder)) for bundle in bundles}
-        local = replace(config, data_dir=location.resolve(), **policies)  # type: ignore[arg-type]
-        try:
-            local.open_dataset()
-        except DataNotFoundError as error:
-            raise DataNotFoundError(f"on node {node()}: {error} {DATA_FOLDER_ADVICE}") from error
-        with _open_runner(local, parallelism, writers) as run:
-            yield run
+    """Open a runner; with a location, on a machine with other files: unpack policies and find the data folder."""
+    with contextlib.nullcontext("") if location is None else TemporaryDirectory() as folder:
+        if location is not None:
+            policies = {bundle.reference.agent: bundle.unpack(Path(folder)) for bundle in bundles}
+            config = replace(config, data_dir=location.resolve(), **policies)  # type: ignore[arg-type]
+            try:
+                config.open_dataset()
+            except DataNotFoundError as error:
+                raise DataNotFoundError(f"on node {node()}: {error} {DATA_FOLDER_ADVICE}") from error
+        with contextlib.closing(EpisodeRunner(config, parallelism, writers)) as runner:
+            yield runner.run

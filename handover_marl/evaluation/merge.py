@@ -11,16 +11,15 @@ from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.comparison import AGREEMENT_FILE, Agreement
 from handover_marl.evaluation.crossplay import CROSSPLAY_CSV, CrossPlay, format_pair_folder
 from handover_marl.evaluation.demonstrations.demonstration import Demonstrations
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate, write_report
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_merged_config,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.reports.report import Report, evaluate, write_report
+from handover_marl.evaluation.results import (
+    DEMONSTRATIONS,
     find_recordings,
-    get_demonstrations_metadata_path,
     get_result_path,
     prepare_result_folder,
     read_results,
@@ -62,7 +61,7 @@ def merge(
     if target.resolve() in [path.resolve() for path in paths]:
         raise ResultsError(f"{target} is one of the shards; choose another output folder")
     if any((path / CROSSPLAY_CSV).exists() for path in paths):
-        pairs = _read_pairs(paths)
+        pairs = _read_pairs(paths[0] / CROSSPLAY_CSV)
         reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
@@ -74,25 +73,18 @@ def merge(
         agreement.write(target)
         return agreement
     (report,) = _merge_subfolders(paths, target, (".",))
-    return Demonstrations(target) if get_demonstrations_metadata_path(target).exists() else report
+    return Demonstrations(target) if (target / DEMONSTRATIONS).exists() else report
 
 
-def _read_pairs(paths: Sequence[Path]) -> list[tuple[str, str]]:
-    """Read the labels (giver, receiver) of all pairs of a cross-play, whose shards have the same."""
-    tables = []
-    for path in paths:
-        try:
-            text = read_plain_file(path / CROSSPLAY_CSV).decode()
-            tables.append([(row["giver"], row["receiver"]) for row in csv.DictReader(io.StringIO(text, newline=""))])
-        except FileNotFoundError as error:
-            raise ResultsError(
-                f"{path / CROSSPLAY_CSV} does not exist: the cross-play is not finished; run the same command to resume"
-            ) from error
-        except (OSError, ValueError, KeyError, csv.Error) as error:
-            raise ResultsError(f"{path / CROSSPLAY_CSV}: not a cross-play table ({shorten_text(error)})") from error
-    if not tables[0] or any(pairs != tables[0] for pairs in tables):
-        raise ResultsError(f"{', '.join(map(str, paths))} must have the same policies in the same order")
-    return tables[0]
+def _read_pairs(path: Path) -> list[tuple[str, str]]:
+    """Read the labels (giver, receiver) of all pairs of a cross-play from its table."""
+    try:
+        text = read_plain_file(path).decode()
+        return [(row["giver"], row["receiver"]) for row in csv.DictReader(io.StringIO(text, newline=""))]
+    except (OSError, ValueError, KeyError, csv.Error) as error:
+        raise ResultsError(
+            f"{path}: not a cross-play table ({shorten_text(error)}); run the same command to resume"
+        ) from error
 
 
 def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str]) -> list[Report]:

@@ -132,11 +132,16 @@ def render_scene(
     """
     path = check_output_path(out, SUFFIXES)
     suffix = path.suffix.lower()
-    _check_view(view, path)
+    check_name("view", view, VIEWS)
+    if suffix != ".html":
+        check_rendering(f"drawing {path.name}")
+    else:
+        require_replay_extra()
+        if view != "outside":
+            raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
     if camera is not None:
         check_config("camera", camera, CameraConfig)
     check_boolean("caption", caption)
-    draw = _make_draw_function(view, camera or CameraConfig(), caption)
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
     runner, scene, execution = _open_scene(scene_id, "hold" if receiver is None else receiver, giver, options)
@@ -144,6 +149,11 @@ def render_scene(
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
     until = scene.n_frames + _STILL_SCENE_DURATION_MS if receiver is None else None
+
+    def draw(episode: Episode) -> Picture:
+        chosen = camera or CameraConfig()
+        picture = draw_wrist_view(episode, chosen) if view == "wrist" else episode.render(chosen)
+        return draw_caption(picture, format_caption(episode)) if caption else picture
 
     def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
         recorder = FrameRecorder(steps, draw, execution.progress, with_end)
@@ -166,24 +176,6 @@ def render_scene(
     runner.close()
     write_atomically(path, content)
     return path
-
-
-def _check_view(view: str, path: Path) -> None:
-    check_name("view", view, VIEWS)
-    if path.suffix.lower() != ".html":
-        check_rendering(f"drawing {path.name}")
-        return
-    require_replay_extra()
-    if view != "outside":
-        raise OptionError(f"view of a replay (.html) must be 'outside', got {view!r}")
-
-
-def _make_draw_function(view: str, camera: CameraConfig, caption: bool) -> Callable[[Episode], Picture]:
-    def draw(episode: Episode) -> Picture:
-        picture = draw_wrist_view(episode, camera) if view == "wrist" else episode.render(camera)
-        return draw_caption(picture, format_caption(episode)) if caption else picture
-
-    return draw
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=(*_SINGLE_SCENE, "progress"))

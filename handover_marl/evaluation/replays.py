@@ -1,20 +1,20 @@
 """Replay pages of episodes in a result folder: `episodes/209.html`, an animated 3D scene each."""
 
-import html
 from pathlib import Path
 
 from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
-from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import get_replay_path, prepare_subfolder
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.evaluation.results import (
+    EpisodeRecorder,
+    EpisodeResult,
+    EpisodeWriter,
+    get_replay_path,
+    prepare_subfolder,
+)
 from handover_marl.policies.policy import Policy
 from handover_marl.version import __version__
 from handover_marl.visualization.replay_recorder import ReplayRecorder
-from handover_marl.visualization.replay_scene import build_replay_page, format_episode_caption
-
-_HEAD_BYTES = 1000  # The caption of a page lies within its first bytes.
+from handover_marl.visualization.replay_scene import build_replay_page
 
 
 def format_replay_facts(config: EvaluationConfig, models: str) -> str:
@@ -55,33 +55,19 @@ class ReplayWriter(EpisodeWriter):
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
-        return _ReplayPageRecorder(config, receiver, self._include_successes)
+        recorder = ReplayRecorder(receiver)
+
+        def encode(result: EpisodeResult) -> bytes:
+            if result.success and not self._include_successes:
+                return b""
+            return build_replay_page(recorder.log, format_replay_facts(config, result.models or "")).encode()
+
+        return recorder, encode
 
     def contains(self, result: EpisodeResult) -> bool:
-        """Return whether the page of exactly this episode exists, or is not requested."""
-        if result.success and not self._include_successes:
-            return True
-        caption = html.escape(format_episode_caption(result.scene_id or 0, result.status, result.steps))
-        try:
-            page = read_plain_file(self.get_path(result))
-        except (OSError, ValueError):
-            return False
-        return caption.encode() in page[:_HEAD_BYTES]
+        """Return whether the page of an episode exists, or is not requested."""
+        return (result.success and not self._include_successes) or super().contains(result)
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the replay page of an episode."""
         return get_replay_path(self._folder, result.scene_id or 0)
-
-
-class _ReplayPageRecorder(ReplayRecorder, EpisodeRecorder):
-    """Recorder that encodes an episode as a replay page."""
-
-    def __init__(self, config: EvaluationConfig, receiver: Policy, include_successes: bool) -> None:
-        super().__init__(receiver)
-        self._config, self._include_successes = config, include_successes
-
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the HTML page; empty for an episode without a replay."""
-        if result.success and not self._include_successes:
-            return b""
-        return build_replay_page(self.log, format_replay_facts(self._config, result.models or "")).encode()

@@ -22,27 +22,27 @@ from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.reports.report import describe_episode
-from handover_marl.evaluation.reports.report_files import evaluate, format_report_files
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import (
+from handover_marl.evaluation.metadata import (
     ResultMetadata,
     format_world_label,
     parse_world_label,
     read_result_metadata,
 )
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.reports.report import evaluate, format_report_files
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
+from handover_marl.evaluation.results import (
     REPORT_FILES,
     REPORT_JSON,
+    EpisodeResult,
+    describe_episode,
     get_result_path,
     load_result_arrays,
     read_result,
 )
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
+from handover_marl.execution.pool import open_pool
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.execution.tasks import open_pool
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.policies.registry import check_stored_reference, list_available
 from handover_marl.version import __version__
@@ -80,13 +80,11 @@ class Verification(TabularResult):
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
         differences: Values that differ: those of the folder, then those of the scenes in their order.
-        n_split_scenes: Number of scenes in the whole split.
     """
 
     metadata: ResultMetadata
     scenes: tuple[int, ...]
     differences: tuple[Difference, ...]
-    n_split_scenes: int
 
     @property
     def is_verified(self) -> bool:
@@ -101,7 +99,7 @@ class Verification(TabularResult):
     def build_sections(self) -> list[str | ReportTable]:
         """Build the description of what was verified, the table of differences and the conclusion."""
         metadata, n = self.metadata, len(self.scenes)
-        n_changed, n_absent = len(self.changed_scenes), self.n_split_scenes - n
+        n_changed, n_absent = len(self.changed_scenes), self.metadata.split_size - n
         n_folder = sum(each.scene_id is None for each in self.differences)
         rows = [
             ["folder" if each.scene_id is None else str(each.scene_id), each.key, each.stored, each.expected]
@@ -110,7 +108,7 @@ class Verification(TabularResult):
         return [
             f"{metadata.setup} {metadata.split}, {metadata.dataset}, receiver {metadata.receiver}, giver "
             f"{metadata.giver}, {metadata.physics} physics, handover_marl {metadata.version}: {n} of "
-            f"{self.n_split_scenes} scenes simulated again from their stored actions.",
+            f"{self.metadata.split_size} scenes simulated again from their stored actions.",
             "Not verified: planning times, and that the actions are those of the named receiver.",
             ""
             if metadata.version == __version__
@@ -119,7 +117,7 @@ class Verification(TabularResult):
             f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
             if rows
             else f"Verified: all {n} episodes are equal.",
-            f"{n_absent} of {self.n_split_scenes} scenes of the split were not simulated." if n_absent else "",
+            f"{n_absent} of {self.metadata.split_size} scenes of the split were not simulated." if n_absent else "",
         ]
 
 
@@ -198,13 +196,20 @@ def verify(
         world_config=world,
     )
     config, _ = resolve_config(config, trust)
-    open_checker = functools.partial(_open_checker, config, path, metadata.version == __version__)
-    with contextlib.closing(open_pool(PoolConfig(workers)).map_unordered(open_checker, tasks, _describe_task)) as found:
+    is_same_version = metadata.version == __version__
+
+    @contextlib.contextmanager
+    def open_checker() -> Iterator[Callable[[SceneTask], list[Difference]]]:
+        with contextlib.closing(EpisodeRunner(config)) as runner:
+            yield functools.partial(check_episode, runner, path, same_version=is_same_version)
+
+    with contextlib.closing(open_pool(PoolConfig(workers))) as pool:
+        found = pool.map_unordered(open_checker, tasks, lambda task: f"verifying scene {task.scene_id}")
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)
     expected = {"giver": reference.label}
-    if metadata.version == __version__:
+    if is_same_version:
         expected["giver_hash"] = reference.code_hash
     stored = {key: getattr(metadata, key) for key in expected}
     differences = [
@@ -212,19 +217,7 @@ def verify(
         *check_reports(path),
         *(each for check in checks for each in check),
     ]
-    return Verification(metadata, tuple(config.scenes or ()), tuple(differences), len(split))
-
-
-@contextlib.contextmanager
-def _open_checker(
-    config: EvaluationConfig, folder: Path, same_version: bool
-) -> Iterator[Callable[[SceneTask], list[Difference]]]:
-    with contextlib.closing(EpisodeRunner(config, parallelism="")) as runner:
-        yield functools.partial(check_episode, runner, folder, same_version=same_version)
-
-
-def _describe_task(task: SceneTask) -> str:
-    return f"verifying scene {task.scene_id}"
+    return Verification(metadata, tuple(config.scenes or ()), tuple(differences))
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:
@@ -304,15 +297,11 @@ def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]
         pairs = enumerate(zip(stored, expected, strict=True))
         parts = [_compare_json(found, wanted, f"{key}[{index}]") for index, (found, wanted) in pairs]
     else:
-        is_equal = _is_close(stored, expected)
+        is_equal = stored == expected
+        if isinstance(stored, float) and isinstance(expected, (int, float)):
+            is_equal = math.isclose(stored, expected, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
         return [] if is_equal else [Difference(None, key, _format_value(stored), _format_value(expected))]
     return [difference for part in parts for difference in part]
-
-
-def _is_close(first: Any, second: Any) -> bool:
-    if isinstance(first, float) and isinstance(second, (int, float)):
-        return math.isclose(first, second, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
-    return bool(first == second)
 
 
 def _format_value(value: object) -> str:

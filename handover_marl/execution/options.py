@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar, cast
+from typing import Any, Final, Literal, TypeVar, cast
 
 import loky
 
@@ -17,7 +17,8 @@ from handover_marl.errors import OptionError, UnknownArgumentError, check_name
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-LOCAL, RAY = "local", "ray"
+LOCAL: Final = "local"
+RAY: Final = "ray"
 BACKENDS = (LOCAL, RAY)
 
 
@@ -93,7 +94,7 @@ class PoolConfig:
     """
 
     workers: int | None = None
-    backend: str = LOCAL
+    backend: Literal["local", "ray"] = LOCAL
     ray_address: str | None = None
 
 

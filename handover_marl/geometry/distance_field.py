@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
 from handover_marl.geometry.array_cache import Arrays, get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
@@ -53,35 +52,6 @@ class DistanceField:
         """
         return self._interpolate(points, with_gradients=True)
 
-    def compute_clamped_distances(self, points: Array) -> Array:
-        """Interpolate signed distances (...) in m at points (..., 3).
-
-        Points outside the grid get the distance of the nearest point on the grid's border.
-        """
-        nodes = (points.reshape(-1, 3) - self.lower).T / self.cell
-        found = map_coordinates(self.values, nodes, order=1, mode="nearest", output=np.float64)
-        return np.asarray(found.reshape(points.shape[:-1]))
-
-    def compute_outward_normals(self, points: Array) -> Array:
-        """Compute unit vectors (..., 3) away from the surface at points (..., 3).
-
-        They are gradients of the distance field, by central differences.
-        """
-        h = self.cell
-        gradients = np.stack(
-            [
-                self.compute_clamped_distances(points + h * e) - self.compute_clamped_distances(points - h * e)
-                for e in np.eye(3)
-            ],
-            axis=-1,
-        )
-        return np.asarray(gradients / np.maximum(np.linalg.norm(gradients, axis=-1, keepdims=True), 1e-12))
-
-    def mirror(self) -> "DistanceField":
-        """Return the distance field of the surface mirrored in x."""
-        last = self.lower[0] + self.cell * (self.values.shape[0] - 1)
-        return DistanceField(self.values[::-1], np.array([-last, *self.lower[1:]]), self.cell)
-
     def _interpolate(self, points: Floats, with_gradients: bool) -> tuple[Floats, Floats]:
         nodes = (points - self.lower.astype(np.float32)[:, None]) / np.float32(self.cell)
         highest = np.array(self.values.shape)[:, None] - 1
@@ -105,23 +75,6 @@ class DistanceField:
         steps = (np.arange(2)[:, None, None] * ny + np.arange(2)[:, None]) * nz + np.arange(2)
         corners: Floats = self.values.reshape(-1)[steps[..., None] + at]
         return corners
-
-
-def distance_field_from_mesh(
-    vertices: Array, faces: npt.NDArray[np.int64], margin: float, cell: float
-) -> DistanceField:
-    """Compute the signed distance field of a mesh with libigl (extra `planning`), on a grid `margin` beyond it (m).
-
-    Components may overlap, and have holes.
-    """
-    import igl
-
-    def distance(points: Array) -> Array:
-        # The winding number gives the right sign for overlapping components and meshes with holes.
-        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
-        return np.asarray(found, dtype=np.float64)
-
-    return sample_distance_field(distance, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
@@ -149,7 +102,7 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 def load_object_sdf(urdf: Path, margin: float, cell: float = CELL) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
+    The shapes may overlap, and have holes. The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.
@@ -163,7 +116,17 @@ def _load_object_sdf(urdf: Path, changed: int, margin: float, cell: float) -> Di
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:
         return DistanceField(arrays["values"], arrays["lower"], float(arrays["cell"]))
-    field = distance_field_from_mesh(*read_collision_mesh(urdf), margin, cell)
+    # Imported here, since it belongs to the extra `planning`.
+    import igl
+
+    vertices, faces = read_collision_mesh(urdf)
+
+    def compute_distances(points: Array) -> Array:
+        # The winding number gives the right sign for overlapping components and meshes with holes.
+        found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
+        return np.asarray(found, dtype=np.float64)
+
+    field = sample_distance_field(compute_distances, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
     content: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
     save_cached_arrays(path, content, "distance field")
     return field

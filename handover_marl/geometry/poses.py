@@ -25,13 +25,7 @@ def compute_dot_products(first: AnyArray, second: AnyArray) -> AnyArray:
     xp, first, second = as_arrays(first, second)
     if is_tensor(first):
         return xp.sum(first * second, axis=-1)
-    if hasattr(np, "vecdot"):
-        return np.asarray(np.vecdot(first, second))
-    # NumPy before 2.0.
-    first, second = np.broadcast_arrays(first, second)
-    pairs = zip(first.reshape(-1, first.shape[-1]), second.reshape(-1, first.shape[-1]), strict=True)
-    products = np.array([np.dot(one, other) for one, other in pairs], np.result_type(first, second))
-    return products.reshape(first.shape[:-1])
+    return np.asarray(np.vecdot(first, second))
 
 
 def compute_lengths(vectors: AnyArray) -> AnyArray:

@@ -4,12 +4,15 @@ Positions are scaled to decimetres and expressed in the frame of the planned han
 components are of order one and independent of the world frame. Features do not depend on the other episodes.
 """
 
+import functools
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
+import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, giver_observation_space, state_space
 from handover_marl.geometry.arrays import (
     NUMPY_ARRAYS,
     AnyArray,
@@ -40,11 +43,40 @@ N_STACKED = 4
 class ArrayFeatures(ABC):
     """Function from observations of r episodes to feature vectors, float32.
 
+    Args:
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
+
     Attributes:
+        name: Name of the features in policy files.
+        agent: Agent whose observations are used, "giver" or "receiver".
+        size: Number of features.
         uses_camera: Whether the features may depend on the wrist camera's data.
     """
 
+    name: str
+    agent: str
+    size: int
     uses_camera = False
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        self._selector, self._arrays = selector, arrays
+        self._goal = arrays.asarray(context.protocol.goal_center)
+        self._duration = context.protocol.horizon_steps * TIME_STEP
+        self._classes = arrays.arange(LARGEST_YCB_CLASS) + 1
+
+    @functools.cached_property
+    def space(self) -> spaces.Box:
+        """Space of a feature vector."""
+        return spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
 
     def reset(self, row: int) -> None:  # noqa: B027
         """Clear the values that are stored from the previous episode.
@@ -99,14 +131,9 @@ class GiverFeatures(ArrayFeatures):
     frame relative to the goal (in the world frame); wrist position, mean finger position and object
     orientation 0.5 s later in the recording; whether the object was released; and the YCB class
     of the object (one-hot; zeros for another class).
-
-    Args:
-        context: Task, with the position of the goal.
-        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
+    name, agent, size = "giver", "giver", 18 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 39)."""
@@ -139,15 +166,9 @@ class ReceiverFeatures(ArrayFeatures):
     finger joints and their velocities, its arm joints, whether the object was released, the elapsed
     share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
     zeros for another class).
-
-    Args:
-        context: Task, with the position of the goal and the longest duration.
-        arrays: Creator of the arrays.
     """
 
-    def __init__(self, context: PolicyContext, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._goal, self._classes = arrays.asarray(context.protocol.goal_center), _list_classes(arrays)
-        self._duration = context.protocol.horizon_steps * TIME_STEP
+    name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 56)."""
@@ -174,34 +195,25 @@ class ReceiverFeatures(ArrayFeatures):
         return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
-class GraspFeatures(ArrayFeatures):
+class GraspFeatures(ReceiverFeatures):
     """Features (64): those of `ReceiverFeatures`, and of the known grasp of lowest cost (8).
 
     In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
     of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
-
-    Args:
-        context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
-        arrays: Creator of the arrays.
     """
 
-    def __init__(
-        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
-    ) -> None:
-        self._selector, self._receiver = selector, ReceiverFeatures(context, arrays)
-        self._identity = arrays.asarray(IDENTITY.copy())
+    name, size = "grasp", ReceiverFeatures.size + 8
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 64), those of the grasp last."""
-        vectors = [self._receiver(rows, observation), self.compute_grasps(rows, observation)]
+        vectors = [super().__call__(rows, observation), self.compute_grasps(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
         grasps, clearances, exists = self._selector.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
-        grasps = xp.where(exists[:, None], grasps, self._identity)
+        grasps = xp.where(exists[:, None], grasps, self._arrays.asarray(IDENTITY.copy()))
         gripper_from_world = conjugate_quaternions(normalize_quaternions(gripper[:, 3:]))
         gripper_from_grasp = multiply_quaternions(gripper_from_world, normalize_quaternions(grasps[:, 3:]))
         rotation = rotation_vectors_from_quaternions(gripper_from_grasp)
@@ -211,7 +223,7 @@ class GraspFeatures(ArrayFeatures):
         return xp.astype(xp.where(exists[:, None], parts, 0.0), xp.float32)
 
 
-class GraspProximityFeatures(ArrayFeatures):
+class GraspProximityFeatures(GraspFeatures):
     """Features (12) that suffice to decide when to close the gripper.
 
     In the gripper frame: translation (3) and rotation vector (3) to the known grasp of lowest cost. Then
@@ -222,23 +234,14 @@ class GraspProximityFeatures(ArrayFeatures):
     Attributes:
         position_scale: Distance from the grasp at which the proximity of the position is 1/e (m).
         angle_scale: Angle to the grasp at which the proximity of the orientation is 1/e (rad).
-
-    Args:
-        context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
-        arrays: Creator of the arrays.
     """
 
+    name, size = "close", 12
     position_scale, angle_scale = 0.03, 0.2
-
-    def __init__(
-        self, context: PolicyContext, selector: LowestCostGraspSelector, arrays: ArrayFactory = NUMPY_ARRAYS
-    ) -> None:
-        self._grasp = GraspFeatures(context, selector, arrays)
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the features (r, 12) of grasps and grippers."""
-        grasp = self._grasp.compute_grasps(rows, observation)
+        grasp = self.compute_grasps(rows, observation)
         xp = get_namespace(grasp)
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
         distance, angle = (widen(compute_lengths(vectors)[:, None]) for vectors in (translation, rotation))
@@ -249,27 +252,28 @@ class GraspProximityFeatures(ArrayFeatures):
         return xp.astype(xp.concat(parts, axis=1), xp.float32)
 
 
-class StackedFeatures(ArrayFeatures):
-    """Features of the last decisions of each episode, those of the present decision first.
+class StackedFeatures(GraspProximityFeatures):
+    """Features `close` of the last decisions of each episode, those of the present decision first.
 
     Zeros stand for decisions before the first. From a stack, a policy without memory can estimate velocities and how
     its partner reacts.
-
-    Args:
-        features: Features of one decision.
-        size: Number of these features.
-        count: Number of episodes.
-        arrays: Creator of the arrays.
     """
 
-    def __init__(self, features: ArrayFeatures, size: int, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
-        self._features = features
-        self._stacks = arrays.zeros((count, N_STACKED, size), "float32")
+    name, size = "close_stack", N_STACKED * GraspProximityFeatures.size
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        super().__init__(context, selector, count, arrays)
+        self._stacks = arrays.zeros((count, N_STACKED, GraspProximityFeatures.size), "float32")
         self._times = arrays.full(count, -1.0)
 
     def reset(self, row: int) -> None:
         """Forget the decisions of the previous episode."""
-        self._features.reset(row)
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
@@ -278,33 +282,42 @@ class StackedFeatures(ArrayFeatures):
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
         self._times[rows] = times
-        self._stacks[rows, 0] = self._features(rows, observation)
+        self._stacks[rows, 0] = super().__call__(rows, observation)
         return self._stacks[rows].reshape(len(rows), -1)
 
 
 class FlatFeatures(ArrayFeatures):
-    """Complete observations as vectors, in the order in which Gymnasium flattens them.
+    """Complete observations as vectors, in the order in which Gymnasium and Stable-Baselines3 flatten them.
 
-    Args:
-        space: Observation space of the agent.
+    Attributes:
+        keys: Keys of the observation in this order.
     """
 
-    def __init__(self, space: spaces.Dict) -> None:
-        self._keys = list(space.spaces)
+    keys: ClassVar[tuple[str, ...]]
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return the complete observations as vectors (r, n)."""
-        parts = [observation[key].reshape(len(rows), -1) for key in self._keys]
+        parts = [observation[key].reshape(len(rows), -1) for key in self.keys]
         return get_namespace(*parts).concat(parts, axis=1)
+
+
+class FlatGiverFeatures(FlatFeatures):
+    """Complete observations of the giver as vectors."""
+
+    name, agent = "flat_giver", "giver"
+    keys, size = tuple(giver_observation_space()), spaces.flatdim(giver_observation_space())
+
+
+class FlatReceiverFeatures(FlatFeatures):
+    """Complete states that the receiver observes as vectors."""
+
+    name, agent = "flat_receiver", "receiver"
+    keys, size = tuple(state_space()), spaces.flatdim(state_space())
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
     """Return the first two columns of rotations (r, 3, 3) in frames (r, 3, 3), row by row, (r, 6)."""
     return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
-
-
-def _list_classes(arrays: ArrayFactory) -> AnyArray:
-    return arrays.arange(LARGEST_YCB_CLASS) + 1
 
 
 def _one_hot_classes(observation: Observation, classes: AnyArray) -> AnyArray:

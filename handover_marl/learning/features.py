@@ -1,77 +1,36 @@
 """Registry of the features by agent and name."""
 
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
-from gymnasium import spaces
-
-from handover_marl.episode.observations import Observation, add_episode_axis, giver_observation_space, state_space
+from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory
-from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.array_features import (
-    N_STACKED,
     ArrayFeatures,
-    FlatFeatures,
+    FlatGiverFeatures,
+    FlatReceiverFeatures,
     GiverFeatures,
     GraspFeatures,
     GraspProximityFeatures,
     ReceiverFeatures,
     StackedFeatures,
 )
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import (
-    KIND,
-    CustomFeatures,
-    FeaturesLike,
-    Vector,
-    make_custom_features,
-)
+from handover_marl.learning.custom_encodings import FEATURES, CustomFeatures, FeaturesLike, Vector, is_reference
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.policies.registry import import_reference
 
-# Function of context, selector of grasps, number of episodes and creator of the arrays.
-_Make: TypeAlias = Callable[[PolicyContext, LowestCostGraspSelector, int, ArrayFactory], ArrayFeatures]
-
-_N_RECEIVER, _N_GRASP, _N_PROXIMITY = 35 + LARGEST_YCB_CLASS, 8, 12
-_GIVER_SPACE, _RECEIVER_SPACE = giver_observation_space(), state_space()
-
-# By agent and name: factory and number of features. The flat ones are complete observations in the order in which
-# Gymnasium and Stable-Baselines3 flatten them.
-_FEATURES: dict[str, dict[str, tuple[_Make, int]]] = {
-    "giver": {
-        "giver": (lambda context, selector, count, arrays: GiverFeatures(context, arrays), 18 + LARGEST_YCB_CLASS),
-        "flat_giver": (lambda *_: FlatFeatures(_GIVER_SPACE), spaces.flatdim(_GIVER_SPACE)),
-    },
-    "receiver": {
-        "receiver": (lambda context, selector, count, arrays: ReceiverFeatures(context, arrays), _N_RECEIVER),
-        "flat_receiver": (lambda *_: FlatFeatures(_RECEIVER_SPACE), spaces.flatdim(_RECEIVER_SPACE)),
-        "grasp": (
-            lambda context, selector, count, arrays: GraspFeatures(context, selector, arrays),
-            _N_RECEIVER + _N_GRASP,
-        ),
-        "close": (
-            lambda context, selector, count, arrays: GraspProximityFeatures(context, selector, arrays),
-            _N_PROXIMITY,
-        ),
-        "close_stack": (
-            lambda context, selector, count, arrays: StackedFeatures(
-                GraspProximityFeatures(context, selector, arrays), _N_PROXIMITY, count, arrays
-            ),
-            N_STACKED * _N_PROXIMITY,
-        ),
-    },
-}
+_ALL: tuple[type[ArrayFeatures], ...] = (
+    *(GiverFeatures, FlatGiverFeatures),
+    *(ReceiverFeatures, FlatReceiverFeatures, GraspFeatures, GraspProximityFeatures, StackedFeatures),
+)
+_FEATURES = {features.name: features for features in _ALL}
 
 
 class AgentFeatures:
     """Features of one agent in one episode, without the axis of episodes; made by `make_features`.
 
     Args:
-        name: Name of the features.
-        space: Space of the feature vectors.
         features: Features of n = 1 episode.
 
     Attributes:
@@ -79,8 +38,8 @@ class AgentFeatures:
         space: Space of the feature vectors, one-dimensional, float32.
     """
 
-    def __init__(self, name: str, space: spaces.Box, features: ArrayFeatures) -> None:
-        self.name, self.space, self._features = name, space, features
+    def __init__(self, features: ArrayFeatures) -> None:
+        self.name, self.space, self._features = features.name, features.space, features
 
     @property
     def size(self) -> int:
@@ -107,8 +66,8 @@ def list_features(agent: str) -> tuple[str, ...]:
     Raises:
         UnknownNameError: There is no such agent.
     """
-    check_name("agent", agent, _FEATURES)
-    return tuple(_FEATURES[agent])
+    check_name("agent", agent, ("giver", "receiver"))
+    return tuple(name for name, features in _FEATURES.items() if features.agent == agent)
 
 
 def count_features(agent: str, name: str) -> int:
@@ -117,8 +76,8 @@ def count_features(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
     """
-    check_name(f"{KIND} of the {agent}", name, list_features(agent))
-    return _FEATURES[agent][name][1]
+    check_name(f"{FEATURES} of the {agent}", name, list_features(agent))
+    return _FEATURES[name].size
 
 
 def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> AgentFeatures:
@@ -135,11 +94,7 @@ def make_features(agent: str, choice: FeaturesLike, context: PolicyContext) -> A
         OptionError: User-defined features declare no size, or are for the other agent.
         EncodingError: The constructor of user-defined features fails.
     """
-    found = make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1)
-    if isinstance(found, CustomFeatures):
-        return AgentFeatures(found.name, found.space, found)
-    size = count_features(agent, str(choice))
-    return AgentFeatures(str(choice), spaces.Box(-np.inf, np.inf, (size,), np.float32), found)
+    return AgentFeatures(make_array_features(agent, choice, context, LowestCostGraspSelector(context, 1), 1))
 
 
 def make_array_features(
@@ -162,7 +117,7 @@ def make_array_features(
     """
     list_features(agent)
     if isinstance(choice, str) and not is_reference(choice):
-        check_name(f"{KIND} of the {agent}", choice, list_features(agent))
-        return _FEATURES[agent][choice][0](context, selector, count, arrays)
-    own: Any = import_reference(KIND, choice) if isinstance(choice, str) else choice
-    return make_custom_features(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
+        count_features(agent, choice)
+        return _FEATURES[choice](context, selector, count, arrays)
+    own: Any = import_reference(FEATURES, choice) if isinstance(choice, str) else choice
+    return CustomFeatures(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")

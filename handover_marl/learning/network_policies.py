@@ -4,7 +4,6 @@ Actions equal those of single policies to the bit and do not depend on the other
 tensors, they equal those of single policies to 1e-5.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,52 +12,13 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, Ar
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.array_schemes import ArrayScheme
-from handover_marl.learning.encodings.custom_schemes import CustomScheme
+from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_array_scheme
 from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
 from handover_marl.policies.policy import Policy
-
-
-class TensorNetwork:
-    """Multilayer perceptron with the outputs of a `DenseNetwork`, evaluated on the device of its inputs.
-
-    Args:
-        network: Network, whose weights are copied to the device.
-        arrays: Creator of tensors on the device.
-    """
-
-    def __init__(self, network: DenseNetwork, arrays: ArrayFactory) -> None:
-        # Not at the top, because PyTorch is optional.
-        from torch.nn import functional
-
-        self._xp, self._functions, self._network = arrays.xp, functional, network
-        copy = functools.partial(arrays.asarray, dtype="float32")
-        self._layers = [
-            (copy(weight.T), copy(bias)) for weight, bias in zip(network.weights, network.biases, strict=True)
-        ]
-        scaling, bounds = network.normalization, network.bounds
-        self._scaling = scaling and tuple(map(arrays.asarray, (scaling.mean, scaling.scale, scaling.clip)))
-        self._bounds: Any = bounds and (copy(bounds.low), copy(bounds.high))
-
-    def __call__(self, inputs: AnyArray) -> AnyArray:
-        """Return the outputs (r, n_outputs), float32, for inputs (r, n_inputs)."""
-        network, values = self._network, inputs
-        if self._scaling:
-            mean, scale, clip = self._scaling
-            values = ((values - mean) / scale).clip(-clip, clip)
-        values = self._xp.astype(values, self._xp.float32)
-        names = [network.activation] * (len(self._layers) - 1) + [network.output]
-        for (weight, bias), name in zip(self._layers, names, strict=True):
-            values = values @ weight + bias
-            # PyTorch's functions have the names of `ACTIVATIONS`.
-            values = values if name == "identity" else getattr(self._functions, name)(values)
-        if network.bounds is None:
-            return values
-        low, high = self._bounds
-        return low + (values + 1.0) / 2.0 * (high - low) if network.bounds.is_scaled else values.clip(low, high)
 
 
 class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
@@ -84,8 +44,8 @@ class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
     ) -> None:
         super().__init__(policy, count, policy.scheme.agent, arrays)
         self._features, self._scheme, self._check = features, scheme, check
-        function: Any = policy.function
-        self._network = function if arrays == NUMPY_ARRAYS else TensorNetwork(function, arrays)
+        network: Any = policy.function
+        self._network: DenseNetwork = network.copy_to(arrays)
 
     def start(self, row: int, seed: int | None) -> None:
         """Clear the state of the previous episode."""
@@ -141,10 +101,10 @@ def make_network_policy_batch(
     if not isinstance(policy.function, DenseNetwork):
         return None
     agent, context = policy.scheme.agent, policy.scheme.context
-    if isinstance(policy.scheme.scheme, CustomScheme) or policy.features not in list_features(agent):
+    if isinstance(policy.scheme.scheme, CustomScheme) or policy.spec.features not in list_features(agent):
         return None
     selector = LowestCostGraspSelector(context, count, arrays)
-    features = make_array_features(agent, policy.features, context, selector, count, arrays)
+    features = make_array_features(agent, policy.spec.features, context, selector, count, arrays)
     scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
     scheme.wait = policy.scheme.wait
     return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)

@@ -1,27 +1,33 @@
-"""Multilayer perceptron in NumPy, with normalized inputs and bounded outputs, and its encoding."""
+"""Multilayer perceptron with normalized inputs and bounded outputs, and its encoding."""
 
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import expit
 
+from handover_marl.episode.spaces import STATE
 from handover_marl.errors import DataFormatError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
 
 Array = npt.NDArray[np.float32]
 
 #: Features and action scheme of policies from other libraries: flat observations, physical units.
 RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
-#: Activations by name; they return float32 arrays for float32 arrays.
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
-    "tanh": lambda values: np.tanh(values),
-    "relu": lambda values: np.maximum(values, np.float32(0.0)),
-    "identity": lambda values: values,
-    "elu": lambda values: np.where(values > 0.0, values, np.expm1(np.minimum(values, np.float32(0.0)))),
-    "leaky_relu": lambda values: np.where(values > 0.0, values, np.float32(0.01) * values),
-    "sigmoid": lambda values: np.asarray(expit(values)),
-    "silu": lambda values: np.asarray(values * expit(values)),
+#: Features of functions that take observations as they are.
+OBSERVATION = "observation"
+#: Activations by name, functions of an array namespace and an array.
+ACTIVATIONS: dict[str, Callable[[Any, AnyArray], AnyArray]] = {
+    "tanh": lambda xp, values: xp.tanh(values),
+    "relu": lambda xp, values: values.clip(0.0),
+    "identity": lambda xp, values: values,
+    "elu": lambda xp, values: xp.where(values > 0.0, values, xp.expm1(values.clip(None, 0.0))),
+    "leaky_relu": lambda xp, values: xp.where(values > 0.0, values, 0.01 * values),
+    # Without the exponential function, which overflows.
+    "sigmoid": lambda xp, values: 0.5 + 0.5 * xp.tanh(0.5 * values),
+    "silu": lambda xp, values: values * (0.5 + 0.5 * xp.tanh(0.5 * values)),
 }
 
 
@@ -35,7 +41,7 @@ class InputNormalization:
         clip: Largest absolute values (n_inputs,) of normalized inputs; infinite without a limit.
 
     Raises:
-        DataFormatError: Shapes differ, or a number is out of range.
+        DataFormatError: A number is out of range.
     """
 
     mean: npt.NDArray[np.float64]
@@ -43,17 +49,13 @@ class InputNormalization:
     clip: npt.NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if self.mean.ndim != 1 or not self.mean.shape == self.scale.shape == self.clip.shape:
-            shapes = f"{self.mean.shape}, {self.scale.shape} and {self.clip.shape}"
-            raise DataFormatError(f"mean, scale and clip of the inputs must be vectors of one length, got {shapes}")
-        if not (np.isfinite(self.mean).all() and np.isfinite(self.scale).all()):
-            raise DataFormatError("mean and scale of the inputs must be finite numbers")
         if not ((self.scale > 0.0).all() and (self.clip > 0.0).all()):
             raise DataFormatError("scale and clip of the inputs must be greater than 0")
 
-    def __call__(self, inputs: Array) -> Array:
+    def __call__(self, inputs: AnyArray) -> AnyArray:
         """Return the normalized inputs (n_inputs,) or (r, n_inputs)."""
-        return np.clip((inputs - self.mean) / self.scale, -self.clip, self.clip).astype(np.float32)
+        xp = get_namespace(inputs)
+        return xp.astype(((inputs - self.mean) / self.scale).clip(-self.clip, self.clip), xp.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,34 +67,22 @@ class OutputBounds:
         high: Upper bounds (n_outputs,).
         is_scaled: Whether outputs in [-1, 1] are scaled to the bounds (SAC, TD3, DDPG) rather than
             clipped to them (PPO, A2C).
-
-    Raises:
-        DataFormatError: Shapes differ, or the bounds are not finite and in order.
     """
 
     low: Array
     high: Array
     is_scaled: bool
 
-    def __post_init__(self) -> None:
-        if self.low.ndim != 1 or self.low.shape != self.high.shape:
-            raise DataFormatError(
-                f"bounds of the outputs must be vectors of one length, got {self.low.shape} and {self.high.shape}"
-            )
-        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all() and (self.low <= self.high).all()):
-            raise DataFormatError("bounds of the outputs must be finite, the lower ones not above the upper ones")
-
-    def __call__(self, outputs: Array) -> Array:
+    def __call__(self, outputs: AnyArray) -> AnyArray:
         """Return the action (n_outputs,) or (r, n_outputs) within the bounds."""
         if not self.is_scaled:
-            return np.clip(outputs, self.low, self.high)
-        shares = (outputs + np.float32(1.0)) / np.float32(2.0)
-        return np.asarray(self.low + shares * (self.high - self.low), dtype=np.float32)
+            return outputs.clip(self.low, self.high)
+        return self.low + (outputs + 1.0) / 2.0 * (self.high - self.low)
 
 
 @dataclass(frozen=True, eq=False)
 class DenseNetwork:
-    """Multilayer perceptron that runs in NumPy, so that trained policies need no PyTorch.
+    """Multilayer perceptron that runs without PyTorch in NumPy, or on PyTorch tensors (`copy_to`).
 
     Attributes:
         weights: Weight matrices (n_outputs, n_inputs) of the layers.
@@ -118,23 +108,22 @@ class DenseNetwork:
             raise DataFormatError(
                 f"a network must have one bias vector per weight matrix, got {len(self.biases)} for {len(self.weights)}"
             )
+        for name in (self.activation, self.output):
+            if name not in ACTIVATIONS:
+                raise DataFormatError(f"unknown activation {name!r}; valid: {', '.join(ACTIVATIONS)}")
         width = None
         for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             if weight.ndim != 2 or bias.shape != weight.shape[:1] or width not in (None, weight.shape[1]):
                 raise DataFormatError(f"layer {number} with shapes {weight.shape} and {bias.shape} does not fit")
-            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            xp, width = get_namespace(weight), weight.shape[0]
+            if not (xp.isfinite(weight).all() and xp.isfinite(bias).all()):
                 raise DataFormatError(f"layer {number} has numbers that are not finite")
-            width = weight.shape[0]
-        for name in (self.activation, self.output):
-            if name not in ACTIVATIONS:
-                raise DataFormatError(f"unknown activation {name!r}; valid: {', '.join(ACTIVATIONS)}")
-        if self.normalization is not None and len(self.normalization.mean) != self.n_inputs:
+        ends: list[tuple[AnyArray, int]] = []
+        ends += [(self.normalization.mean, self.n_inputs)] if self.normalization is not None else []
+        ends += [(self.bounds.low, self.n_outputs)] if self.bounds is not None else []
+        if any(values.shape != (size,) for values, size in ends):
             raise DataFormatError(
-                f"normalization must be for the network's {self.n_inputs} inputs, got {len(self.normalization.mean)}"
-            )
-        if self.bounds is not None and len(self.bounds.low) != self.n_outputs:
-            raise DataFormatError(
-                f"bounds must be for the network's {self.n_outputs} outputs, got {len(self.bounds.low)}"
+                f"normalization or bounds do not fit {self.n_inputs} inputs, {self.n_outputs} outputs"
             )
 
     @property
@@ -147,42 +136,86 @@ class DenseNetwork:
         """Number of outputs of the last layer."""
         return int(self.weights[-1].shape[0])
 
-    def __call__(self, inputs: Array) -> Array:
+    def copy_to(self, arrays: ArrayFactory) -> "DenseNetwork":
+        """Return a copy whose inputs and outputs are arrays of another kind, such as tensors on a GPU."""
+        copy, scaling, bounds = arrays.asarray, self.normalization, self.bounds
+        return replace(
+            self,
+            weights=tuple(map(copy, self.weights)),
+            biases=tuple(map(copy, self.biases)),
+            normalization=scaling and InputNormalization(copy(scaling.mean), copy(scaling.scale), copy(scaling.clip)),
+            bounds=bounds and replace(bounds, low=copy(bounds.low), high=copy(bounds.high)),
+        )
+
+    def __call__(self, inputs: AnyArray) -> AnyArray:
         """Return the outputs (n_outputs,) for inputs (n_inputs,), or (r, n_outputs) for r inputs (r, n_inputs).
 
-        The outputs for r inputs equal those for each of them to the bit.
+        The outputs of NumPy arrays for r inputs equal those for each of them to the bit.
         """
-        values = inputs.astype(np.float32) if self.normalization is None else self.normalization(inputs)
-        activate = ACTIVATIONS[self.activation]
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            values = activate(_multiply(weight, values) + bias)
-        outputs = ACTIVATIONS[self.output](_multiply(self.weights[-1], values) + self.biases[-1])
-        return outputs if self.bounds is None else self.bounds(outputs)
+        xp = get_namespace(inputs)
+        values = xp.astype(inputs, xp.float32) if self.normalization is None else self.normalization(inputs)
+        activations = [self.activation] * (len(self.weights) - 1) + [self.output]
+        for weight, bias, activation in zip(self.weights, self.biases, activations, strict=True):
+            values = ACTIVATIONS[activation](xp, _multiply(weight, values) + bias)
+        return values if self.bounds is None else self.bounds(values)
 
 
-def _multiply(weight: Array, values: Array) -> Array:
+def _multiply(weight: AnyArray, values: AnyArray) -> AnyArray:
     """Return the products (..., n_outputs) of a matrix (n_outputs, n_inputs) and vectors (..., n_inputs)."""
-    if values.ndim == 1:
-        return weight @ values
+    if is_tensor(values):
+        return values @ weight.T
     # One product of matrix and vector per row: the rounding of a product of matrices depends on the number of rows.
-    product: Array = np.matmul(weight, values[..., None])[..., 0]
-    return product
+    return np.matmul(weight, values[..., None])[..., 0]
+
+
+def dense_network_from_layers(
+    module: Any, activation: str, output: str = "identity", n_outputs: int | None = None
+) -> DenseNetwork:
+    """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
+
+    The module is not called, so that it may have inputs and outputs of any types; its outputs are not compared.
+
+    Args:
+        module: Module with linear layers.
+        activation: Activation between the layers.
+        output: Activation after the last layer.
+        n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
+
+    Raises:
+        DataFormatError: The shapes of consecutive layers do not match.
+    """
+    linear = sys.modules["torch"].nn.Linear  # a module can exist only if PyTorch was imported
+    layers = [part for part in module.modules() if isinstance(part, linear)]
+    weights = [_array(layer.weight) for layer in layers]
+    biases = [
+        np.zeros(len(weight), dtype=np.float32) if layer.bias is None else _array(layer.bias)
+        for layer, weight in zip(layers, weights, strict=True)
+    ]
+    if n_outputs is not None:
+        weights[-1], biases[-1] = weights[-1][:n_outputs], biases[-1][:n_outputs]
+    return DenseNetwork(tuple(weights), tuple(biases), activation, output)
+
+
+def _array(tensor: Any) -> Array:
+    return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
 
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """Encoding of a network's inputs and outputs, stored with the network in a policy file.
+    """Encoding of a policy's inputs and outputs, stored with the network in a policy file.
 
     Attributes:
         agent: Agent that the policy controls, "giver" or "receiver".
-        features: Name of the input features, see `handover_marl.learning.features`.
-        actions: Name of the action scheme that decodes outputs, see `handover_marl.learning.schemes`.
+        features: Features, see `handover_marl.encode`, or `OBSERVATION`; a name in files.
+        actions: Action scheme that decodes outputs, see `handover_marl.encode`; a name in files.
         control_period: Time between two decisions (s).
         origin: Command, seed and budget of the training, for human readers.
+        obs_mode: Observation mode of a receiver.
     """
 
     agent: str
-    features: str
-    actions: str
+    features: Any
+    actions: Any
     control_period: float = 0.1
     origin: str = ""
+    obs_mode: str = STATE

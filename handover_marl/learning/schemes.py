@@ -10,8 +10,7 @@ from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
 from handover_marl.learning.action_scheme import Action, ActionScheme
 from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_schemes import KIND, SchemeLike, make_custom_scheme
+from handover_marl.learning.custom_encodings import SCHEME, CustomScheme, SchemeLike, is_reference
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.receiver_schemes import (
@@ -44,7 +43,7 @@ def count_outputs(agent: str, name: str) -> int:
     Raises:
         UnknownNameError: The agent has no scheme of that name.
     """
-    check_name(f"{KIND} of the {agent}", name, list_schemes(agent))
+    check_name(f"{SCHEME} of the {agent}", name, list_schemes(agent))
     return _SCHEMES[name].size
 
 
@@ -87,8 +86,8 @@ def make_array_scheme(
     if isinstance(choice, str) and not is_reference(choice):
         count_outputs(agent, choice)
         return _SCHEMES[choice](context, selector, count, arrays)
-    own: Any = import_reference(KIND, choice) if isinstance(choice, str) else choice
-    return make_custom_scheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
+    own: Any = import_reference(SCHEME, choice) if isinstance(choice, str) else choice
+    return CustomScheme(agent, own, context, count, arrays, choice if isinstance(choice, str) else "")
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:

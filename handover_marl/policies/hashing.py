@@ -1,12 +1,14 @@
 """Hashes of policies, so that results of different policies are never mixed.
 
-A hash covers the library's version, the source files of the packages that define a policy, and the values, arrays
-and files that it holds. It is equal in every process.
+A hash covers the library's version, the source files of the packages that define a policy, and the values, arrays and
+files that it holds. It is equal in every process. Code without a source file, such as a class that is typed at a
+prompt or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
 """
 
 import functools
 import hashlib
 import inspect
+import secrets
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,30 +19,32 @@ import numpy as np
 
 from handover_marl.version import __version__
 
-_LIBRARY = "handover_marl"
+_LIBRARY, _SCRIPT = "handover_marl", "__main__"
 _SITE_FOLDERS = {"site-packages", "dist-packages"}
 _PLAIN = (int, float, complex, str, bytes, type(None))
 _DEFINITIONS = (type, ModuleType, FunctionType, BuiltinFunctionType)
 _MAX_DEPTH = 30
 
 
-def hash_policy(policy_class: type, state: object = None, weights: bytes = b"") -> str:
+def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
     """Compute the hash of a policy, CODE or CODE.WEIGHTS; each part has 8 hex digits.
 
     Args:
-        policy_class: Class of the policy.
+        policy: The policy, whose arrays count as weights unless its class is one of this library.
         state: Options of the constructor, or attributes of an instance.
         weights: Weights or their hashes; empty if the policy has none.
     """
-    code = hash_object((__version__, policy_class, state))[:8]
+    code = hash_object((__version__, type(policy), state))[:8]
+    if _get_package(type(policy)) != _LIBRARY:
+        weights += hash_object(policy, arrays_only=True).encode()
     return f"{code}.{hashlib.sha256(weights).hexdigest()[:8]}" if weights else code
 
 
 def hash_object(value: object, arrays_only: bool = False) -> str:
     """Compute a hash (64 hex digits) of a value, function, PyTorch module, class or other object.
 
-    Functions and classes count with the source files of their package, or with the version of an installed package;
-    functions with the variables that they use; objects with their attributes.
+    Functions and classes count with their package (`hash_package`), functions also with the variables that they use,
+    classes with numbers and texts among their attributes, and objects with their attributes.
 
     Args:
         value: Value to hash.
@@ -54,59 +58,53 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
     return hashlib.sha256(b"\0".join(parts)).hexdigest() if parts else ""
 
 
-def hash_package(module: str) -> str:
-    """Return a hash of the Python files of a module's package, or the version of an installed package.
+def hash_package(name: str) -> str:
+    """Return the version of an installed top-level package, or a hash of the Python files of another one.
 
-    For a module outside a package, the hash covers the files in its folder. It is empty for this library, the
-    standard library, and code without a file.
+    For a module outside a package, the hash covers the files in its folder. It is empty for the standard library, and
+    a random number for code without a file.
     """
-    top = module.partition(".")[0]
-    folders = _find_folders(top)
-    if top == _LIBRARY or not folders:
-        return ""
-    package = sys.modules[top]
-    version = getattr(package, "__version__", "")
-    if version and _is_installed(top):
-        return str(version)
-    pattern = "**/*.py" if hasattr(package, "__path__") else "*.py"
-    digest = hashlib.sha256()
+    package = sys.modules.get(name)
+    if _is_installed(name):
+        version = __version__ if name == _LIBRARY else getattr(package, "__version__", "")
+        if version or name in sys.stdlib_module_names:
+            return str(version)
+    folders, pattern = _find_folders(name), "**/*.py" if hasattr(package, "__path__") else "*.py"
+    digest = hashlib.sha256(b"" if folders else secrets.token_bytes())
     for path in (path for folder in folders for path in sorted(folder.glob(pattern)) if path.is_file()):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 
-def list_packages(function: object) -> tuple[str, ...]:
-    """Return the top-level packages from which a function or object is imported, except installed packages.
+def find_package(function: object) -> str:
+    """Return the top-level package from which a function, class or object is imported by other processes.
 
-    Code that is pickled and not imported, such as the code of a script, is left out.
+    It is empty if the code is pickled instead, such as the code of a script.
     """
     if isinstance(function, functools.partial):
-        return list_packages(function.func)
+        return find_package(function.func)
     function = function.__self__ if isinstance(function, MethodType) else function
     owner: Any = function if isinstance(function, (type, FunctionType)) else type(function)
-    top = str(owner.__module__).partition(".")[0]
-    is_pickled = top == "__main__" or "<" in owner.__qualname__ or top not in sys.modules
-    return () if is_pickled or _is_installed(top) else (top,)
+    name = _get_package(owner)
+    return "" if name == _SCRIPT or "<" in owner.__qualname__ or name not in sys.modules else name
 
 
-def is_library_class(policy_class: type) -> bool:
-    """Check whether a class is defined in this library, whose version covers it."""
-    return policy_class.__module__.partition(".")[0] == _LIBRARY
+def _get_package(definition: Any) -> str:
+    """Return the top-level package that defines a function or class."""
+    return (definition.__module__ or "builtins").partition(".")[0]
 
 
-def _find_folders(top: str) -> list[Path]:
-    """Return the folders of a top-level package or module; none for the standard library and typed code."""
-    module = sys.modules.get(top)
-    if top in sys.stdlib_module_names and top != "__main__":
-        return []
+def _find_folders(name: str) -> list[Path]:
+    """Return the folders of a top-level package or module; none without a file."""
+    module = sys.modules.get(name)
     file = getattr(module, "__file__", None)
     return [Path(path) for path in getattr(module, "__path__", ())] or ([Path(file).parent] if file else [])
 
 
-def _is_installed(top: str) -> bool:
-    if top == _LIBRARY or (top in sys.stdlib_module_names and top != "__main__"):
+def _is_installed(name: str) -> bool:
+    if name == _LIBRARY or (name in sys.stdlib_module_names and name != _SCRIPT):
         return True
-    return any(_SITE_FOLDERS & set(folder.parts) for folder in _find_folders(top))
+    return any(_SITE_FOLDERS & set(folder.parts) for folder in _find_folders(name))
 
 
 def _describe(name: str, value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
@@ -116,49 +114,46 @@ def _describe(name: str, value: Any, seen: dict[int, object], arrays_only: bool,
             yield f"{name}={value!r}".encode()
         return
     seen[id(value)] = value  # kept, so that no other object gets its number
+    parts: list[tuple[str, Any]] = []
     if isinstance(value, _DEFINITIONS):
         if not arrays_only:
-            yield f"{name} {_describe_definition(value)}".encode()
-            for key, part in sorted(_list_variables(value).items()):
-                yield from _describe(key, part, seen, arrays_only, depth + 1)
-        return
-    array = _convert_array(value)
-    if array is not None:
+            text, parts = _describe_definition(value)
+            yield f"{name} {text}".encode()
+    elif (array := _convert_array(value)) is not None:
         yield f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
-    elif not (arrays_only and depth and is_library_class(type(value))):
-        for key, part in _list_parts(value):
-            yield from _describe(f"{name}.{key}", part, seen, arrays_only, depth + 1)
+    elif not (arrays_only and depth and _get_package(type(value)) == _LIBRARY):
+        parts = _list_parts(value)
+    for key, part in parts:
+        yield from _describe(f"{name}.{key}", part, seen, arrays_only, depth + 1)
 
 
-def _describe_definition(value: Any) -> str:
-    """Return the name of a function, class or module, and the hashes of the packages that define it."""
+def _describe_definition(value: Any) -> tuple[str, list[tuple[str, Any]]]:
+    """Return name and code of a function, class or module, and the variables that the code uses."""
     if isinstance(value, ModuleType):
-        return f"{value.__name__} {hash_package(value.__name__)}"
-    modules = [base.__module__ for base in value.__mro__] if isinstance(value, type) else [str(value.__module__)]
-    code = _describe_code(value.__code__) if isinstance(value, FunctionType) else ""
-    packages = sorted({module.partition(".")[0] for module in modules})
-    return f"{modules[0]}:{value.__qualname__} {list(map(hash_package, packages))} {code}"
+        return f"{value.__name__} {hash_package(value.__name__.partition('.')[0])}", []
+    packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
+    text = f"{value.__module__}:{value.__qualname__} {list(map(hash_package, sorted(packages)))}"
+    used: dict[str, Any] = {}
+    is_own = not _is_installed(_get_package(value))
+    if isinstance(value, FunctionType):
+        # Several functions of a file may have one name, and `eval` may make them of any text.
+        text += _describe_code(value.__code__)
+        if is_own:
+            variables = inspect.getclosurevars(value)
+            used = {**variables.globals, **variables.nonlocals, "": (value.__defaults__, value.__kwdefaults__)}
+    elif isinstance(value, type) and is_own:
+        # A program may change attributes of a class, and the functions of a local class may be closures.
+        kinds = (FunctionType, *_PLAIN) if "<" in value.__qualname__ else _PLAIN
+        members = {key: getattr(part, "fget", part) for key, part in vars(value).items()}
+        used = {key: part for key, part in members.items() if isinstance(part, kinds)} | {"": value.__bases__}
+    return text, sorted(used.items())
 
 
 def _describe_code(code: CodeType) -> str:
-    """Return compiled code as text: several functions of a file may have one name, and typed code has no file."""
+    """Return compiled code, with that of the functions in it, as text."""
     constants = [sorted(map(repr, part)) if isinstance(part, frozenset) else part for part in code.co_consts]
     described = [_describe_code(part) if isinstance(part, CodeType) else repr(part) for part in constants]
-    return f"{code.co_code!r} {code.co_names} {described}"
-
-
-def _list_variables(value: Any) -> dict[str, Any]:
-    """Return the variables that a function uses, or the members of a class that no file contains."""
-    if not isinstance(value, (type, FunctionType)) or _is_installed(value.__module__.partition(".")[0]):
-        return {}
-    if isinstance(value, FunctionType):
-        used = inspect.getclosurevars(value)
-        return {**used.globals, **used.nonlocals, "": (value.__defaults__, value.__kwdefaults__)}
-    if "<" not in value.__qualname__ and _find_folders(value.__module__.partition(".")[0]):
-        return {}
-    members = {key: getattr(part, "fget", None) or inspect.unwrap(part) for key, part in vars(value).items()}
-    listed = {key: part for key, part in members.items() if isinstance(part, (FunctionType, *_PLAIN))}
-    return {**listed, "": value.__bases__}
+    return f" {code.co_code!r} {code.co_names} {described}"
 
 
 def _list_parts(value: Any) -> list[tuple[str, Any]]:

@@ -12,11 +12,13 @@
 """
 
 import functools
+import importlib
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from platform import node
 from typing import Any, TypeAlias
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
@@ -33,7 +35,7 @@ from handover_marl.errors import (
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.pool import pickle_by_value, unpickle
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.policies.hashing import hash_object, hash_policy, is_library_class
+from handover_marl.policies.hashing import find_package, hash_package, hash_policy
 from handover_marl.policies.policy import (
     Policy,
     PolicyContext,
@@ -110,20 +112,15 @@ class PolicyReference:
             PolicyError: The constructor fails.
             HandoverError: The policy file is missing, invalid, or runs code and is not trusted.
         """
-        return self._construct(lambda: make_policy_context(dataset or open_dataset(), config, setup))
+        return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
     def make_from_context(self, context: PolicyContext | None) -> Policy:
         """Construct the policy that this reference names for a policy context; see `make`."""
-        return self._construct(lambda: context)
-
-    def _construct(self, make_context: Callable[[], PolicyContext | None]) -> Policy:
         found = self._load()
         if isinstance(found, Policy):
             return found
         parameters = get_parameters(found)
-        given: dict[str, Any] = {"agent": self.agent, "path": self.file, "trust": self.trust}
-        if "context" in parameters:
-            given["context"] = make_context()
+        given = {"agent": self.agent, "context": context, "path": self.file, "trust": self.trust}
         given = {name: value for name, value in given.items() if name in parameters}
         try:
             policy = found(**dict(self.options) | given)
@@ -161,13 +158,11 @@ class PolicyReference:
         found = self._load()
         state = vars(found) if isinstance(found, Policy) else self.options
         weights = self._check_text("weights_hash", self._read_attribute(policy, "weights_hash")).encode()
-        if not is_library_class(type(policy)):
-            weights += hash_object(policy, arrays_only=True).encode()
         weights += b"".join(content for *_, content in self.read_files())
         return replace(
             self,
             label=label,
-            code_hash=hash_policy(type(policy), state, weights),
+            code_hash=hash_policy(policy, state, weights),
             wait=None if wait is None else milliseconds_from_wait(wait) / 1000.0,
             obs_mode=obs_mode,
         )
@@ -234,6 +229,69 @@ def read_policy_file(path: Path) -> bytes:
         raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error})") from error
     except ValueError as error:
         raise DataFormatError(f"{path} cannot be read ({error})") from error
+
+
+@dataclass(frozen=True)
+class PolicyBundle:
+    """Policy reference with the contents of the files that the policy reads, for machines without shared folders.
+
+    Attributes:
+        reference: Reference to the policy on the machine that packed it.
+        packages: Name and hash of each package with the policy's code, which must be installed on the other machine,
+            too; code that is pickled in the reference is left out.
+        files: Files of the policy, see `PolicyReference.read_files`.
+    """
+
+    reference: PolicyReference
+    packages: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str, bytes], ...]
+
+    @classmethod
+    def pack(cls, reference: PolicyReference) -> "PolicyBundle":
+        """Pack a policy reference with the contents of the files that its options name.
+
+        Raises:
+            DataNotFoundError: A file cannot be read.
+            DataFormatError: A file is a pipe or device, or too large.
+        """
+        names = {find_package(reference.policy_class), *reference.packages} - {""}
+        packages = tuple((name, hash_package(name)) for name in sorted(names))
+        return cls(reference, packages, tuple(reference.read_files()))
+
+    def unpack(self, folder: Path) -> PolicyReference:
+        """Write the bundle's files to a folder; return a reference to the policy with these files.
+
+        Args:
+            folder: Existing folder for the bundle's files.
+
+        Raises:
+            PolicyError: The policy's code is not installed here, or differs.
+        """
+        try:
+            _ = self.reference.policy_class
+            for name, _ in self.packages:
+                importlib.import_module(name)
+            is_same = all(hash_package(name) == code for name, code in self.packages)
+            problem = "" if is_same else "is installed with other code"
+        except Exception as error:  # importing a user's module may raise anything
+            problem = f"is not installed ({type(error).__name__}: {error})"
+        if problem:
+            raise PolicyError(
+                f"on node {node()}: {self.reference.agent} {self.reference.name!r} {problem}; install the same "
+                "version there, or pass a class of a script or a notebook, which is sent along"
+            )
+        options, policy_file = dict(self.reference.options), self.reference.file
+        for option, name, content in self.files:
+            path = folder / self.reference.agent / (option or "file") / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+            # The files of a folder are named "folder/file"; the option names the folder.
+            given = str(path if "/" not in name else path.parent)
+            if option:
+                options[option] = given
+            else:
+                policy_file = given
+        return replace(self.reference, file=policy_file, options=_sort_options(options))
 
 
 PolicyLike: TypeAlias = str | type[Policy] | Policy | PolicyReference | tuple[Any, Mapping[str, Any]]

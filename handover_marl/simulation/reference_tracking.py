@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HAND_DOF, TIME_STEP, HandConfig, MotorConfig, ObjectConfig
+from handover_marl.config import HandConfig, MotorConfig, ObjectConfig
 from handover_marl.geometry.arrays import AnyArray
-from handover_marl.geometry.kinematic_tree import KinematicTree
 
 Array = npt.NDArray[np.float64]
 
@@ -66,58 +65,6 @@ class ReferenceBatch:
         return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
 
-class MotorModel:
-    """Kinematic model of d joints, whose error falls by a fixed ratio per step as in Bullet.
-
-    Without contact the joint positions differ by less than 1e-4 (m, rad) from simulated ones.
-
-    Args:
-        motors: Parameters of each of the d motors.
-        start: Initial joint positions (d,) (m, rad).
-
-    Attributes:
-        gains: Fraction (d,) of its position error that each joint corrects in a step.
-        position: Joint positions (d,) at the end of `trajectory` (m, rad).
-        trajectory: Joint positions (n, d) after each step of the current reference.
-    """
-
-    def __init__(self, motors: Sequence[MotorConfig], start: npt.ArrayLike) -> None:
-        self.gains = np.array([motor.position_gain for motor in motors])
-        self.position = np.array(start, dtype=np.float64)
-        self.trajectory = self.position[None]
-
-
-def simulate_motors(models: Sequence[MotorModel], targets: Sequence[npt.NDArray[np.float32]]) -> None:
-    """Compute the trajectories of motor models with equally many joints.
-
-    The trajectories do not depend on how targets are divided into calls.
-
-    Args:
-        models: Motor models; `trajectory` and `position` are updated.
-        targets: Joint targets (n, d) of each model in n steps (m, rad).
-    """
-    moving: dict[int, list[tuple[MotorModel, Array]]] = {}
-    for model, own in zip(models, targets, strict=True):
-        wanted = own.astype(np.float64)
-        if (wanted == model.position).all():
-            # The recurrence gives the same for joints at rest, only slower.
-            model.trajectory = wanted
-        else:
-            moving.setdefault(len(wanted), []).append((model, wanted))
-    for steps, group in moving.items():
-        gains = np.array([model.gains for model, _ in group])
-        position = np.array([model.position for model, _ in group])
-        wanted = np.stack([own for _, own in group], axis=1)
-        trajectories, error = np.empty(wanted.shape), np.empty(position.shape)
-        for row in range(steps):
-            np.subtract(wanted[row], position, out=error)
-            np.multiply(gains, error, out=error)
-            position = np.add(position, error, out=trajectories[row])
-        for number, (model, _) in enumerate(group):
-            model.trajectory = trajectories[:, number]
-            model.position = model.trajectory[-1]
-
-
 def list_hand_motors(config: HandConfig) -> list[MotorConfig]:
     """Return the motor parameters of the human hand's 51 joints."""
     return [config.translation_motor] * 3 + [config.rotation_motor] * 3 + [config.finger_motor] * 45
@@ -140,194 +87,82 @@ def select_keypoint_links(joints: Sequence[int]) -> list[int]:
     return [WRIST_LINK, *joints[BASE_JOINTS::3]]
 
 
-class HandTrajectory:
-    """Joint trajectory of a human hand that tracks its reference without contact.
+class BodyTrajectory:
+    """Joint trajectory of a hand or an object that tracks its reference without contact.
+
+    The position error of each joint falls by a fixed ratio per step, as with Bullet's motors. The joint positions
+    differ by less than 1e-4 (m, rad) from simulated ones.
 
     Args:
-        tree: Kinematic tree of the hand.
-        config: Motors of the hand's joints.
-        start: Reference motion of one row: the initial state of the hand.
+        motors: Parameters of the motors of the d joints.
+        start: Joint positions (d,) at the start, at rest (m, rad); None for a body that is absent at first.
 
     Attributes:
-        tree: Kinematic tree of the hand.
+        gains: Fraction (d,) of its position error that each joint corrects in a step.
+        joints: Joint positions (n + 2, d) after the last two steps before the current reference motion, and after
+            each of its n steps (m, rad); zeros while the body is absent.
+        present: Whether the body is in the scene after these steps, (n + 2,).
     """
 
-    def __init__(self, tree: KinematicTree, config: HandConfig, start: ReferenceMotion) -> None:
-        self.tree = tree
-        self._motors = list_hand_motors(config)
-        self._motor_model: MotorModel | None = None
-        # Observations often read a hand at rest: the joints and keypoints of the last call.
-        self._cached_keypoints: tuple[Array, npt.NDArray[np.float32]] | None = None
-        # One row more than the reference has; the first is the state before it.
-        self._joints, self._present = np.zeros((1, HAND_DOF)), np.zeros(1, dtype=bool)
-        set_hand_references([self], [start])
-        self._joints, self._present = self._joints[-1:], self._present[-1:]
-
-    def set_reference(self, motion: ReferenceMotion) -> None:
-        """Compute the hand's joint positions in all steps of a new reference motion."""
-        set_hand_references([self], [motion])
-
-    def start_tracking(self, motion: ReferenceMotion) -> list[tuple[MotorModel, slice]]:
-        """Return the motor models that track a hand's motion, each with the rows that it tracks.
-
-        Each period in which the hand is present has its own model.
-        """
-        present, tracked = motion.hand_present, []
-        cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
-        for first, last in zip([0, *cuts], [*cuts, len(present)], strict=True):
-            if not present[first]:
-                self._motor_model = None
-                continue
-            if self._motor_model is None:
-                # A hand appears at its target.
-                self._motor_model = MotorModel(self._motors, motion.hand[first])
-            tracked.append((self._motor_model, slice(first, last)))
-        return tracked
-
-    def finish_tracking(self, motion: ReferenceMotion, tracked: Sequence[tuple[MotorModel, slice]]) -> None:
-        """Join the computed trajectories of the motor models to the hand's trajectory.
-
-        Args:
-            motion: Reference motion of the hand.
-            tracked: Motor models and rows as returned by `start_tracking`, with computed trajectories.
-        """
-        joints = np.zeros((len(motion.hand_present) + 1, HAND_DOF))
-        joints[0] = self._joints[-1]
-        for model, rows in tracked:
-            joints[rows.start + 1 : rows.stop + 1] = model.trajectory
-        self._joints = joints
-        self._present = np.concatenate([self._present[-1:], motion.hand_present])
+    def __init__(self, motors: Sequence[MotorConfig], start: npt.NDArray[np.float32] | None) -> None:
+        self.gains = np.array([motor.position_gain for motor in motors])
+        self.present = np.full(2, start is not None)
+        self.joints: Array = np.zeros((2, len(motors)))
+        if start is not None:
+            self.joints[:] = start
 
     def predict_positions(self, row: int) -> Array:
-        """Predict the wrist positions (n - row, 3) after each step from `row` on (m).
+        """Predict the positions (n - row, 3) of wrist or object origin after each step from `row` on (m).
 
-        The reference motion has n steps. Positions are inf while the hand is absent.
+        The reference motion has n steps. Positions are inf while the body is absent.
         """
-        return np.where(self._present[row + 1 :, None], self._joints[row + 1 :, :3], np.inf)
-
-    def get_trajectory(self, row: int) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Return the trajectory of the hand in the m steps from `row` of the reference motion on.
-
-        Returns:
-            Joint positions (m, 51) after each step (m, rad); whether the hand is present after it (m,);
-            and whether the hand moves, appears or disappears in it (m,).
-        """
-        joints, present = self._joints[row:], self._present[row:]
-        changes = (joints[1:] != joints[:-1]).any(axis=1) | (present[1:] != present[:-1])
-        return joints[1:], present[1:], changes
+        return np.where(self.present[row + 2 :, None], self.joints[row + 2 :, :3], np.inf)
 
     def is_present_after(self, row: int) -> bool:
-        """Return whether the hand is in the scene after step `row` of the reference motion.
-
-        Row -1 is the state before the first step.
-        """
-        return bool(self._present[row + 1])
+        """Return whether the body is in the scene after step `row`, from -2 on."""
+        return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the hand's joints (51,) after step `row` of the reference motion (m, rad).
-
-        Row -1 is the state before the first step.
-        """
-        joints: Array = self._joints[row + 1]
+        """Return the joints (d,) after step `row`, from -2 on (m, rad)."""
+        joints: Array = self.joints[row + 2]
         return joints
 
-    def get_joints_float32(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the hand's joints (51,) after step `row` of the reference, float32 (m, rad).
 
-        Row -1 is the state before the first step.
-        """
-        return self.get_joints(row).astype(np.float32)
-
-    def compute_keypoints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the hand's keypoints (16, 3) after step `row` of the reference, float32 (m).
-
-        The keypoints are the world positions of the wrist and of 15 finger joints. Row -1 is the
-        state before the first step.
-        """
-        joints = self.get_joints(row)
-        if self._cached_keypoints is None or not np.array_equal(joints, self._cached_keypoints[0]):
-            origins, _ = self.tree.compute_link_frames(joints[None])
-            links = select_keypoint_links(self.tree.moving_links)
-            self._cached_keypoints = joints, origins[0, links].astype(np.float32)
-        keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
-        return keypoints
+#: A body, its joint targets (n, d) in n coming steps (m, rad), and whether it is present then (n,), None for always.
+TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np.bool_] | None]
 
 
-def set_hand_references(hands: Sequence[HandTrajectory], motions: Sequence[ReferenceMotion]) -> None:
-    """Set the reference motions of several hands, and compute the hands' trajectories.
+def track_references(references: Sequence[TrackedReference]) -> None:
+    """Compute the trajectories of bodies under new reference motions, which follow their current ones.
 
-    Args:
-        hands: Trajectories of the hands.
-        motions: Reference motion of each hand.
+    The trajectories do not depend on how steps are divided into calls, nor on the other bodies.
     """
-    tracked: list[list[tuple[MotorModel, slice]]] = []
-    for hand, motion in zip(hands, motions, strict=True):
-        tracked.append(hand.start_tracking(motion))
-    models = [model for own in tracked for model, _ in own]
-    targets = [motion.hand[rows] for own, motion in zip(tracked, motions, strict=True) for _, rows in own]
-    simulate_motors(models, targets)
-    for hand, motion, own in zip(hands, motions, tracked, strict=True):
-        hand.finish_tracking(motion, own)
-
-
-class ObjectTrajectory:
-    """Joint trajectory of an object that tracks its reference without contact.
-
-    Args:
-        config: Motors of the object's joints.
-        start: Initial joint positions (6,): xyz (m) and Euler angles (rad).
-
-    Attributes:
-        motor_model: Motor model of the object's six joints.
-    """
-
-    def __init__(self, config: ObjectConfig, start: npt.NDArray[np.float32]) -> None:
-        self.motor_model = MotorModel(list_object_motors(config), start)
-        # Two rows more than the reference has. Before the first step the object is at rest.
-        self._joints = np.stack([self.motor_model.position] * 2)
-
-    def set_reference(self, targets: npt.NDArray[np.float32]) -> None:
-        """Compute the object's joint positions in n coming steps for joint targets (n, 6)."""
-        set_object_references([self], [targets])
-
-    def extend(self) -> None:
-        """Append the motor model's trajectory in the new reference motion to the trajectory.
-
-        Of the trajectory so far only the last two rows are kept, the states after the last two steps.
-        """
-        self._joints = np.concatenate([self._joints[-2:], self.motor_model.trajectory])
-
-    def predict_positions(self, row: int) -> Array:
-        """Predict the world positions (n - row, 3) of the object's origin from step `row` on (m).
-
-        The positions are those after each step; the reference motion has n steps.
-        """
-        return self._joints[row + 2 :, :3]
-
-    def get_joints(self, row: int) -> Array:
-        """Return the object's joints (6,) after step `row` of the reference motion (m, rad).
-
-        Rows -1 and -2 are the states after the last two steps before the reference motion.
-        """
-        joints: Array = self._joints[row + 2]
-        return joints
-
-    def compute_velocities(self, row: int) -> Array:
-        """Return the object's mean joint velocities (6,) in step `row` (m/s, rad/s).
-
-        Step 0 is the first of the current reference motion, row -1 the step before.
-        """
-        velocities: Array = (self.get_joints(row) - self.get_joints(row - 1)) / TIME_STEP
-        return velocities
-
-
-def set_object_references(objects: Sequence[ObjectTrajectory], targets: Sequence[npt.NDArray[np.float32]]) -> None:
-    """Set the joint targets of several objects for n coming steps, and compute their trajectories.
-
-    Args:
-        objects: Trajectories of the objects.
-        targets: (n, 6) joint targets of each object (m, rad).
-    """
-    simulate_motors([item.motor_model for item in objects], targets)
-    for item in objects:
-        item.extend()
+    moving: dict[tuple[int, ...], list[tuple[BodyTrajectory, int, Array, Array]]] = {}
+    for body, targets, presence in references:
+        present = np.ones(len(targets), dtype=bool) if presence is None else presence
+        wanted = targets.astype(np.float64)
+        position = body.joints[-1] if body.present[-1] else None
+        body.joints = np.concatenate([body.joints[-2:], np.zeros(wanted.shape)])
+        body.present = np.concatenate([body.present[-2:], present])
+        cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
+        for first, last in zip([0, *cuts], [*cuts, len(present)], strict=True):
+            if present[first]:
+                # A body appears at its target.
+                start, part = wanted[first] if position is None else position, wanted[first:last]
+                if (part == start).all():
+                    # The recurrence gives the same for joints at rest, only slower.
+                    body.joints[first + 2 : last + 2] = part
+                else:
+                    moving.setdefault(part.shape, []).append((body, first + 2, start, part))
+            position = None
+    # Bodies with equally many joints and steps are computed together.
+    for (steps, _), group in moving.items():
+        bodies, rows, starts, parts = zip(*group, strict=True)
+        gains, position, wanted = np.array([body.gains for body in bodies]), np.array(starts), np.stack(parts, axis=1)
+        trajectories, error = np.empty(wanted.shape), np.empty(position.shape)
+        for step in range(steps):
+            np.subtract(wanted[step], position, out=error)
+            np.multiply(gains, error, out=error)
+            position = np.add(position, error, out=trajectories[step])
+        for number, (body, row) in enumerate(zip(bodies, rows, strict=True)):
+            body.joints[row : row + steps] = trajectories[:, number]

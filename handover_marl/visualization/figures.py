@@ -55,8 +55,6 @@ def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
 Array = npt.NDArray[np.float64]
 
 _DPI = 100
-# Elevation and azimuth of the two views (degrees): from the side and from above.
-_VIEWS = ((20.0, -20.0), (89.0, -90.0))
 _HALF_EXTENT = 0.45  # m from the target object to the edges of the figure
 
 
@@ -69,7 +67,7 @@ def draw_plan_figure(
     title: str,
     size: tuple[int, int],
 ) -> bytes:
-    """Draw objects, hand of the person and a motion plan from two sides; return a PNG.
+    """Draw objects, hand of the person and a motion plan; return a PNG.
 
     Args:
         plan: Motion plan; None draws the scene alone.
@@ -84,69 +82,35 @@ def draw_plan_figure(
 
     figure = Figure(figsize=(size[0] / _DPI, size[1] / _DPI), dpi=_DPI, layout="constrained")
     figure.suptitle(title)
-    center = observation["object_poses"][0, :3]
-    limits = [(value - _HALF_EXTENT, value + _HALF_EXTENT) for value in center]
-    meshes = [read_collision_mesh(urdf) for urdf in object_urdfs]
+    axes = figure.add_subplot(projection="3d")
+    for urdf, pose in zip(object_urdfs, observation["object_poses"].astype(np.float64), strict=False):
+        vertices, faces = read_collision_mesh(urdf)
+        axes.plot_trisurf(*transform_points(pose, vertices).T, triangles=faces, color="tab:brown", alpha=0.35)
     hand = hand_capsules_from_observation(observation)
-    lines = [] if plan is None else _list_plan_lines(plan, arm, world_from_base)
-    for number, (elevation, azimuth) in enumerate(_VIEWS, start=1):
-        axes = figure.add_subplot(1, len(_VIEWS), number, projection="3d")
-        for index, (vertices, faces) in enumerate(meshes):
-            pose, label = observation["object_poses"][index], ("object", "other objects")[index] if index < 2 else None
-            color = "tab:gray" if index else "tab:brown"
-            axes.plot_trisurf(
-                *transform_points(pose.astype(np.float64), vertices).T,
-                triangles=faces,
-                color=color,
-                alpha=0.35,
-                label=label,
-            )
-        for start, end, radius in () if hand is None else zip(hand.starts, hand.ends, hand.radii, strict=True):
-            label = None if axes.lines else "person's hand"
-            axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6, label=label)
-        for points, style in lines:
-            axes.plot(*points.T, **style)
-        axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
-        axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-        axes.set_box_aspect((1, 1, 1))
-        axes.view_init(elevation, azimuth)
-    # Seen along the z axis, its tick labels overlap.
-    axes.set(zlabel="", zticks=[])
-    figure.axes[0].legend(loc="upper left", fontsize="small")
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
-
-
-def _list_plan_lines(plan: Plan, arm: ArmKinematics, world_from_base: Array) -> list[tuple[Array, dict[str, Any]]]:
-    """Return the lines that show a plan: points (n, 3) in the world (m), and keywords of matplotlib's `plot`."""
-
-    def compute_chain(joints: Array) -> tuple[Array, Array]:
-        """Return the world positions (n, 1 + links, 3) of base and links, and the gripper's outlines (n, points, 3)."""
-        frames = arm.compute_chain_frames(joints)
-        origins = np.moveaxis(frames.origins, 2, 0)
-        rotations = np.moveaxis(frames.rotations[-1], 2, 0)
-        outlines = np.array(GRIPPER_OUTLINE) @ rotations.transpose(0, 2, 1) + origins[:, -1:]
-        chains = np.concatenate([np.zeros((len(joints), 1, 3)), origins], axis=1)
-        return transform_points(world_from_base, chains), transform_points(world_from_base, outlines)
-
-    waypoints, outlines = compute_chain(np.concatenate([plan.start[None], plan.trajectory]))
-    tail = plan.goals.tails.shape[1]
-    goal_style = {"color": "tab:green", "linewidth": 0.8, "alpha": 0.6}
-    return [
-        *((outline, goal_style) for outline in compute_chain(plan.goals.goals)[1]),
-        (outlines[-1], {"color": "tab:red", "linewidth": 2.5, "label": "chosen goal"}),
-        (waypoints[0], {"color": "black", "linewidth": 3, "alpha": 0.5, "label": "arm at the start"}),
-        (waypoints[-1], {"color": "tab:red", "linewidth": 3, "alpha": 0.3, "label": "arm at the end"}),
-        (waypoints[:, -1], {"color": "tab:blue", "marker": ".", "label": "hand link at each waypoint"}),
-        (waypoints[-tail:, -1], {"color": "tab:purple", "linewidth": 3, "label": "straight approach to the grasp"}),
-    ]
+    for start, end, radius in () if hand is None else zip(hand.starts, hand.ends, hand.radii, strict=True):
+        axes.plot(*np.stack([start, end]).T, color="tab:orange", linewidth=400 * radius, alpha=0.6)
+    if plan is not None:
+        # Positions of base and links, and outlines of the gripper, at each waypoint and each goal.
+        frames = arm.compute_chain_frames(np.concatenate([plan.start[None], plan.trajectory, plan.goals.goals]))
+        origins, rotations = (np.moveaxis(part, -1, 0) for part in (frames.origins, frames.rotations[-1]))
+        grippers = np.array(GRIPPER_OUTLINE) @ rotations.transpose(0, 2, 1) + origins[:, -1:]
+        outlines, links = (transform_points(world_from_base, points) for points in (grippers, origins))
+        n = 1 + len(plan.trajectory)
+        for outline in outlines[n:]:
+            axes.plot(*outline.T, color="tab:green", linewidth=0.8, alpha=0.6)
+        axes.plot(*outlines[n - 1].T, color="tab:red", linewidth=2.5, label="chosen goal")
+        axes.plot(*links[0].T, color="black", linewidth=3, alpha=0.5, label="arm at the start")
+        axes.plot(*links[:n, -1].T, color="tab:blue", marker=".", label="hand link at each waypoint")
+        axes.legend(loc="upper left", fontsize="small")
+    limits = np.add.outer(observation["object_poses"][0, :3], [-_HALF_EXTENT, _HALF_EXTENT])
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+    axes.set_box_aspect((1, 1, 1))
+    axes.view_init(elev=20.0, azim=-20.0)
+    return _save(figure)
 
 
 # Success rate above which a cell is so dark that its text is white.
 _WHITE_TEXT_THRESHOLD = 0.55
-# Number of characters above which names of columns are rotated, so that they do not overlap.
-_MAX_HORIZONTAL_TEXT = 16
 # Longest line, and most lines, of the name of a policy with many options.
 _MAX_LINE, _MAX_LINES = 30, 3
 
@@ -170,23 +134,21 @@ def draw_heat_map(
     from matplotlib.figure import Figure
 
     rows, columns = ([_wrap_name(name) for name in names] for names in (rows, columns))
-    figure = Figure(figsize=(2.6 + 1.3 * len(columns), 1.9 + 0.55 * len(rows)), dpi=150)
+    figure = Figure(figsize=(2.6 + 1.3 * len(columns), 1.9 + 0.55 * len(rows)), dpi=150, layout="tight")
     axes = figure.add_subplot()
     image = axes.imshow(rates, cmap="viridis_r", vmin=0.0, vmax=1.0, aspect="auto")
-    if max(len(line) for name in columns for line in name.splitlines()) > _MAX_HORIZONTAL_TEXT:
-        axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right", rotation_mode="anchor")
-    else:
-        axes.set_xticks(range(len(columns)), columns)
+    axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right", rotation_mode="anchor")
     axes.set_yticks(range(len(rows)), rows)
-    axes.set_ylabel(axis_labels[0])
-    axes.set_xlabel(axis_labels[1])
-    for row, line in enumerate(rates):
-        for column, rate in enumerate(line):
-            color = "white" if rate > _WHITE_TEXT_THRESHOLD else "black"
-            axes.text(column, row, f"{100 * rate:.0f} %", ha="center", va="center", color=color)
+    axes.set(xlabel=axis_labels[1], ylabel=axis_labels[0])
     axes.set_title(title, fontsize=8)
+    for (row, column), rate in np.ndenumerate(rates):
+        color = "white" if rate > _WHITE_TEXT_THRESHOLD else "black"
+        axes.text(column, row, f"{100 * rate:.0f} %", ha="center", va="center", color=color)
     figure.colorbar(image, ax=axes, label="success")
-    figure.tight_layout()
+    return _save(figure)
+
+
+def _save(figure: Any) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -194,7 +156,5 @@ def draw_heat_map(
 
 def _wrap_name(name: str) -> str:
     """Return a name with line breaks between options, cut off after `_MAX_LINES` lines."""
-    lines = textwrap.wrap(
-        name.replace(",", ", ").replace(":", ": "), _MAX_LINE, max_lines=_MAX_LINES, placeholder=" ..."
-    )
-    return "\n".join(lines)
+    spaced = name.replace(",", ", ").replace(":", ": ")
+    return "\n".join(textwrap.wrap(spaced, _MAX_LINE, max_lines=_MAX_LINES, placeholder=" ..."))

@@ -4,26 +4,26 @@ Needs the extra `replay`.
 """
 
 import contextlib
+import functools
 import io
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from PIL import ImageColor
+from scipy.spatial import cKDTree
 
-from handover_marl.config import TIME_STEP, CameraConfig
-from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
 from handover_marl.execution.options import require_modules
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
+from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LINK
-from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLabel
+from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
+from handover_marl.simulation.camera.images import LABEL_COLORS, JointSnapshot, SegmentationLabel
 from handover_marl.version import __version__
-from handover_marl.visualization.replay_bodies import (
-    LinkTrajectory,
-    compute_link_trajectories,
-    compute_robot_link_poses,
-    find_nearest_point,
-)
 from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame, list_events
 from handover_marl.visualization.web_page import render_page
 
@@ -40,6 +40,10 @@ _ROBOT_COLOR, _GOAL_COLOR, _PLAN_COLOR = (205, 208, 214), (60, 160, 90), (190, 6
 _GROUND_COLOR = (120, 120, 130)  # of the light from below
 _FINGER_CONTACT_COLOR, _HAND_CONTACT_COLOR = (255, 200, 0), (230, 30, 40)
 _FINGER_CONTACT_RADIUS, _HAND_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.025, 0.002  # m
+# Largest number of triangles of a link of the robot and of other bodies; more make the page large without a visible
+# difference.
+_MAX_ROBOT_FACES, _MAX_FACES = 3000, 900
+_CLOUD_LABELS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 _LABEL_HEIGHT = 0.3  # m above the center of the goal region
 _FLAT_SHADING_FACES = 300  # meshes with fewer triangles look better with flat shading
 # Viser hides the scene until its map of the surroundings, from which light comes, has been decoded.
@@ -48,6 +52,25 @@ _SHOW_AT_ONCE = "<style>canvas{opacity:1!important;animation:appear .3s}@keyfram
 END_PAUSE_S = 1.5
 # As the camera of images, but a little nearer.
 _CAMERA = CameraConfig(vertical_fov=42.0, target=(0.5, -0.15, 1.15))
+
+
+@dataclass(frozen=True, eq=False)
+class LinkTrajectory:
+    """Poses of a link over the frames of a replay.
+
+    Attributes:
+        name: Unique name, such as "robot/3".
+        label: Label of the body to which the link belongs.
+        mesh: Visual mesh of the link.
+        poses: (m, 7) world pose at each frame, xyz (m) and quaternion xyzw; (1, 7) if it is fixed.
+        is_present: (m,) whether the link exists at each frame; (1,) if it is fixed.
+    """
+
+    name: str
+    label: SegmentationLabel
+    mesh: VisualMesh
+    poses: Array
+    is_present: npt.NDArray[np.bool_]
 
 
 def require_replay_extra() -> None:
@@ -77,17 +100,12 @@ def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None =
         "replay.html",
         version=__version__,
         title=f"Scene {info.scene_id}, {info.target_name}: {outcome}",
-        mark=format_episode_caption(info.scene_id, log.status, steps),
+        mark=f"scene {info.scene_id}, {log.status.label}, {steps} steps",
         facts=facts,
         events=list_events(log),
         key=build_color_legend(log),
         stage=build_viser_page(log, camera or _CAMERA),
     )
-
-
-def format_episode_caption(scene_id: int, status: EpisodeStatus, steps: int) -> str:
-    """Return the caption near the start of a replay page, which identifies the episode."""
-    return f"scene {scene_id}, {status.label}, {steps} steps"
 
 
 def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
@@ -191,7 +209,7 @@ class _Element:
 
 
 def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
-    color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else _rgb_from_html(LABEL_COLORS[link.label])
+    color = _ROBOT_COLOR if link.label is SegmentationLabel.ROBOT else ImageColor.getrgb(LABEL_COLORS[link.label])[:3]
     is_flat = len(link.mesh.faces) < _FLAT_SHADING_FACES
     mesh = (f"/{link.name}", link.mesh.vertices, link.mesh.faces)
     element = _Element(scene.add_mesh_simple(*mesh, color=color, flat_shading=is_flat, side="double"))
@@ -254,11 +272,10 @@ def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
     """Add the latest observed points of the object and of the person's hand."""
     snapshots, steps = [cloud.snapshot for cloud in log.clouds], np.array([cloud.step for cloud in log.clouds])
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
+    colors = {label: ImageColor.getrgb(LABEL_COLORS[label])[:3] for label in _CLOUD_LABELS}
     clouds = [
-        _add_points(
-            scene, f"/observed/{label.name.lower()}", _rgb_from_html(LABEL_COLORS[label]), 2 * _CLOUD_POINT_RADIUS
-        )
-        for label in (SegmentationLabel.TARGET, SegmentationLabel.HAND)
+        _add_points(scene, f"/observed/{label.name.lower()}", color, 2 * _CLOUD_POINT_RADIUS)
+        for label, color in colors.items()
     ]
 
     def show(index: int, frame: ReplayFrame) -> None:
@@ -305,5 +322,130 @@ def _html_from_rgb(color: Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
-def _rgb_from_html(html: str) -> Color:
-    return int(html[1:3], 16), int(html[3:5], 16), int(html[5:7], 16)
+def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
+    """Yield the trajectories of all links with a visual mesh in a recorded episode.
+
+    Raises:
+        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
+    """
+    assets, config = log.scene.assets, log.config.physics
+    snapshots = [frame.snapshot for frame in log.frames]
+    always = np.ones(len(snapshots), dtype=bool)
+    table = np.array([*config.table_position, 0.0, 0.0, 0.0, 1.0])
+    label = SegmentationLabel.TABLE
+    yield from _compute_body("table", label, assets.table, np.zeros((1, 0)), always[:1], table)
+    label, base, joints = SegmentationLabel.ROBOT, get_robot_base_pose(log), _stack_robot(snapshots)
+    yield from _compute_body("robot", label, assets.panda, joints, always, base)
+    for number, urdf in enumerate(assets.objects):
+        label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
+        joints = np.array([snapshot.objects[number] for snapshot in snapshots])
+        yield from _compute_body(f"object{number}", label, urdf, joints, always)
+    is_present = np.array([snapshot.hand is not None for snapshot in snapshots])
+    if is_present.any():
+        absent = np.zeros(HAND_DOF)
+        joints = np.array([absent if snapshot.hand is None else snapshot.hand for snapshot in snapshots])
+        yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
+
+
+def find_nearest_point(
+    links: Sequence[LinkTrajectory], label: SegmentationLabel, other: SegmentationLabel, frame: int
+) -> Array | None:
+    """Return the vertex of a body that is nearest to another body.
+
+    Args:
+        links: All links of the replay.
+        label: Label of the body on which the vertex is searched.
+        other: Label of the other body.
+        frame: Index of the frame.
+
+    Returns:
+        (3,) world position (m), or None if one of the bodies does not exist.
+    """
+    vertices, others = (_collect_vertices(links, each, frame) for each in (label, other))
+    if not len(vertices) or not len(others):
+        return None
+    distances, _ = cKDTree(others).query(vertices)
+    point: Array = vertices[int(np.argmin(distances))]
+    return point
+
+
+def _collect_vertices(links: Sequence[LinkTrajectory], label: SegmentationLabel, frame: int) -> Array:
+    """Return the world positions (n, 3) of all vertices of a body at a frame (m)."""
+    found = [np.zeros((0, 3))]
+    for link in links:
+        row = min(frame, len(link.poses) - 1)
+        if link.label is label and link.is_present[row]:
+            found.append(transform_points(link.poses[row], link.mesh.vertices.astype(np.float64)))
+    return np.concatenate(found)
+
+
+def get_robot_base_pose(log: EpisodeLog) -> Array:
+    """Return the world pose (7,) of the robot base in an episode, xyz (m) and quaternion xyzw."""
+    panda = log.config.physics.panda
+    return np.array([*panda.base_position, *panda.base_orientation])
+
+
+def compute_robot_link_poses(log: EpisodeLog, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
+    """Return the world poses (m, k, 7) of k links of the robot in m snapshots.
+
+    Args:
+        log: Recorded episode, with the models and the robot's base pose.
+        snapshots: Joint positions at m times.
+        names: Names of the k links.
+
+    Returns:
+        Positions xyz (m) and quaternions xyzw.
+    """
+    trajectory = compute_link_trajectory(log.scene.assets.panda, _stack_robot(snapshots), get_robot_base_pose(log))
+    chosen = [trajectory.names.index(name) for name in names]
+    return poses_from_rotations(trajectory.origins[:, chosen], trajectory.rotations[:, chosen])
+
+
+def _stack_robot(snapshots: Sequence[JointSnapshot]) -> Array:
+    return np.array([snapshot.robot for snapshot in snapshots], dtype=np.float64)
+
+
+def _compute_body(
+    name: str,
+    label: SegmentationLabel,
+    urdf: Path,
+    joints: npt.NDArray[np.floating],
+    is_present: npt.NDArray[np.bool_],
+    base: Array = IDENTITY,
+) -> Iterator[LinkTrajectory]:
+    trajectory = compute_link_trajectory(urdf, joints, base)
+    max_faces = _MAX_ROBOT_FACES if label is SegmentationLabel.ROBOT else _MAX_FACES
+    for mesh in load_simplified_meshes(urdf, urdf.stat().st_mtime_ns, max_faces):
+        poses, present = base[None], is_present[:1]
+        if mesh.link >= 0:
+            origins, rotations = trajectory.origins[:, mesh.link], trajectory.rotations[:, mesh.link]
+            poses, present = poses_from_rotations(origins, rotations), is_present
+        yield LinkTrajectory(f"{name}/{mesh.link + 1}", label, mesh, poses, present)
+
+
+@functools.lru_cache(maxsize=64)
+def load_simplified_meshes(urdf: Path, modified_ns: int, max_faces: int = _MAX_FACES) -> tuple[VisualMesh, ...]:
+    """Return the visual meshes of a model's links with a reduced number of triangles.
+
+    Args:
+        urdf: URDF file of the model.
+        modified_ns: Modification time of the file (ns); a file with another time is read again.
+        max_faces: Largest number of triangles of a link.
+
+    Raises:
+        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
+    """
+    # Imported only here, because they are optional dependencies.
+    import fast_simplification
+    import trimesh
+
+    simplified = []
+    for part in read_visual_meshes(urdf, read_tree(urdf)):
+        # Vertices that triangles do not share would open gaps in the simplified mesh.
+        mesh = trimesh.Trimesh(part.vertices, part.faces, process=False)
+        mesh.merge_vertices(merge_norm=True, merge_tex=True)
+        points, triangles = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
+        if len(triangles) > max_faces:
+            points, triangles = fast_simplification.simplify(points, triangles, target_count=max_faces)
+        simplified.append(VisualMesh(part.link, points.astype(np.float32), triangles.astype(np.int32)))
+    return tuple(simplified)

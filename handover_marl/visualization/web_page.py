@@ -1,9 +1,16 @@
 """Self-contained web pages, rendered from Jinja templates with all values escaped."""
 
-import functools
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+
+_ENVIRONMENT = Environment(
+    loader=PackageLoader("handover_marl.visualization"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
 
 
 def render_page(template: str, **content: Any) -> str:
@@ -13,15 +20,4 @@ def render_page(template: str, **content: Any) -> str:
         template: Name of a file in `templates/`.
         content: Values of the template's variables.
     """
-    return _create_environment().get_template(template).render(**content)
-
-
-@functools.cache
-def _create_environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("handover_marl.visualization"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    return _ENVIRONMENT.get_template(template).render(**content)

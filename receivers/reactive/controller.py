@@ -11,6 +11,7 @@ from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.motion import (
+    FAILED_DURATION,
     IK_ITERATIONS,
     ROTATION_WEIGHT,
     ApproachController,
@@ -22,6 +23,16 @@ from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 
+# Times after the start of closing: until the person must have released the object, and from which empty fingers are
+# noticed (s).
+_CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
+# Gain with which the gripper follows the hand while the fingers close (1/s), and maximum joint acceleration (rad/s^2),
+# high enough that the gripper stops before the fingers push the object.
+_CLOSE_GAIN, _CLOSE_ACCELERATION = 10.0, 100.0
+# Backing out after a missed grasp: distance (m), speed (m/s), maximum time, and time for which the fingers open (s).
+_BACKOUT_DISTANCE, _BACKOUT_SPEED, _BACKOUT_TIMEOUT, _OPENING_TIME = 0.1, 0.3, 1.0, 0.1
+# Amount by which joint limits are narrowed on each side (rad).
+LIMIT_PADDING = 0.03
 _BACKOUT_ROTATION_WEIGHT = 0.3  # m/rad
 _BACKOUT_END = 0.3  # share of the distance that may remain
 
@@ -136,7 +147,7 @@ class HandoverController:
             return self._carry(self._retreat)
         since = scene.time - self._phase_start
         is_empty = float(scene.fingers.max()) < config.empty_finger_position
-        if since > config.close_timeout or (since > config.empty_delay and is_empty):
+        if since > _CLOSE_TIMEOUT or (since > _EMPTY_DELAY and is_empty):
             return self._start_backing_out()
         # Follows the person's hand rather than the object, which the fingers push.
         period = config.close_period
@@ -146,8 +157,8 @@ class HandoverController:
         following = motion.arm.compute_joint_velocity(
             scene.arm_joints, scene.person.velocity, np.zeros(3), ROTATION_WEIGHT, period
         )
-        velocity = following + config.close_gain * (goal[0] - scene.arm_joints)
-        return motion.move_closed(velocity, config.close_acceleration)
+        velocity = following + _CLOSE_GAIN * (goal[0] - scene.arm_joints)
+        return motion.move_closed(velocity, _CLOSE_ACCELERATION)
 
     def _catch(self) -> Action:
         """Return the action that closes the fingers around an object that was released too early and falls."""
@@ -159,27 +170,27 @@ class HandoverController:
         # It may spin, which the gripper cannot follow.
         falling, _ = scene.motion.predict_point_twist(scene.object_pose[:3], period)
         velocity = motion.arm.compute_joint_velocity(scene.arm_joints, falling, np.zeros(3), ROTATION_WEIGHT, period)
-        return motion.catch(velocity, config.close_acceleration)
+        return motion.catch(velocity, _CLOSE_ACCELERATION)
 
     def _start_backing_out(self) -> Action:
         """Start backing out after a miss, with a higher cost of this grasp for a while."""
-        config, scene = self._config.approach, self._scene
-        self._selector.give_up(scene.time + config.failed_duration)
+        scene = self._scene
+        self._selector.give_up(scene.time + FAILED_DURATION)
         self.phase, self._phase_start = ReactivePhase.BACK_OUT, scene.time
-        self._backout_position = transform_points(scene.gripper_pose, np.array([0.0, 0.0, -config.backout_distance]))
+        self._backout_position = transform_points(scene.gripper_pose, np.array([0.0, 0.0, -_BACKOUT_DISTANCE]))
         return self._back_out()
 
     def _back_out(self) -> Action:
-        config, scene, motion = self._config.approach, self._scene, self._motion
+        scene, motion = self._scene, self._motion
         since = scene.time - self._phase_start
         remaining = self._backout_position - scene.gripper_pose[:3]
         distance = float(np.linalg.norm(remaining))
-        if distance < _BACKOUT_END * config.backout_distance or since > config.backout_timeout:
+        if distance < _BACKOUT_END * _BACKOUT_DISTANCE or since > _BACKOUT_TIMEOUT:
             self.phase = ReactivePhase.APPROACH
             return self._approach()
-        if since < config.opening_time:
+        if since < _OPENING_TIME:
             return motion.move_open(np.zeros(ARM_DOF))
-        velocity = config.backout_speed * remaining / distance
+        velocity = _BACKOUT_SPEED * remaining / distance
         period = motion.servo.period
         joint_velocity = motion.arm.compute_joint_velocity(
             scene.arm_joints, velocity, np.zeros(3), _BACKOUT_ROTATION_WEIGHT, period
@@ -215,7 +226,7 @@ class ControllerReceiver(Receiver):
         super().__init__(context)
         self.config = config
         self._wait = milliseconds_from_wait(wait) / 1000.0
-        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, config.limit_padding)
+        self.arm = ArmInWorld.for_panda(context.panda_urdf, context.panda, LIMIT_PADDING)
         self.servo = ArmServo(config.servo, context.panda.motor.position_gain, config.period, TIME_STEP)
         self.selector = GraspSelector(self.arm, self.servo.max_speeds, config)
         self.controller: HandoverController | None = None

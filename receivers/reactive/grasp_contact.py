@@ -24,6 +24,8 @@ Array = npt.NDArray[np.float64]
 # Extent of the fingers in the hand link's frame (m): tip and root along z, half width along x, and
 # inner side along y when they are open.
 _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
+# Minimum distance of an offset grasp's contacts from the tip and edges of a finger pad (m).
+_MIN_OFFSET_PAD_MARGIN = 0.004
 # Depth behind the first contact up to which surface points are touched by a soft pad (m).
 _PAD_SOFTNESS = 0.0015
 
@@ -92,7 +94,7 @@ def find_offset_grasps(
     """Return offset copies of an object's grasps beside a person's hand in its frame, and their pad margins (n,)."""
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff, config.offsets)
     margins = compute_pad_margins(offset.poses, graspable.points)
-    kept = margins > config.selection.min_offset_pad_margin
+    kept = margins > _MIN_OFFSET_PAD_MARGIN
     return offset.select(kept), margins[kept]
 
 

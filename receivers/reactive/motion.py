@@ -17,15 +17,31 @@ from handover_marl.planning.collision_avoidance import (
     select_safe_velocity,
 )
 from handover_marl.policies.policy import Action
-from handover_marl.receivers.reactive.reachability import HOME
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.reactive.selector import GraspGoal, GraspSelector
+from handover_marl.receivers.reactive.selector import HOME, GraspGoal, GraspSelector
 
 Array = npt.NDArray[np.float64]
 
 IK_ITERATIONS = 8
 #: Weight of rotations where the arm follows a moving object (m/rad).
 ROTATION_WEIGHT = 0.1
+# Region before a grasp from which the gripper moves in a straight line relative to the object: axial distance beyond
+# the standoff, lateral distance (m) and rotation error (rad). Axial distances are along the gripper's approach axis.
+_STRAIGHT_MARGIN, _STRAIGHT_LATERAL, _STRAIGHT_ROTATION = 0.05, 0.06, 0.5
+# Region in which the selected grasp is kept, and lateral distance within which the object is between the fingers at
+# half of its axial distance, so that the gripper does not go back to correct its pose (m, rad).
+_COMMIT_DISTANCE, _COMMIT_LATERAL, _COMMIT_ROTATION, _ENCLOSED_LATERAL = 0.06, 0.03, 0.3, 0.015
+# Increase of the lateral and rotation tolerances per axial metre before the grasp (1, rad/m).
+_LATERAL_FUNNEL, _ROTATION_FUNNEL = 0.3, 1.0
+# Gain on the remaining joint error (1/s), maximum joint speed besides the one that follows the object (rad/s), and
+# maximum change of the seed of inverse kinematics towards the selected configuration (rad).
+_POSITION_GAIN, _MAX_JOINT_SPEED, _MAX_POSTURE_CHANGE = 20.0, 1.3, 0.05
+# Distance from the grasp within which the fingers close around an object that the person has released already (m).
+_CATCH_DISTANCE = 0.02
+# Time without progress after which a grasp is given up (s).
+_STALL_TIMEOUT = 0.8
+#: Time for which a failed grasp has a higher cost (s).
+FAILED_DURATION = 4.0
 # The remaining distance must fall below this share of its last value to count as progress.
 _PROGRESS_RATIO = 0.95
 # Speed factors that are tried where the full speed would violate a clearance.
@@ -150,9 +166,9 @@ class ApproachController:
         factor = scene.tolerance_factor
         # The fingers close along y and center what is between them, which tolerates more error there.
         axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _compute_angle(error)
-        max_lateral = config.straight_lateral if axial > config.commit_distance else config.commit_lateral
-        is_in_front = axial < config.standoff + config.straight_margin and lateral < max_lateral
-        self.is_near = is_in_front and rotation < config.straight_rotation
+        max_lateral = _STRAIGHT_LATERAL if axial > _COMMIT_DISTANCE else _COMMIT_LATERAL
+        is_in_front = axial < config.standoff + _STRAIGHT_MARGIN and lateral < max_lateral
+        self.is_near = is_in_front and rotation < _STRAIGHT_ROTATION
         if not self.is_near:
             self._check_progress(float(np.abs(goal.standoff_joints - scene.arm_joints).max()))
             waypoint = goal.standoff_joints if goal.via_joints is None else goal.via_joints
@@ -170,7 +186,7 @@ class ApproachController:
     def is_catchable(self, goal: GraspGoal) -> bool:
         """Return whether the object of a grasp is still between the fingers, so that they may catch it."""
         error = self._selector.compute_grasp_error(goal, self._scene.object_pose, self._scene.gripper_pose)
-        return float(np.linalg.norm(error[:3])) < self._config.catch_distance
+        return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
         """Return the object's speed (m/s), relative to the gripper, in the grasp's frame, if it is held in the air."""
@@ -183,12 +199,12 @@ class ApproachController:
 
     def _select_goal(self) -> GraspGoal | None:
         """Return the grasp to approach: the previous one while the fingers are close to it."""
-        config, scene, chosen = self._config, self._scene, self._selector.chosen
+        scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
             error = self._selector.compute_grasp_error(chosen, scene.object_pose, scene.gripper_pose)
             lateral = float(np.hypot(error[0], error[1]))
-            is_close = -error[2] < config.commit_distance and lateral < config.commit_lateral
-            if is_close and _compute_angle(error) < config.commit_rotation:
+            is_close = -error[2] < _COMMIT_DISTANCE and lateral < _COMMIT_LATERAL
+            if is_close and _compute_angle(error) < _COMMIT_ROTATION:
                 return chosen
         if scene.time - self._selected_at < self._period - TIME_STEP:
             return chosen
@@ -202,8 +218,8 @@ class ApproachController:
         """Return the next axial distance from the grasp (m)."""
         config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
         before, speed = max(axial, 0.0), motion.speed
-        is_aligned = lateral < factor * (config.lateral_tolerance + config.lateral_funnel * before)
-        is_aligned &= rotation < factor * (config.rotation_tolerance + config.rotation_funnel * before)
+        is_aligned = lateral < factor * (config.lateral_tolerance + _LATERAL_FUNNEL * before)
+        is_aligned &= rotation < factor * (config.rotation_tolerance + _ROTATION_FUNNEL * before)
         if is_aligned and speed < (config.max_held_still_speed if motion.is_held_still else config.max_object_speed):
             period = self._motion.servo.period
             half = 0.5 * config.deceleration * period
@@ -211,7 +227,7 @@ class ApproachController:
             return max(0.0, before - min(config.speed, braking_speed) * period)
         if is_aligned and axial < config.standoff and speed < 2.0 * config.max_object_speed:
             return before
-        is_enclosed = axial < 0.5 * config.commit_distance and lateral < config.enclosed_lateral
+        is_enclosed = axial < 0.5 * _COMMIT_DISTANCE and lateral < _ENCLOSED_LATERAL
         return axial if is_enclosed and factor == 1.0 else config.standoff
 
     def _approach_straight(self, goal: GraspGoal, depth: float) -> Action:
@@ -223,10 +239,10 @@ class ApproachController:
         # limits may be in the way, and to go there at once would swing the hand aside.
         share = depth / config.standoff
         change = goal.grasp_joints + share * (goal.standoff_joints - goal.grasp_joints) - scene.arm_joints
-        scale = config.max_posture_change / max(float(np.abs(change).max()), config.max_posture_change)
+        scale = _MAX_POSTURE_CHANGE / max(float(np.abs(change).max()), _MAX_POSTURE_CHANGE)
         joints, _ = arm.solve(pose[None], (scene.arm_joints + scale * change)[None], IK_ITERATIONS)
-        velocity = config.position_gain * (joints[0] - scene.arm_joints)
-        velocity *= min(1.0, config.max_joint_speed / max(float(np.abs(velocity).max()), 1e-9))
+        velocity = _POSITION_GAIN * (joints[0] - scene.arm_joints)
+        velocity *= min(1.0, _MAX_JOINT_SPEED / max(float(np.abs(velocity).max()), 1e-9))
         period = self._motion.servo.period
         linear, angular = scene.predict_point_twist(pose[:3], period)
         following = arm.compute_joint_velocity(scene.arm_joints, linear, angular, ROTATION_WEIGHT, period)
@@ -237,8 +253,8 @@ class ApproachController:
         time = self._scene.time
         if remaining < _PROGRESS_RATIO * self._remaining or not self._scene.is_settled:
             self._remaining, self._remaining_at = remaining, time
-        elif time - self._remaining_at > self._config.stall_timeout:
-            self._selector.give_up(time + self._config.failed_duration)
+        elif time - self._remaining_at > _STALL_TIMEOUT:
+            self._selector.give_up(time + FAILED_DURATION)
 
 
 def _compute_angle(pose: Array) -> float:

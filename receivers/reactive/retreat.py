@@ -16,7 +16,7 @@ from handover_marl.planning.clearance import (
     compute_open_gripper_clearances,
 )
 from handover_marl.receivers.reactive.config import RetreatConfig
-from handover_marl.receivers.reactive.reachability import HOME, IK_SEEDS
+from handover_marl.receivers.reactive.selector import HOME, IK_SEEDS
 
 Array = npt.NDArray[np.float64]
 
@@ -29,6 +29,13 @@ _ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
 _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
 # The same for other objects, which may be narrow.
 _OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
+# Gain (1/s) and weight (m/rad) of rotations on the straight path out of the hand, and maximum time on it (s).
+_ROTATION_GAIN, _ROTATION_WEIGHT, _BACKOUT_TIMEOUT = 2.0, 0.1, 0.4
+# Number of final configurations whose paths are checked, and minimum joint difference between a newly selected one and
+# all previous ones (rad).
+_MAX_PATH_CHECKS, _MIN_JOINT_DIFFERENCE = 40, 0.5
+# Time without progress after which another final configuration is selected (s), and joint error of one that is reached.
+_STALL_TIMEOUT, _JOINT_TOLERANCE = 0.6, 0.05
 # Radii of column, upper arm and forearm, the lines between base, shoulder, elbow and wrist (m).
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
 _SPHERES_PER_LINK = 6
@@ -81,27 +88,27 @@ class RetreatController:
         config, period = self._config, self._servo.period
         self._started_at = time if self._started_at is None else self._started_at
         distance = float((gripper_pose[:3] - self._start[:3]) @ self._back)
-        progress = max(distance / config.backout_distance, (time - self._started_at) / config.backout_timeout)
+        progress = max(distance / config.backout_distance, (time - self._started_at) / _BACKOUT_TIMEOUT)
         self._blend = float(np.clip(progress, self._blend, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
         to_end = self._servo.limit_speed(self._servo.compute_goal_velocity(joints, self._end))
         if self._blend >= 1.0:
             return to_end
         rotation = (Rotation.from_quat(self._start[3:]) * Rotation.from_quat(gripper_pose[3:]).inv()).as_rotvec()
-        linear, angular = self._speed * self._back, config.rotation_gain * rotation
-        out = self._arm.compute_joint_velocity(joints, linear, angular, config.rotation_weight, period)
+        linear, angular = self._speed * self._back, _ROTATION_GAIN * rotation
+        out = self._arm.compute_joint_velocity(joints, linear, angular, _ROTATION_WEIGHT, period)
         return np.asarray((1.0 - self._blend) * out + self._blend * to_end)
 
     def _is_stalled(self, time: float, remaining: float) -> bool:
-        if remaining < self._config.progress_ratio * self._remaining or remaining < self._config.joint_tolerance:
+        if remaining < self._config.progress_ratio * self._remaining or remaining < _JOINT_TOLERANCE:
             self._remaining, self._remaining_at = remaining, time
-        return time - self._remaining_at > self._config.stall_timeout
+        return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
         """Return the configuration (7,) near the goal that is reached soonest on a clear path."""
         ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
-        fastest = order[: self._config.max_path_checks]
+        fastest = order[:_MAX_PATH_CHECKS]
         clear = [n for n in fastest if times[n] < 0.5 * _UNREACHABLE and self._is_clear_of_arm(joints, ends[n])]
         beside = [n for n in clear if self._is_clear_of_obstacles(joints, ends[n])] or clear
         for number in beside:
@@ -122,7 +129,7 @@ class RetreatController:
         times = (np.abs(ends - joints) / self._servo.max_speeds).max(axis=1)
         times[~is_reached] = _UNREACHABLE
         for other in self._rejected:
-            is_similar = np.abs(ends - other).max(axis=1) < self._config.min_joint_difference
+            is_similar = np.abs(ends - other).max(axis=1) < _MIN_JOINT_DIFFERENCE
             times[is_similar] += 0.5 * _UNREACHABLE
         return ends, times
 

@@ -18,6 +18,19 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 
 Array = npt.NDArray[np.float64]
 
+# Factor on tolerances of the approach for an object that is held almost still in the air.
+_HELD_STILL_TOLERANCE_FACTOR = 2.0
+# Maximum decrease of the finger positions per second, as a share of these, of fingers that the object blocks (1/s).
+_MAX_GRIP_CLOSING_RATE = 3.0
+# Speed of a held object relative to the hand above which the gripper, which pushes it, follows the hand instead (m/s).
+_MAX_RELATIVE_SPEED = 0.25
+# Distance of the object from the hand link below which it is near (m), and speed above which something moves (m/s).
+_NEAR_DISTANCE, _NEAR_SPEED = 0.3, 0.1
+# Time at rest after which an object counts as settled; an object that was not lifted counts as handed over after a time
+# at rest beside a still hand, not before a time of the episode, and without a hand from a time of the episode (s).
+_SETTLE_TIME, _STILL_TIME, _STILL_START, _NO_HAND_START = 0.2, 0.6, 1.5, 3.0
+# Distance of the nearest keypoint of a hand that is beside the object, and of objects from the base within reach (m).
+_HAND_DISTANCE, _OBSTACLE_REACH = 0.15, 1.1
 _MIN_OPENING = 1e-4  # m
 
 
@@ -56,7 +69,7 @@ class SceneEstimate(ABC):
 
     def set_obstacles(self, spheres: Spheres) -> None:
         """Set the other objects to the spheres in the world that are within reach of the arm."""
-        reachable = spheres.select_within(self._arm.base[:3], self.config.obstacle_reach)
+        reachable = spheres.select_within(self._arm.base[:3], _OBSTACLE_REACH)
         self.obstacles = reachable if len(reachable.radii) else None
 
     @abstractmethod
@@ -113,30 +126,30 @@ class SceneEstimate(ABC):
         """Whether the person has lifted the object, or has left it at rest beside a still hand."""
         config, person = self.config, self.person
         if person.spheres is None:
-            return self.time > config.no_hand_start
+            return self.time > _NO_HAND_START
         if self.motion.lift_distance > config.min_lift:
             return True
-        is_near = person.compute_distance(self.object_pose[:3]) < config.hand_distance
+        is_near = person.compute_distance(self.object_pose[:3]) < _HAND_DISTANCE
         is_beside = is_near and person.speed < config.prediction.rest_speed
-        return is_beside and self.motion.rest_time > config.still_time and self.time > config.still_start
+        return is_beside and self.motion.rest_time > _STILL_TIME and self.time > _STILL_START
 
     @property
     def is_settled(self) -> bool:
         """Whether the object is at rest, or is held almost still in the air."""
-        return self.motion.rest_time > self.config.settle_time or self.motion.is_held_still
+        return self.motion.rest_time > _SETTLE_TIME or self.motion.is_held_still
 
     @property
     def has_motion_nearby(self) -> bool:
         """Whether the object is near the gripper and the object or the person's hand moves."""
         distance = float(np.linalg.norm(self.object_pose[:3] - self.gripper_pose[:3]))
-        is_near = distance < self.config.near_distance
-        return is_near and max(self.motion.speed, self.person.speed) > self.config.near_speed
+        is_near = distance < _NEAR_DISTANCE
+        return is_near and max(self.motion.speed, self.person.speed) > _NEAR_SPEED
 
     @property
     def tolerance_factor(self) -> float:
         """Factor on tolerances of the approach: above 1 for a slowly moving object in the air, else 1."""
         is_moving = self.motion.is_held_still and self.motion.rest_time == 0.0
-        return self.config.approach.held_still_tolerance_factor if is_moving else 1.0
+        return _HELD_STILL_TOLERANCE_FACTOR if is_moving else 1.0
 
 
 class PoseSceneEstimate(SceneEstimate):
@@ -187,7 +200,7 @@ class PoseSceneEstimate(SceneEstimate):
         """Predict the velocities of a point on the object; an object that the gripper pushes follows the hand."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
-        if is_held and float(np.linalg.norm(relative)) > self.config.approach.max_relative_speed:
+        if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:
             # To follow the pushed object would push it on.
             return self.person.velocity, np.zeros(3)
         return super().predict_point_twist(point, ahead)
@@ -200,7 +213,7 @@ class PoseSceneEstimate(SceneEstimate):
     @property
     def is_gripping(self) -> bool:
         """Whether the object blocks the closing fingers."""
-        return self._closing_rate < self.config.approach.max_grip_closing_rate
+        return self._closing_rate < _MAX_GRIP_CLOSING_RATE
 
     def _update_obstacles(self, observation: Observation) -> None:
         """Locate the objects besides the first one, which is handed over."""

@@ -8,20 +8,64 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.geometry.arrays import Indices
-from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.panda import HALF_TURN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
+from handover_marl.planning.clearance import (
+    Spheres,
+    compute_arm_clearances,
+    compute_grasp_clearances,
+    compute_gripper_corners,
+    compute_lowest_heights,
+)
 from handover_marl.planning.collision_avoidance import PathObstacles, find_via_point, is_path_clear
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import GraspableObject, compute_hold_costs, find_offset_grasps
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps
-from handover_marl.receivers.reactive.reachability import FALLBACK_IK_SEEDS, HOME, IK_SEEDS, GraspReachability
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 
 Array = npt.NDArray[np.float64]
 
+HOME = np.array(WAITING_JOINTS[:7])
+#: Configurations at which inverse kinematics starts: a greedy cover of what the arm reaches quickly
+#: from its waiting pose.
+IK_SEEDS = np.array(
+    [
+        HOME,
+        (-0.386, 0.559, 0.048, -2.175, -1.173, 1.994, 0.797),
+        (0.276, 0.693, 0.397, -2.782, 1.358, 2.557, -0.02),
+    ]
+)
+#: Further configurations that are used where none of `IK_SEEDS` has led to a grasp.
+FALLBACK_IK_SEEDS = np.array(
+    [
+        (0.641, -1.612, -0.197, -2.53, -0.095, 1.678, 0.587),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 1.678, -0.913),
+        (-0.059, -1.612, -1.097, -2.53, -0.095, 1.678, 0.587),
+        (0.7, 0.2, 0.0, -2.0, 0.0, 2.2, 0.785),
+        (-0.059, -1.612, -0.197, -2.53, -0.095, 0.878, 0.587),
+        (2.0, 0.23, -2.85, -1.69, 0.056, 1.46, -1.27),
+    ]
+)
+_STANDOFF_ITERATIONS, _GRASP_ITERATIONS = 12, 6
 _NO_HAND_CLEARANCE = 0.2  # m
+# Costs, in seconds as the travel time of the arm: of rotating the hand from its waiting pose (s/rad), of clearance to
+# other objects and of distance to joint limits below the desired ones (s/m, s/rad), of a path that is not clear, and of
+# a grasp that has failed in this episode (s).
+_ROTATION_COST, _OBSTACLE_COST, _LIMIT_MARGIN_COST, _BLOCKED_PATH_COST, _FAILED_COST = 0.5, 100.0, 2.0, 2.0, 10.0
+_DESIRED_OBSTACLE_CLEARANCE, _DESIRED_LIMIT_MARGIN = 0.02, 0.3  # m, rad
+# Minimum clearances (m): of gripper and arm to the table, of forearm and wrist to hand and object, and on paths.
+_TABLE_CLEARANCE, _ARM_CLEARANCE, _PATH_CLEARANCE = 0.005, 0.005, 0.01
+# Rate at which the minimum clearance to the hand decreases while no grasp satisfies it (m/s), and factor on it while
+# grasps exist that are out of reach.
+_CLEARANCE_RELAXATION, _UNREACHABLE_RELAXATION = 0.01, 0.3
+# Hold cost above which a selected grasp does not count as good (s), and factor on the number of candidates once offset
+# grasps are added.
+_POOR_HOLD_COST, _OFFSET_CANDIDATE_FACTOR = 1.5, 4
+# Numbers of paths and via points that are checked in a decision, and joint change between standoff and grasp (rad).
+_MAX_PATH_CHECKS, _MAX_VIA_POINTS, _MAX_JOINT_CHANGE = 6, 24, 0.8
+# Cost difference for which the selected grasp is replaced (s), and its increase once the gripper is in front of it.
+_SWITCH_MARGIN, _NEAR_SWITCH_MARGIN = 0.3, 0.5
 # Cost that no sum of other costs reaches: the grasp must not be selected (s).
 _FORBIDDEN = 100.0
 # After this many batches of candidates without a reachable one, only every tenth decision searches.
@@ -65,7 +109,7 @@ class GraspSelector:
 
     def __init__(self, arm: ArmInWorld, speeds: Array, config: ReactiveConfig) -> None:
         self._arm, self._speeds, self._config, self._receiver_config = arm, speeds, config.selection, config
-        self._reachability = GraspReachability(arm, speeds, config.selection, config.approach.standoff)
+        self._grasp_from_standoff = np.array([0.0, 0.0, -config.approach.standoff, 0.0, 0.0, 0.0, 1.0])
         self._home_rotation = Rotation.from_quat(arm.compute_hand_pose(HOME)[3:])
         self.reset()
 
@@ -122,16 +166,16 @@ class GraspSelector:
             self._report_failure("no clearance", scene.is_settled, 1.0)
             return None
         bodies = scene.predict_bodies(handover_pose, self.surface)
-        obstacles = PathObstacles(bodies, TABLE_HEIGHT, self._config.path_clearance)
+        obstacles = PathObstacles(bodies, TABLE_HEIGHT, _PATH_CLEARANCE)
         costs, standoffs, goals = self._compute_costs(rough[numbers], world[numbers], joints, obstacles.spheres)
         best = self._choose_with_hysteresis(numbers, costs, standoffs, joints, obstacles, is_near)
         if costs[best] >= _FORBIDDEN:
             self._batch += 1
-            self._report_failure("out of reach", scene.is_settled, self._config.unreachable_relaxation)
+            self._report_failure("out of reach", scene.is_settled, _UNREACHABLE_RELAXATION)
             return None
         number = int(numbers[best])
         self._batch, self.failure_reason = 0, ""
-        is_poor = self._hold_costs[number] > self._config.poor_hold_cost
+        is_poor = self._hold_costs[number] > _POOR_HOLD_COST
         self._poor_time += self._receiver_config.period if is_poor else 0.0
         via = None if is_near else self._find_via_point(standoffs[best], joints, obstacles)
         self.chosen = GraspGoal(number, standoffs[best], goals[best], via)
@@ -143,7 +187,7 @@ class GraspSelector:
 
     def compute_standoff_pose(self, grasp_pose: Array) -> Array:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
-        return np.asarray(compose(grasp_pose, self._reachability.grasp_from_standoff))
+        return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
         """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
@@ -173,9 +217,9 @@ class GraspSelector:
 
     def _compute_switch_margin(self, is_near: bool) -> float:
         """Return the cost difference (s) for which the selected grasp is replaced."""
-        margin = self._config.switch_margin + (self._config.near_switch_margin if is_near else 0.0)
+        margin = _SWITCH_MARGIN + (_NEAR_SWITCH_MARGIN if is_near else 0.0)
         if self.chosen is not None and self.chosen.via_joints is not None:
-            margin += self._config.blocked_path_cost
+            margin += _BLOCKED_PATH_COST
         return margin
 
     def _compute_clearances(self, scene: SceneEstimate) -> Array:
@@ -190,15 +234,15 @@ class GraspSelector:
         config = self._config
         rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         missing = np.maximum(0.0, config.desired_clearance - clearances)
-        costs: Array = self._hold_costs + config.rotation_cost * rotations + config.clearance_cost * missing
-        relaxed = config.min_clearance - config.clearance_relaxation * self._relaxing_time
+        costs: Array = self._hold_costs + _ROTATION_COST * rotations + config.clearance_cost * missing
+        relaxed = config.min_clearance - _CLEARANCE_RELAXATION * self._relaxing_time
         costs[clearances < max(config.hard_min_clearance, relaxed)] += _FORBIDDEN
-        poses = (world, compose(world, self._reachability.grasp_from_standoff))
+        poses = (world, compose(world, self._grasp_from_standoff))
         heights = np.minimum(*(compute_gripper_corners(pose)[..., 2].min(axis=1) for pose in poses))
-        costs[heights < TABLE_HEIGHT + config.table_clearance] += _FORBIDDEN
+        costs[heights < TABLE_HEIGHT + _TABLE_CLEARANCE] += _FORBIDDEN
         for number, until in self.failed.items():
             if time < until:
-                costs[number] += config.failed_cost
+                costs[number] += _FAILED_COST
         return costs
 
     def _compute_obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
@@ -209,14 +253,14 @@ class GraspSelector:
         if not len(near.radii):
             return 0.0
         clearances = compute_grasp_clearances(world, near, self._receiver_config.approach.standoff)
-        missing = np.maximum(0.0, self._config.desired_obstacle_clearance - clearances)
-        return np.asarray(self._config.obstacle_cost * missing)
+        missing = np.maximum(0.0, _DESIRED_OBSTACLE_CLEARANCE - clearances)
+        return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
         """Return the cheapest grasps, the next ones while none is reachable, and the selected."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
-        count = self._config.max_candidates * (self._config.offset_candidate_factor if self._has_offsets else 1)
+        count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
         numbers = np.roll(order, -self._batch * count)[:count]
         if len(numbers) and self.chosen is not None and self.chosen.number not in numbers:
             numbers = np.append(numbers, self.chosen.number)
@@ -226,12 +270,50 @@ class GraspSelector:
         """Return the costs (k,) in s without those of paths, and joints (k, 7) at standoffs and grasps."""
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
-        reach = self._reachability
-        standoffs, goals, is_reached = reach.solve(world, joints, previous, self._batch > 0)
-        costs = rough + reach.compute_travel_times(standoffs, joints)
-        costs = costs + reach.compute_limit_margin_costs(standoffs, goals)
-        costs[~(is_reached & reach.is_arm_clear(goals, bodies))] += _FORBIDDEN
+        standoffs, goals, is_reached = self._solve_ik(world, joints, previous, self._batch > 0)
+        costs = rough + self._compute_travel_times(standoffs, joints)
+        costs = costs + self._compute_limit_margin_costs(standoffs, goals)
+        costs[~(is_reached & self._is_arm_clear(goals, bodies))] += _FORBIDDEN
         return costs, standoffs, goals
+
+    def _solve_ik(
+        self, grasps: Array, joints: Array, previous: Array | None, use_fallback: bool
+    ) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+        """Solve inverse kinematics of grasps (n, 7) of the hand link and their standoffs from several seeds.
+
+        For each grasp, the solution that the arm at `joints` reaches soonest is returned: configurations (n, 7)
+        in rad at the standoffs and at the grasps, and whether they exist (n,). Searches also start at the
+        `previous` configuration, if any, and at the fallback ones, if wanted.
+        """
+        seeds = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS]) if use_fallback else IK_SEEDS
+        if previous is not None:
+            seeds = np.concatenate([previous[None], seeds])
+        count, copies = len(grasps), len(seeds)
+        poses = np.tile(grasps, (copies, 1))
+        standoff_poses = compose(poses, self._grasp_from_standoff)
+        standoffs, found = self._arm.solve(standoff_poses, np.repeat(seeds, count, axis=0), _STANDOFF_ITERATIONS)
+        goals, is_goal_found = self._arm.solve(poses, standoffs, _GRASP_ITERATIONS)
+        found &= is_goal_found & (np.abs(goals - standoffs).max(axis=1) < _MAX_JOINT_CHANGE)
+        times = np.where(found, self._compute_travel_times(standoffs, joints), np.inf).reshape(copies, count)
+        best = np.argmin(times, axis=0) * count + np.arange(count)
+        return standoffs[best], goals[best], found[best]
+
+    def _compute_travel_times(self, standoffs: Array, joints: Array) -> Array:
+        """Return the travel times (n,) in s of the arm from joints (7,) to standoff configurations (n, 7)."""
+        return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
+
+    def _compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
+        """Return the costs (n,) in s of grasps whose configurations (n, 7) are close to joint limits."""
+        low, high = self._arm.limits
+        margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
+        missing = np.maximum(0.0, _DESIRED_LIMIT_MARGIN - margins)
+        return np.asarray(_LIMIT_MARGIN_COST * missing)
+
+    def _is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
+        """Return whether (n,) forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
+        is_clear = compute_arm_clearances(self._arm, goals, bodies) > _ARM_CLEARANCE
+        lowest = compute_lowest_heights(self._arm, goals)
+        return np.asarray(is_clear & (lowest > TABLE_HEIGHT + _TABLE_CLEARANCE))
 
     def _choose_with_hysteresis(
         self, numbers: Indices, costs: Array, standoffs: Array, joints: Array, obstacles: PathObstacles, is_near: bool
@@ -256,10 +338,10 @@ class GraspSelector:
         """
         checked = set[int]()
         best = int(np.argmin(costs)) if old is None else old
-        while best not in checked and len(checked) < self._config.max_path_checks:
+        while best not in checked and len(checked) < _MAX_PATH_CHECKS:
             checked.add(best)
             if not is_path_clear(self._arm, joints, standoffs[best], obstacles):
-                costs[best] += self._config.blocked_path_cost
+                costs[best] += _BLOCKED_PATH_COST
             best = int(np.argmin(costs))
         return best
 
@@ -273,5 +355,4 @@ class GraspSelector:
         ):
             return previous
         known = np.concatenate([IK_SEEDS, FALLBACK_IK_SEEDS])
-        most = self._config.max_via_points
-        return find_via_point(self._arm, joints, standoff, known, self._speeds, obstacles, most)
+        return find_via_point(self._arm, joints, standoff, known, self._speeds, obstacles, _MAX_VIA_POINTS)

@@ -4,16 +4,47 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.panda import HALF_TURN
+from handover_marl.geometry.panda import HALF_TURN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, transform_points
 from handover_marl.planning.clearance import Spheres
 from handover_marl.receivers.reactive.grasps import make_offset_pose
-from handover_marl.receivers.vision.config import GraspTrackerConfig
-from handover_marl.receivers.vision.finger_clearance import shift_to_avoid_collisions
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
 from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PointMap, PositionFilter
 
 Array = npt.NDArray[np.float64]
+
+# Smallest number of object points in a view, below which the object counts as not visible; time without a view after
+# which the tracker is reset at the next view (s).
+_MIN_POINTS, LOST_TIMEOUT = 20, 0.12
+# Candidates: maximum number, minimum predicted quality, and cost of a quality of 1/e (s).
+_MAX_GRASPS, _MIN_QUALITY, COST_SCALE = 48, 0.02, 3.0
+# Rotations about the line between the pads (rad) of copies that are added if no candidate is suitable; their cost (s).
+_TILTS, _TILT_COST = (-0.35, 0.35, -0.7, 0.7), 1.5
+# Distance below which two grasps count as the same (m), with the weight of rotations (m/rad); costs of the selected
+# grasp in each view in which it is not predicted, and of a grasp that has failed (s).
+_SAME_DISTANCE, _ROTATION_WEIGHT, _UNSEEN_COST, _FAILED_COST = 0.03, 0.06, 0.1, 10.0
+# Filter gains while the object is far from the gripper; while it is closer than _NEAR_DISTANCE (m), where it hides the
+# person's hand, so that no points are removed from the maps; while the selected grasp is closer than _FINAL_DISTANCE.
+_FAR_GAINS, _NEAR_GAINS, _FINAL_GAINS = (
+    FilterGains(0.5, 0.1, 0.4),
+    FilterGains(0.9, 0.1, 0.1),
+    FilterGains(0.9, 0.1, 0.02),
+)
+_NEAR_DISTANCE, _FINAL_DISTANCE = 0.3, 0.07
+# Registration: maximum distance of matched points (m), shares of matched points below which it has failed and below
+# which a new keyframe is taken, and distance from the predicted center beyond which another body is tracked (m).
+_MAX_MATCH_DISTANCE, _MIN_MATCHED_SHARE, _KEYFRAME_SHARE, _MAX_CENTER_ERROR = 0.03, 0.3, 0.6, 0.05
+# Speed below which the object is taken to be at rest (m/s), and share of the velocity lost in a view without it.
+_REST_SPEED, _VELOCITY_DECAY = 0.04, 0.4
+# Radius of the spheres at points (m), edge length of the voxels that keep one point each (m), and times after which
+# points are removed (s), shorter for the object, which rotates while it is lifted.
+_SPHERE_RADIUS, _VOXEL_SIZE, _HAND_MEMORY, _OBJECT_MEMORY = 0.01, 0.012, 1.5, 0.4
+# Open fingers in the hand link's frame (m), which close along y and approach along z: sides, half width along x, tip.
+_INNER_Y, _OUTER_Y, _HALF_WIDTH, _TIP_Z = 0.039, 0.056, 0.01, 0.112
+# Finger collisions: number of points that are checked, shifts that are tried, the smallest first (m), costs of a shift
+# and of the remaining penetration depth (s/m), and depth without a cost (m).
+_N_FINGER_POINTS, _LATERAL_SHIFTS = 400, (0.0, -0.006, 0.006, -0.012, 0.012, -0.018, 0.018)
+SHIFT_COST, COLLISION_COST, _FREE_DEPTH = 20.0, 60.0, 0.003
 
 
 class GraspTracker:
@@ -21,7 +52,6 @@ class GraspTracker:
 
     Args:
         predict: Function that predicts grasps from a point cloud.
-        config: Configuration of the tracker.
         seed: Seed of the points that are sampled for the prediction.
 
     Attributes:
@@ -36,14 +66,14 @@ class GraspTracker:
         lost_timeout: Time without a view of the object after which the tracker is reset at the next view (s).
     """
 
-    def __init__(self, predict: GraspPredictor, config: GraspTrackerConfig, seed: int | None) -> None:
-        self._predict, self._config = predict, config
+    def __init__(self, predict: GraspPredictor, seed: int | None) -> None:
+        self._predict = predict
         self._rng = np.random.default_rng(0 if seed is None else seed)
         self.grasps, self.costs = np.zeros((0, 7)), np.zeros(0)
         self.surface = Spheres(np.zeros((1, 3)), np.zeros(1))
         self.human_hand: Spheres | None = None
         self.use_all = False
-        self.lost_timeout = config.lost_timeout
+        self.lost_timeout = LOST_TIMEOUT
         self._seen_at = -np.inf
         self.selected: Array | None = None
         self._selected_cost = 0.0
@@ -52,10 +82,9 @@ class GraspTracker:
 
     def _restart(self) -> None:
         """Forget the object's motion, the points and the selected grasp."""
-        config = self._config
-        self.position = PositionFilter(config.velocity_decay)
-        self._object_map = PointMap(config.voxel_size, config.object_memory)
-        self._hand_map = PointMap(config.voxel_size, config.hand_memory)
+        self.position = PositionFilter(_VELOCITY_DECAY)
+        self._object_map = PointMap(_VOXEL_SIZE, _OBJECT_MEMORY)
+        self._hand_map = PointMap(_VOXEL_SIZE, _HAND_MEMORY)
         self.selected = None
         self._keyframe: Keyframe | None = None
 
@@ -73,7 +102,7 @@ class GraspTracker:
     @property
     def velocity(self) -> Array:
         """(3,) velocity of the object and of the person's hand in the world (m/s)."""
-        is_moving = float(np.linalg.norm(self.position.velocity)) > self._config.rest_speed
+        is_moving = float(np.linalg.norm(self.position.velocity)) > _REST_SPEED
         return self.position.velocity if is_moving else np.zeros(3)
 
     def compute_unseen_time(self, time: float) -> float:
@@ -90,11 +119,10 @@ class GraspTracker:
         Points (n, 3) of the object and of the person's hand are in the hand link's frame (m), given by its
         world pose (7,).
         """
-        config = self._config
-        if len(object_points) < config.min_points:
+        if len(object_points) < _MIN_POINTS:
             self.position.coast(time)
             self._update_maps(time, gripper_pose, object_points, hand_points)
-            self._set_candidates(np.zeros((0, 7)), np.zeros(0), time, config.far_gains)
+            self._set_candidates(np.zeros((0, 7)), np.zeros(0), time, _FAR_GAINS)
             return
         if self.compute_unseen_time(time) > self.lost_timeout:
             self._restart()
@@ -104,12 +132,12 @@ class GraspTracker:
         gains = self._select_gains(gripper_pose)
         self._update_position(time, gripper_pose, object_points, prediction, gains)
         self._update_maps(time, gripper_pose, object_points, hand_points)
-        checked = object_points[:: max(1, len(object_points) // config.n_finger_points)]
+        checked = object_points[:: max(1, len(object_points) // _N_FINGER_POINTS)]
         grasps, costs = self._compute_candidates(prediction, checked, gripper_pose)
-        if self.selected is not None and gains is not config.final_gains:
+        if self.selected is not None and gains is not _FINAL_GAINS:
             points = transform_points(gripper_pose, checked) - self.object_pose[:3]
-            shifted, extra = shift_to_avoid_collisions(self.selected[None], points, config.fingers)
-            self.selected, self._selected_cost = shifted[0], self._selected_cost + config.unseen_cost * float(extra[0])
+            shifted, extra = shift_to_avoid_collisions(self.selected[None], points)
+            self.selected, self._selected_cost = shifted[0], self._selected_cost + _UNSEEN_COST * float(extra[0])
         self._set_candidates(grasps, costs, time, gains)
 
     def _compute_candidates(
@@ -119,34 +147,33 @@ class GraspTracker:
 
         Points (k, 3) of the object, for finger collisions, are in the hand link's frame (m).
         """
-        config, quality = self._config, prediction.quality
+        quality = prediction.quality
         order = np.argsort(-quality, kind="stable")
         if not self.use_all:
-            order = order[: config.max_grasps]
-            order = order[quality[order] > config.min_quality]
-        shifted, extra = shift_to_avoid_collisions(prediction.grasps[order], points, config.fingers)
+            order = order[:_MAX_GRASPS]
+            order = order[quality[order] > _MIN_QUALITY]
+        shifted, extra = shift_to_avoid_collisions(prediction.grasps[order], points)
         grasps = compose(gripper_pose, shifted)
         grasps[:, :3] -= self.object_pose[:3]
-        costs = extra - config.cost_scale * np.log(quality[order])
+        costs = extra - COST_SCALE * np.log(quality[order])
         if self.use_all and len(grasps):
-            tilts = [make_offset_pose(tilt, 0.0, 0.0, config.pad_distance) for tilt in config.tilts]
+            tilts = [make_offset_pose(tilt, 0.0, 0.0, PAD_DISTANCE) for tilt in _TILTS]
             grasps = np.concatenate([grasps, *(compose(grasps, tilt) for tilt in tilts)])
-            costs = np.concatenate([costs, np.tile(costs + config.tilt_cost, len(tilts))])
+            costs = np.concatenate([costs, np.tile(costs + _TILT_COST, len(tilts))])
         return grasps, costs
 
     def _is_near(self, gripper_pose: Array) -> bool:
         """Return whether the object is near the hand link at a pose (7,)."""
         distance = float(np.linalg.norm(self.object_pose[:3] - gripper_pose[:3]))
-        return self.is_initialized and distance < self._config.near_distance
+        return self.is_initialized and distance < _NEAR_DISTANCE
 
     def _select_gains(self, gripper_pose: Array) -> FilterGains:
         """Return the filter gains for a view from the hand link at a pose (7,)."""
-        config = self._config
         if self.is_initialized and self.selected is not None:
             grasp = self.object_pose[:3] + self.selected[:3]
-            if float(np.linalg.norm(grasp - gripper_pose[:3])) < config.final_distance:
-                return config.final_gains
-        return config.near_gains if self._is_near(gripper_pose) else config.far_gains
+            if float(np.linalg.norm(grasp - gripper_pose[:3])) < _FINAL_DISTANCE:
+                return _FINAL_GAINS
+        return _NEAR_GAINS if self._is_near(gripper_pose) else _FAR_GAINS
 
     def _update_position(
         self, time: float, gripper_pose: Array, object_points: Array, prediction: GraspPrediction, gains: FilterGains
@@ -156,37 +183,37 @@ class GraspTracker:
         Near the object the camera sees a part of it, whose center the network can only guess. From
         there the motion of its surface is registered instead.
         """
-        config, cloud = self._config, transform_points(gripper_pose, object_points)
+        cloud = transform_points(gripper_pose, object_points)
         center = transform_points(gripper_pose, prediction.center)
         share = 0.0
-        if gains is config.far_gains:
+        if gains is _FAR_GAINS:
             self._keyframe = None
         elif self._keyframe is not None:
             predicted = self.position.predict(time)
-            translation, share = self._keyframe.register(cloud - predicted, config.max_match_distance)
+            translation, share = self._keyframe.register(cloud - predicted, _MAX_MATCH_DISTANCE)
             error = float(np.linalg.norm(predicted + translation - center))
-            has_strayed = error > config.max_center_error and gains is not config.final_gains
-            if share < config.min_matched_share or has_strayed:
+            has_strayed = error > _MAX_CENTER_ERROR and gains is not _FINAL_GAINS
+            if share < _MIN_MATCHED_SHARE or has_strayed:
                 # Another body is being tracked.
                 self._restart()
                 share = 0.0
             else:
                 center = predicted + translation
-        self.position.update(time, center, gains if share else config.far_gains)
-        if gains is not config.far_gains and share < config.keyframe_share:
+        self.position.update(time, center, gains if share else _FAR_GAINS)
+        if gains is not _FAR_GAINS and share < _KEYFRAME_SHARE:
             self._keyframe = Keyframe(cloud - self.object_pose[:3])
 
     def _update_maps(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Add points in the hand link's frame to the maps of object and hand."""
         if not self.is_initialized:
             return
-        config, center = self._config, self.object_pose[:3]
+        center = self.object_pose[:3]
         forget = not self._is_near(gripper_pose)
         for point_map, points in ((self._object_map, object_points), (self._hand_map, hand_points)):
             point_map.update(time, transform_points(gripper_pose, points) - center, forget)
-        self.surface = Spheres(self._object_map.points, np.full(len(self._object_map.points), config.sphere_radius))
+        self.surface = Spheres(self._object_map.points, np.full(len(self._object_map.points), _SPHERE_RADIUS))
         centers = center + self._hand_map.points
-        self.human_hand = Spheres(centers, np.full(len(centers), config.sphere_radius)) if len(centers) else None
+        self.human_hand = Spheres(centers, np.full(len(centers), _SPHERE_RADIUS)) if len(centers) else None
 
     def _set_candidates(self, grasps: Array, costs: Array, time: float, gains: FilterGains) -> None:
         """Set the candidates to the grasps of a view and their half turns, the selected first."""
@@ -199,19 +226,18 @@ class GraspTracker:
             all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
-            is_same = self._compute_distances(pose, candidates) < self._config.same_distance
-            all_costs[is_same] += self._config.failed_cost
+            is_same = self._compute_distances(pose, candidates) < _SAME_DISTANCE
+            all_costs[is_same] += _FAILED_COST
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
         """Return the selected grasp (7,), moved towards the same predicted grasps by a gain."""
-        config = self._config
         distances = self._compute_distances(selected, grasps)
-        same = np.flatnonzero(distances < config.same_distance)
+        same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):
-            self._selected_cost += config.unseen_cost
+            self._selected_cost += _UNSEEN_COST
             return selected
-        weights = np.exp(-costs[same] / config.cost_scale - (2.0 * distances[same] / config.same_distance) ** 2)
+        weights = np.exp(-costs[same] / COST_SCALE - (2.0 * distances[same] / _SAME_DISTANCE) ** 2)
         weights /= weights.sum()
         signs = np.sign(grasps[same, 3:] @ selected[3:])
         mean = np.concatenate([weights @ grasps[same, :3], weights @ (signs[:, None] * grasps[same, 3:])])
@@ -223,8 +249,30 @@ class GraspTracker:
 
     def _compute_distances(self, pose: Array, poses: Array) -> Array:
         """Return the distances (n,) in m of grasps at the pads, with weighted rotations."""
-        pads = np.array([0.0, 0.0, self._config.pad_distance, 0.0, 0.0, 0.0, 1.0])
+        pads = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
         offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
         cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-        weight = 2.0 * self._config.rotation_weight
+        weight = 2.0 * _ROTATION_WEIGHT
         return np.asarray(np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines))
+
+
+def shift_to_avoid_collisions(grasps: Array, points: Array) -> tuple[Array, Array]:
+    """Shift grasps (n, 7) sideways to minimize the depth of finger collisions, by as little as possible.
+
+    Returns the shifted grasps, and the costs (n,) of shifts and remaining collisions (s) with points (k, 3) of the
+    object.
+    """
+    rotations = Rotation.from_quat(grasps[:, 3:]).as_matrix() if len(grasps) else np.zeros((0, 3, 3))
+    local = np.einsum("nkj,nji->nki", points[None] - grasps[:, None, :3], rotations)
+    is_between, depth = np.abs(local[..., 0]) < _HALF_WIDTH, _TIP_Z - local[..., 2]
+    depths = []
+    for shift in _LATERAL_SHIFTS:
+        lateral = np.abs(local[..., 1] - shift)
+        is_hit = is_between & (lateral > _INNER_Y) & (lateral < _OUTER_Y)
+        depths.append(np.where(is_hit, depth, 0.0).max(axis=1, initial=0.0))
+    best = np.argmin(np.round(np.stack(depths), 3), axis=0)
+    shifts = np.array(_LATERAL_SHIFTS)[best]
+    offsets = np.zeros((len(grasps), 7))
+    offsets[:, 1], offsets[:, 6] = shifts, 1.0
+    remaining = np.maximum(np.stack(depths)[best, np.arange(len(grasps))] - _FREE_DEPTH, 0.0)
+    return compose(grasps, offsets), SHIFT_COST * np.abs(shifts) + COLLISION_COST * remaining

@@ -1,13 +1,10 @@
 """Tracking of an object between camera views: filter of its position, and registration of its surface."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
-
-from handover_marl.config import CheckedConfig
 
 Array = npt.NDArray[np.float64]
 
@@ -47,8 +44,7 @@ _N_NEIGHBORS = 8
 _REGULARIZATION = 0.01
 
 
-@dataclass(frozen=True)
-class FilterGains(CheckedConfig):
+class FilterGains(NamedTuple):
     """Filter gains with which a new camera view corrects the estimated object and grasp.
 
     Attributes:
@@ -56,8 +52,6 @@ class FilterGains(CheckedConfig):
         velocity: Share of the position error per time step that is added to the velocity.
         grasp: Weight of newly predicted grasps in the update of the selected grasp, 0 to 1.
     """
-
-    default_limits: ClassVar[tuple[float, float]] = (0.0, 1.0)
 
     position: float
     velocity: float

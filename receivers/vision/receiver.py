@@ -6,10 +6,8 @@ infers from its fingers whether the person has released the object.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-import numpy.typing as npt
 
 from handover_marl.assets.shipped import find_vision_weights
 from handover_marl.datasets.splits import SETUPS
@@ -18,14 +16,13 @@ from handover_marl.episode.spaces import SCENE_POINTCLOUD
 from handover_marl.errors import OptionError
 from handover_marl.execution.options import require_modules
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.reactive.config import apply_risk
+from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.vision.config import VisionConfig, make_vision_reactive_config
 from handover_marl.receivers.vision.grasp_predictor import GraspPredictor, load_grasp_predictor
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 
-Array = npt.NDArray[np.float64]
+_NEVER = 1e6  # s, longer than any episode
 
 
 class VisionReceiver(ControllerReceiver):
@@ -38,7 +35,6 @@ class VisionReceiver(ControllerReceiver):
         weights: Weight file of a grasp network; default: the file that ships for the setup, that of s0
             for setups of other data.
         grasp_predictor: Function that predicts grasps, used instead of a weight file.
-        vision: Configuration of the perception.
 
     Raises:
         OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
@@ -57,10 +53,8 @@ class VisionReceiver(ControllerReceiver):
         risk: float = 0.5,
         weights: str | None = None,
         grasp_predictor: GraspPredictor | None = None,
-        vision: VisionConfig | None = None,
     ) -> None:
         super().__init__(context, wait, apply_risk(make_vision_reactive_config(), risk))
-        self.vision = vision or VisionConfig()
         self._predictor, self._weights_hash = _make_predictor(weights, grasp_predictor, context.setup)
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
         self._scene: PointCloudSceneEstimate | None = None
@@ -80,8 +74,8 @@ class VisionReceiver(ControllerReceiver):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode."""
-        tracker = GraspTracker(self._predictor, self.vision.tracker, seed)
-        self._scene = PointCloudSceneEstimate(self.arm, self.config, self.vision, tracker)
+        tracker = GraspTracker(self._predictor, seed)
+        self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
@@ -130,3 +124,25 @@ def _shipped_weights(setup: str) -> Path:
             "of another setup may have been trained on scenes of this setup's test split"
         )
     return path
+
+
+def make_vision_reactive_config() -> ReactiveConfig:
+    """Return the configuration of grasp selection and motion of the receiver `vision`.
+
+    The configuration differs from that of `reactive` for three reasons: camera images take longer than poses, predicted
+    grasp qualities include the clearance to the person's hand, and the visible part of an object near the gripper does
+    not determine its motion well enough to approach a moving object.
+    """
+    config = ReactiveConfig()
+    return replace(
+        config,
+        near_period=0.05,
+        selection=replace(
+            config.selection,
+            clearance_cost=10.0,
+            min_clearance=0.0,
+            hard_min_clearance=0.0,
+            offset_delay=_NEVER,
+        ),
+        approach=replace(config.approach, max_object_speed=0.08, max_held_still_speed=0.15, close_period=0.05),
+    )

@@ -10,11 +10,19 @@ from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.vision.config import VisionConfig
-from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker
 from handover_marl.receivers.vision.object_tracking import PointMap
 
 Array = npt.NDArray[np.float64]
+
+#: Times out of sight after which the object is searched for (s); the second for an object that was at rest when it was
+#: last visible, in scenes with other objects, around which the paths are longer.
+SEARCH_TIMEOUT, HIDDEN_TIMEOUT = 0.25, 1.5
+#: Edge length of the voxels that keep one point each of the other objects (m).
+OBSTACLE_VOXEL_SIZE = 0.025
+# Finger motion between two decisions below which fingers are at rest (m); times of rest, and since the start of closing
+# if the fingers are not fully closed, after which the person is assumed to have released the object (s).
+_FINGER_REST_DISTANCE, _RELEASE_DELAY, _RELEASE_TIMEOUT = 0.0004, 0.15, 0.5
 
 
 class PointCloudHandTracker(HandTracker):
@@ -53,18 +61,17 @@ class PointCloudSceneEstimate(SceneEstimate):
     Args:
         arm: Kinematics of the arm.
         config: Configuration of grasp selection and motion.
-        vision: Configuration of the perception.
         tracker: Tracker of object, hand and grasps.
     """
 
-    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, vision: VisionConfig, tracker: GraspTracker) -> None:
+    def __init__(self, arm: ArmInWorld, config: ReactiveConfig, tracker: GraspTracker) -> None:
         self._person = PointCloudHandTracker()
         super().__init__(arm, config, self._person)
-        self._vision, self.tracker = vision, tracker
+        self.tracker = tracker
         self._last_fingers = np.zeros(2)
         self._closing_since, self._moved_at = -np.inf, np.inf
-        self._search_timeout = vision.search_timeout
-        self._obstacle_map = PointMap(vision.obstacle_voxel_size, np.inf)
+        self._search_timeout = SEARCH_TIMEOUT
+        self._obstacle_map = PointMap(OBSTACLE_VOXEL_SIZE, np.inf)
 
     def update(self, observation: Observation) -> None:
         """Update robot, object and person's hand from an observation."""
@@ -93,19 +100,17 @@ class PointCloudSceneEstimate(SceneEstimate):
             self._closing_since = self._moved_at = closing_since
         moved = float(np.abs(self.fingers - self._last_fingers).max())
         self._last_fingers = self.fingers
-        if moved > self._vision.finger_rest_distance or self.has_empty_fingers:
+        if moved > _FINGER_REST_DISTANCE or self.has_empty_fingers:
             self._moved_at = self.time
-        is_late = self.time - closing_since > self._vision.release_timeout
+        is_late = self.time - closing_since > _RELEASE_TIMEOUT
         is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
-        return (is_late and is_holding) or self.time - self._moved_at > self._vision.release_delay
+        return (is_late and is_holding) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
         """Keep the estimate of an object at rest for longer if paths lead around other objects."""
-        vision = self._vision
-        timeouts = vision.search_timeout, vision.tracker.lost_timeout
-        if self.is_settled:
-            timeouts = vision.hidden_timeout, vision.hidden_timeout
-        self._search_timeout, self.tracker.lost_timeout = timeouts
+        is_settled = self.is_settled
+        self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
+        self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT
 
     def _update_obstacles(self, points: Array) -> None:
         """Add visible points (n, 3) of the other objects, which do not move, in the hand link's frame (m)."""

@@ -11,7 +11,6 @@ from handover_marl.assets.hand_model import (
     make_hand_geometry,
 )
 from handover_marl.config import HandConfig
-from handover_marl.errors import UnknownNameError
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect
@@ -40,6 +39,7 @@ def test_every_hand_has_the_official_structure(subject, side):
     assert masses == [0.2] + [0.02] * 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("subject", "side"), ALL_HANDS)
 def test_forward_kinematics_equals_the_simulator(subject, side):
     rng = np.random.default_rng(subject)
@@ -63,10 +63,11 @@ def test_hand_lengths_are_those_of_the_table(subject):
     assert reach == pytest.approx(SUBJECT_SIZES[subject - 1].length, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_rebuild_gives_the_shipped_hands(tmp_path):
     pytest.importorskip("trimesh")
     pytest.importorskip("manifold3d")
-    from handover_marl.assets.building.build_hands import write_hand_urdf, write_meshes
+    from handover_marl.assets.building.hands import write_hand_urdf, write_meshes
 
     write_meshes(tmp_path, "left")
     path = write_hand_urdf(tmp_path, 3, "left")
@@ -75,10 +76,3 @@ def test_rebuild_gives_the_shipped_hands(tmp_path):
     assert len(written) == 33
     for file in written:
         assert (HANDS_FOLDER / file).read_bytes() == (tmp_path / file).read_bytes(), file
-
-
-def test_unknown_hands_are_refused():
-    with pytest.raises(UnknownNameError, match="subject"):
-        find_hand_urdf(11, "left")
-    with pytest.raises(UnknownNameError, match="side"):
-        make_hand_geometry(1, "middle")

@@ -1,17 +1,21 @@
+import itertools
+
 import numpy as np
 import pytest
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
+from handover_marl.assets.building.human_grasps import make_human_grasps
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, find_hand_urdf
 from handover_marl.assets.human_grasps import (
     GRASPED_OBJECTS,
     GRASPS_FILE,
-    HumanGrasps,
-    interpolate_wrist_distance,
+    LEVELS,
+    WRIST_DISTANCE_QUANTILES,
     load_human_grasps,
 )
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.config import HandConfig
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.errors import UnknownNameError
 from handover_marl.simulation.bullet.bodies import HandBody
 from handover_marl.simulation.bullet.client import connect, load_urdf
@@ -19,10 +23,6 @@ from handover_marl.simulation.bullet.client import connect, load_urdf
 # Bullet adds a margin of about a millimetre to both shapes of a pair.
 MOST_OVERLAP, MARGINS = 0.008, 0.002
 DIGIT_LINKS = [range(7 + 9 * digit, 16 + 9 * digit) for digit in range(5)]
-
-
-def every_set():
-    return [(name, subject, side) for name in GRASPED_OBJECTS for subject in SUBJECTS for side in SIDES]
 
 
 def hand_and_object(name, subject, side, dof):
@@ -41,23 +41,17 @@ def gaps_by_link(client, item, hand, within):
     return gaps
 
 
-def test_every_object_person_and_side_has_grasps():
+def test_every_object_person_and_side_has_grasps_with_thumb_and_two_fingers():
     assert len(GRASPED_OBJECTS) == 20
-    for name, subject, side in every_set():
-        grasps = load_human_grasps(name, subject, side)
-        assert len(grasps) >= 12
-        assert grasps.object_from_base.shape == (len(grasps), 7)
-        assert grasps.finger_angles.shape == grasps.open_angles.shape == (len(grasps), 45)
-        np.testing.assert_allclose(np.linalg.norm(grasps.object_from_base[:, 3:], axis=1), 1.0, atol=1e-6)
+    for name in GRASPED_OBJECTS:
+        for subject, side in itertools.product(SUBJECTS, SIDES):
+            grasps = load_human_grasps(name, subject, side)
+            assert len(grasps) >= 12
+            assert grasps.touching[:, 4].all()
+            assert (grasps.touching[:, :4].sum(axis=1) >= 2).all()
 
 
-def test_thumb_and_two_fingers_touch_everywhere():
-    for name, subject, side in every_set():
-        touching = load_human_grasps(name, subject, side).touching
-        assert touching[:, 4].all()
-        assert (touching[:, :4].sum(axis=1) >= 2).all()
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GRASPED_OBJECTS)
 @pytest.mark.parametrize("side", SIDES)
 def test_grasps_hold_in_the_simulator(name, side):
@@ -77,17 +71,13 @@ def test_grasps_hold_in_the_simulator(name, side):
 def test_wrist_distances_have_dexycbs_distribution(name):
     ours = np.concatenate([load_human_grasps(name, s, side).wrist_distance for s in SUBJECTS for side in SIDES])
     levels = np.array([0.1, 0.25, 0.5, 0.75, 0.9])
-    np.testing.assert_allclose(np.quantile(ours, levels), interpolate_wrist_distance(name, levels), atol=0.012)
+    recorded = np.interp(levels, LEVELS, WRIST_DISTANCE_QUANTILES[name])
+    np.testing.assert_allclose(np.quantile(ours, levels), recorded, atol=0.012)
 
 
 def test_built_grasps_are_like_the_shipped_ones():
-    for library in ("trimesh", "igl", "embreex"):
-        pytest.importorskip(library)
-    from handover_marl.assets.building.build_human_grasps import make_human_grasps
-    from handover_marl.assets.building.object_files import load_mesh_solid
-
     name, side = "009_gelatin_box", "left"
-    built = make_human_grasps(name, load_mesh_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 20, 0)
+    built = make_human_grasps(name, read_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 0)
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         assert all(archive[key].dtype == values.dtype for key, values in built.items())
     shipped = load_human_grasps(name, 1, side)
@@ -100,13 +90,3 @@ def test_unknown_names_are_refused():
     for arguments in (("999_spoon", 1, "left"), ("025_mug", 0, "left"), ("025_mug", 1, "both")):
         with pytest.raises(UnknownNameError):
             load_human_grasps(*arguments)
-
-
-def test_loaded_grasps_are_copies():
-    first = load_human_grasps("025_mug", 1, "right")
-    assert isinstance(first, HumanGrasps)
-    first.object_from_base[:] = 0.0
-    first.touching[:] = False
-    again = load_human_grasps("025_mug", 1, "right")
-    assert again.object_from_base.any()
-    assert again.touching.any()

@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from scipy.spatial import Delaunay
 
+from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, load_object_grasps
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.geometry.ycb import CLASS_NAMES
-from tests.assets.ycb_bounds import load_collision_parts
 
 GRASPABLE = tuple(name for name in CLASS_NAMES.values() if name not in CLASSES_WITHOUT_GRASPS)
 
@@ -21,14 +21,13 @@ def _grasps(name: str) -> npt.NDArray[np.float64]:
 
 @pytest.mark.parametrize("name", GRASPABLE)
 def test_object_lies_between_the_open_fingers(name: str) -> None:
-    pytest.importorskip("trimesh")
-    hulls = [Delaunay(part.vertices) for part in load_collision_parts(name)]
+    solid = read_solid(find_object_urdf(name))
     across = np.linspace(-0.04, 0.04, 61)  # between the open fingers, along the gripper frame's x
     depths = np.linspace(0.084, 0.111, 12)  # along the finger pads
     local = np.stack([*np.meshgrid(across, [0.0], depths, indexing="ij"), np.ones((61, 1, 12))], axis=-1)[:, 0]
     for grasp in _grasps(name):
         points = (local.reshape(-1, 4) @ grasp.T)[:, :3]
-        outside = np.all([hull.find_simplex(points) < 0 for hull in hulls], axis=0).reshape(61, 12)
+        outside = (solid.compute_distances(points) > 0.0).reshape(61, 12)
         assert outside[[0, -1]].all()  # where the fingers are
         assert not outside.all()  # between their pads
 

@@ -1,22 +1,18 @@
 import importlib
-import io
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-import tyro
 
 from handover_marl.cli import main
-from handover_marl.cli.options import parse_scenes
-from handover_marl.cli.streams import prepare_streams, print_result
-from handover_marl.errors import OptionError
 from handover_marl.evaluation import episode_runner
 from handover_marl.execution.options import is_installed
 from handover_marl.policies.registry import import_reference
 
 
+@pytest.mark.slow
 def test_benchmark_and_evaluate(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["benchmark", "--setup", "s0", "--split", "val", "--receiver", "hold", "--scenes", "9"]
     assert main([*command, "--data-dir", str(fake_data), "--out", str(tmp_path / "out")]) == 0
@@ -54,21 +50,6 @@ def test_error_messages(arguments: list[str], message: str, capsys: pytest.Captu
     assert not printed.out
 
 
-@pytest.mark.parametrize("module", ["examples.own_giver", "examples.own_receiver"])
-def test_scripts_take_scene_numbers_alike(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    script = importlib.import_module(f"experiments.{module}")
-    for words in (["35", "36"], ["35,36"], ["35,", "36"]):
-        assert tyro.cli(script.Args, args=["--scenes", *words]).scenes == (35, 36)
-
-
-def test_malformed_scene_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["benchmark", "--scenes", "1,x"])
-    assert ended.value.code == 2
-    printed = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "--scenes: must be numbers separated by spaces or commas, such as 209,214, got '1,x'" in printed
-
-
 def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -76,14 +57,6 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     monkeypatch.setattr(episode_runner, "run_episode", interrupted)
     assert main(["benchmark", "--split", "val", "--scenes", "9", "--data-dir", str(fake_data)]) == 130
     assert "same command resumes" in capsys.readouterr().err
-
-
-def test_characters_that_the_terminal_lacks_are_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
-    printed = io.BytesIO()
-    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(printed, encoding="ascii"))
-    prepare_streams()
-    print_result("robot \U0001f916 \udcff")
-    assert printed.getvalue() == b"robot \\U0001f916 \\udcff\n"
 
 
 def test_commands_are_imported_after_the_handler_of_ctrl_c() -> None:
@@ -115,6 +88,7 @@ def test_streams_that_are_closed_at_the_start(fake_data: Path, tmp_path: Path, c
     assert len(list(tmp_path.glob("0*.npz"))) == 2
 
 
+@pytest.mark.slow
 def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["pair", "--giver", "hesitant", "--receiver", "hold", "--scenes", "9", "--physics", "fast"]
     command += ["--data-dir", str(fake_data), "--out", str(tmp_path / "out"), "--workers", "1", "--no-progress"]
@@ -130,18 +104,6 @@ def test_pair_selects_split_and_scenes(fake_data: Path, tmp_path: Path, capsys: 
     assert "earlier run" not in capsys.readouterr().out
     assert main([*command, "--seed", "1", "--initial-joint-noise", "0.1"]) == 2
     assert "world 'official' in the folder, 'initial_joint_noise=0.1' now" in capsys.readouterr().err
-
-
-def test_folders_with_start_noise_are_verified(
-    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = ["--data-dir", str(fake_data), "--workers", "1", "--no-progress"]
-    command = ["pair", "--receiver", "hold", "--scenes", "9", "--physics", "fast", "--initial-joint-noise", "0.1"]
-    assert main([*command, *data, "--out", str(tmp_path)]) == 0
-    assert "World or rules are not the official ones (initial_joint_noise=0.1)." in capsys.readouterr().out
-    assert main(["verify", str(tmp_path), *data]) == 0
-    assert main([*command[:-1], "0.4"]) == 2
-    assert "initial_joint_noise of WorldConfig must be a finite number from 0 to 0.3" in capsys.readouterr().err
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -169,10 +131,3 @@ def test_modules_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.Monke
     importlib.invalidate_caches()
     assert not any(is_installed(name) for name in ("igl", "minari", "warp", "nowhere"))
     assert import_reference("receiver", "robots:Mine").name == "hold"
-
-
-def test_parse_scenes() -> None:
-    assert parse_scenes(("209,", "214")) == parse_scenes(("209,214",)) == parse_scenes(("209", "214")) == (209, 214)
-    for text in ("", "1,", "a", "1.5"):
-        with pytest.raises(OptionError):
-            parse_scenes((text,))

@@ -43,6 +43,7 @@ def test_hand_origin(tmp_path: Path, fake_data: Path) -> None:
     assert find_hand_origin(folder) is FileOrigin.STAND_IN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [
@@ -72,6 +73,7 @@ def test_damaged_models_and_grasps_are_named(
         assert part in text
 
 
+@pytest.mark.slow
 def test_real_data_are_complete(real_data: Path) -> None:
     (level, _, text), *_ = check_data_folder(real_data)
     assert (level, text) == ("ok", f"1000 of 1000 in {real_data}")

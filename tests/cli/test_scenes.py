@@ -26,6 +26,7 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes", "add-object", "mine", "box", "box.stl", "--unit", "mm", "--mass", "0.2", *OBJECT]) == 0
     assert "object box: class 22, 0.2 kg, friction 0.9; 0 grasps held" in capsys.readouterr().out
@@ -51,18 +52,8 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
         (["add-object", "mine", "box", "gone.stl", *OBJECT], "does not exist"),
         (["add-object", "mine", "025_mug", "box.stl", *OBJECT], "must not be the name of a YCB class"),
         (["add-motion", "mine", "motion.csv", "--object", "box", "--subject", "a"], "unknown object 'box'"),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "1,2"],
-            "frame must be",
-        ),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--frame", "up"],
-            "frame must be",
-        ),
-        (
-            ["add-motion", "mine", "motion.csv", "--object", "025_mug", "--subject", "a", "--hand", "big"],
-            "hand must be",
-        ),
+        ([*MUG, "--frame", "1,2"], "frame must be"),
+        ([*MUG, "--hand", "big"], "hand must be"),
         (["add-split", "mine", "people"], "does not exist"),
         (["check", "mine"], "is no folder of custom scenes"),
         (["preview", "mine", "0", "--out", "x.png"], "does not exist"),

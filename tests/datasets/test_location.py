@@ -8,11 +8,7 @@ from handover_marl.errors import DataFormatError
 
 
 def test_data_folder_of_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A machine chooses the first data folder that applies.
-
-    The order is: the folder of the argument, the folder in its own environment variable, the folder in the environment
-    variable of the machine that starts the evaluation.
-    """
+    """The order is: the argument, a machine's own environment variable, that of the machine that starts."""
     argument, environment, own = (tmp_path / name for name in ("given", "usual", "own"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(environment))

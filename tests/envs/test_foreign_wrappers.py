@@ -44,18 +44,18 @@ def make() -> HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrap",
     [
         Cost,
         lambda env: handover_marl.flatten(Cost(env)),
         lambda env: handover_marl.encode(Cost(env)),
-        lambda env: handover_marl.homogeneous(Cost(env)),
         lambda env: Cost(handover_marl.freeze(BaseParallelWrapper(env), "receiver", "replay")),
         lambda env: handover_marl.encode(Cost(handover_marl.freeze(Cost(env), "receiver", "replay"))),
         lambda env: handover_marl.encode(EpisodeReturns(Cost(env))),
     ],
-    ids=["alone", "flatten", "encode", "homogeneous", "freeze", "twice", "returns"],
+    ids=["alone", "flatten", "encode", "freeze", "twice", "returns"],
 )
 def test_wrappers_of_any_origin_can_be_mixed(wrap: Callable[[Any], Any]) -> None:
     env = wrap(make())
@@ -105,6 +105,7 @@ def test_other_environments_are_refused(make_wrong: Callable[[], Any], got: str)
         handover_marl.flatten(make_wrong())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
 @pytest.mark.parametrize("agent", ["receiver", None])
 def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:

@@ -34,6 +34,7 @@ def act(env: HandoverEnv, action: np.ndarray, steps: int) -> tuple[dict[str, np.
     return observations["giver"], infos["giver"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_the_world_follows_the_deviation_and_letting_go_drops_the_object(physics: str) -> None:
     env = make(physics)
@@ -56,6 +57,7 @@ def test_the_world_follows_the_deviation_and_letting_go_drops_the_object(physics
     assert info["status"] == EpisodeStatus.OBJECT_DROP
 
 
+@pytest.mark.slow
 def test_both_kinds_of_physics_deviate_alike() -> None:
     rng = np.random.default_rng(0)
     envs = [make(physics) for physics in PHYSICS]
@@ -76,6 +78,7 @@ def test_what_is_not_held_cannot_be_let_go(physics: str) -> None:
     assert info["release"] == info["release_step"] == -1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_random_givers_repeat_from_their_seed(physics: str) -> None:
     ends = []
@@ -91,6 +94,7 @@ def test_random_givers_repeat_from_their_seed(physics: str) -> None:
         np.testing.assert_array_equal(value, ends[1][key])
 
 
+@pytest.mark.slow
 def test_the_benchmark_view_has_no_giver_to_ask() -> None:
     """While the person holds the object, actions that release it or move the hand are refused and have no effect."""
     view = handover_marl.benchmark_env(split="test", dataset="synthetic")

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.receivers.hold import HoldReceiver
+
+pytestmark = pytest.mark.slow
 
 STEPS = 45
 
@@ -63,7 +65,6 @@ def seen_alone(agent: str, partner: Any, scribbles: bool, api: Any) -> list[dict
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("api", ["parallel", "gymnasium"])
 @pytest.mark.parametrize(
     ("agent", "partner", "scribbling_partner"),

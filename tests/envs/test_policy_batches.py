@@ -81,6 +81,7 @@ def compare(agent: str, policy: Any) -> list[PolicyBatch]:
     return batches
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "policy"), [("receiver", "yang2021:wait=0.5"), ("giver", CountingGiver)])
 def test_policies_without_code_for_tensors_act_on_the_host(agent: str, policy: Any) -> None:
     arrays, tensors = compare(agent, policy)

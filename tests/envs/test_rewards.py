@@ -1,3 +1,6 @@
+"""Tests of reward terms: their formulas, with constructed states, and their weights."""
+
+import itertools
 from typing import Any
 
 import numpy as np
@@ -7,16 +10,8 @@ from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
-from handover_marl.envs import handover_env
-from handover_marl.envs.rewards import (
-    SHAPED,
-    SPARSE,
-    GiverWeights,
-    PresetRewards,
-    ReceiverWeights,
-    RewardConfig,
-    make_reward_config,
-)
+from handover_marl.envs import handover_env, rewards
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights, WeightedTerms
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS
@@ -24,6 +19,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS
 RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
 GOAL = OFFICIAL_CONFIG.protocol.goal_center
 ROW = np.array([0])
+SHAPING = ("distance", "grasp", "goal")
 State = dict[str, np.ndarray]
 points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 
@@ -35,16 +31,23 @@ def situation(
     grasped: bool = False,
     deviation: tuple[float, ...] = (0.0,) * 6,
     offered: bool = False,
+    wrist: tuple[float, ...] | None = (0.0, 0.0, 2.0),
+    forces: tuple[float, float] = (0.0, 0.0),
+    turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0),
 ) -> State:
     """Return the state of one episode that the rewards depend on."""
     return {
         "time": np.array([[time]]),
-        "gripper_pose": np.array([[*gripper, 0.0, 0.0, 0.0, 1.0]]),
+        "gripper_pose": np.array([[*gripper, *turn]]),
         "object_poses": np.array([[[*object_position, 0.0, 0.0, 0.0, 1.0]]]),
         "deviation": np.array([[0.0, *deviation]]),
         "holding": np.array([[float(offered)]]),
         "released": np.array([[0.0]]),
+        "hand_present": np.array([[float(wrist is not None)]]),
+        "hand_keypoints": np.tile(np.float32(wrist or (0.0, 0.0, 0.0)), (1, 16, 1)),
         "grasped": np.array([grasped]),
+        "object_force": np.array([forces[0]]),
+        "hand_force": np.array([forces[1]]),
     }
 
 
@@ -59,93 +62,156 @@ situations = st.builds(
 
 
 class Rewards:
-    """Preset rewards of one episode, as numbers."""
+    """Weighted terms of one episode, as numbers; times of states count in steps of 0.1 s unless they are given."""
 
-    def __init__(self, config: RewardConfig, start: State, goal: tuple[float, ...] = GOAL) -> None:
-        self._rewards = PresetRewards(config, goal, 1, NUMPY_ARRAYS)
-        self._rewards.start(ROW, start)
+    def __init__(self, weights: TermWeights, start: State, goal: tuple[float, ...] = GOAL) -> None:
+        self._terms, self._steps = WeightedTerms(weights, goal, 1, NUMPY_ARRAYS), 0
+        self._terms.start(ROW, start)
 
-    def compute(self, now: State, status: EpisodeStatus = RUNNING) -> dict[str, Any]:
-        found = self._rewards.compute_terms(ROW, np.array([int(status)]), now)
+    def compute(self, now: State, status: EpisodeStatus = RUNNING, duration: float = 0.1) -> dict[str, Any]:
+        self._steps += 1
+        if now:
+            now = {**now, "time": np.array([[0.1 * (self._steps - 1) + duration]])}
+        found = self._terms.compute(ROW, np.array([int(status)]), now)
         return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in found.items()}
 
 
-def terms(config: RewardConfig, before: State, now: State, status: EpisodeStatus) -> dict[str, Any]:
-    return Rewards(config, before).compute(now, status)
+def terms(weights: TermWeights, before: State, now: State, status: EpisodeStatus = RUNNING) -> dict[str, Any]:
+    return Rewards(weights, before).compute(now, status)
 
 
-def test_sparse_is_the_task_alone() -> None:
-    later = situation(0.1, gripper=(0.2, 0.0, 1.0), grasped=True, deviation=(0.1,) * 6, offered=True)
-    for status in (RUNNING, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP, EpisodeStatus.TIMEOUT):
-        for values in terms(SPARSE, situation(), later, status).values():
-            assert not any(values.values())
-    success = terms(SPARSE, situation(), later, SUCCESS)
-    assert sum(success["receiver"].values()) == sum(success["giver"].values()) == 1.0
+def value(name: str, before: State, now: State, duration: float = 0.1) -> float:
+    return float(Rewards(TermWeights({name: 1.0}), before).compute(now, duration=duration)["receiver"][name])
+
+
+def test_sparse_is_success_alone() -> None:
+    later = situation(gripper=(0.2, 0.0, 1.0), grasped=True, deviation=(0.1,) * 6, offered=True)
+    for status in EpisodeStatus:
+        for found in terms(SPARSE, situation(), later, status).values():
+            assert found == {"success": float(status is SUCCESS)}
+    assert Rewards(SPARSE, {}).compute({}, SUCCESS) == {"receiver": {"success": 1.0}, "giver": {"success": 1.0}}
+    outcomes = TermWeights({"success": 2.0, "drop": -1.0}, {"contact": -3.0})
+    assert terms(outcomes, {}, {}, EpisodeStatus.OBJECT_DROP)["receiver"] == {"success": 0.0, "drop": -1.0}
+    assert terms(outcomes, {}, {}, EpisodeStatus.HUMAN_CONTACT)["giver"] == {"contact": -3.0}
 
 
 @given(st.lists(situations, min_size=2, max_size=8), st.sampled_from([SUCCESS, EpisodeStatus.HUMAN_CONTACT]))
 def test_discounted_shaping_depends_only_on_the_first_state(path: list[State], end: EpisodeStatus) -> None:
-    rewards = Rewards(SHAPED, path[0])
+    shaped = Rewards(SHAPED, path[0])
     total = 0.0
     for number, now in enumerate(path[1:]):
         last = number == len(path) - 2
-        values = rewards.compute(now, end if last else RUNNING)["receiver"]
-        total += SHAPED.gamma**number * sum(values[name] for name in ("distance", "grasp", "goal"))
+        values = shaped.compute(now, end if last else RUNNING)["receiver"]
+        total += SHAPED.gamma**number * sum(values[name] for name in SHAPING)
     # All potentials are 0 once the episode has ended.
     at_once = Rewards(SHAPED, path[0]).compute(path[0], end)["receiver"]
-    assert total == pytest.approx(sum(at_once[name] for name in ("distance", "grasp", "goal")), abs=1e-9)
+    assert total == pytest.approx(sum(at_once[name] for name in SHAPING), abs=1e-9)
     weights, grasped = SHAPED.receiver, bool(path[0]["grasped"][0])
     if grasped:
-        expected = weights.distance + weights.grasp
-        expected += weights.goal * (1.0 - np.linalg.norm(path[0]["gripper_pose"][0, :3] - GOAL))
+        expected = weights["distance"] + weights["grasp"]
+        expected += weights["goal"] * (1.0 - np.linalg.norm(path[0]["gripper_pose"][0, :3] - GOAL))
         assert total == pytest.approx(-expected, abs=1e-9)
 
 
 def test_a_truncated_episode_keeps_its_potential() -> None:
-    near = situation(0.1, gripper=(0.29, 0.0, 1.0))
-    assert terms(SHAPED, situation(), near, EpisodeStatus.TIMEOUT) == terms(SHAPED, situation(), near, RUNNING)
+    near = situation(gripper=(0.29, 0.0, 1.0))
+    assert terms(SHAPED, situation(), near, EpisodeStatus.TIMEOUT) == terms(SHAPED, situation(), near)
 
 
 def test_approaching_grasping_and_carrying_are_rewarded() -> None:
-    near = situation(gripper=(0.2, 0.0, 1.0))
-    assert terms(SHAPED, situation(), near, RUNNING)["receiver"]["distance"] > 0
-    grasped = terms(SHAPED, situation(), situation(grasped=True), RUNNING)["receiver"]
+    start = situation(gripper=(0.0, 0.0, 0.9))
+    near = terms(SHAPED, start, situation(gripper=(0.2, 0.0, 0.8966)))["receiver"]["distance"]
+    # The fingertips are 0.1034 m in front of the hand link: 0.1 m from the object, before them at its height, 0.3 m.
+    before = 1.0 - np.hypot(0.3, 1.0 - 0.9 - 0.1034)
+    assert near == pytest.approx(0.5 * (SHAPED.gamma * 0.9 - before), abs=1e-6)
+    grasped = terms(SHAPED, situation(), situation(grasped=True))["receiver"]
     assert grasped["grasp"] > 0
     assert grasped["goal"] > 0
 
 
-def test_the_goal_is_that_of_the_protocol() -> None:
+def test_the_goal_is_that_of_the_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     here, elsewhere = (0.1, 0.2, 1.3), (0.1, 0.2, 0.3)
     there = situation(gripper=here, grasped=True)
     near, far = (Rewards(SHAPED, situation(), goal).compute(there)["receiver"]["goal"] for goal in (here, elsewhere))
-    assert near == pytest.approx(SHAPED.receiver.goal * SHAPED.gamma)
-    assert near - far == pytest.approx(SHAPED.receiver.goal * SHAPED.gamma * 1.0)
-
-
-def test_the_goal_of_an_environment_is_that_of_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert near == pytest.approx(0.5 * SHAPED.gamma)
+    assert near - far == pytest.approx(0.5 * SHAPED.gamma * 1.0)
     goals = []
     monkeypatch.setattr(handover_env, "make_reward_source", lambda rewards, goal: goals.append(goal))
-    config = WorldConfig(protocol=ProtocolConfig(goal_center=(0.1, 0.2, 1.3)))
+    config = WorldConfig(protocol=ProtocolConfig(goal_center=here))
     handover_marl.parallel_env(dataset="synthetic", physics="fast", rewards="shaped", world_config=config)
-    assert goals == [(0.1, 0.2, 1.3)]
+    assert goals == [here]
 
 
 def test_costs_of_the_giver() -> None:
-    later = situation(0.1, deviation=(0.05, 0, 0, 0.3, 0, 0))
-    values = terms(SHAPED, situation(offered=True), later, RUNNING)["giver"]
-    weights = SHAPED.giver
-    assert values["effort"] == pytest.approx(weights.effort * 0.05**2 / 0.1)
-    assert values["discomfort"] == pytest.approx(weights.discomfort * 0.15 * 0.1)
-    assert values["waiting"] == pytest.approx(weights.waiting * 0.1)
+    later = situation(deviation=(0.05, 0, 0, 0.3, 0, 0))
+    values, weights = terms(SHAPED, situation(offered=True), later)["giver"], SHAPED.giver
+    assert values["effort"] == pytest.approx(weights["effort"] * 0.05**2 / 0.1)
+    assert values["discomfort"] == pytest.approx(weights["discomfort"] * 0.15 * 0.1)
+    assert values["waiting"] == pytest.approx(weights["waiting"] * 0.1)
 
 
-def test_names() -> None:
-    assert make_reward_config("shaped") is SHAPED
-    assert make_reward_config(SPARSE) is SPARSE
-    with pytest.raises(UnknownNameError, match="rewards 'dense'; valid: sparse, shaped"):
-        make_reward_config("dense")
-    with pytest.raises(OptionError, match=r"rewards must be .*3"):
-        make_reward_config(3)  # type: ignore[arg-type]
+@given(points, points)
+def test_paths_are_distances(first: Any, second: Any) -> None:
+    distance = float(np.linalg.norm(np.subtract(first, second)))
+    assert value("gripper_path", situation(gripper=first), situation(gripper=second)) == pytest.approx(distance)
+    found = value("hand_path", situation(wrist=first), situation(wrist=second))
+    assert found == pytest.approx(distance, abs=1e-6)
+
+
+def test_hands_that_are_absent_have_no_terms() -> None:
+    hands = (0.0, 0.0, 1.1), None
+    for path in itertools.product(hands, repeat=5):
+        if None in path[-2:]:
+            found = Rewards(TermWeights(dict.fromkeys(("hand_path", "hand_jerk"), 1.0)), situation(wrist=path[0]))
+            assert not any([found.compute(situation(wrist=wrist)) for wrist in path[1:]][-1]["receiver"].values())
+    assert value("clearance", situation(), situation(wrist=None)) == 0.0
+
+
+@pytest.mark.parametrize(("name", "body"), [("gripper_jerk", "gripper"), ("hand_jerk", "wrist")])
+def test_jerk_of_a_cubic_motion_is_constant(name: str, body: str) -> None:
+    """The motion x = t^3 has a jerk of 6 m/s^3, which integrates to 0.6 m/s^2 in a step of 0.1 s."""
+    states = [situation(**{body: (0.0, (0.1 * number) ** 3, 0.0)}) for number in range(8)]  # type: ignore[arg-type]
+    cubic = Rewards(TermWeights({name: 1.0}), states[0])
+    values = [cubic.compute(state)["receiver"][name] for state in states[1:-1]]
+    assert values[:2] == [0.0, 0.0]
+    np.testing.assert_allclose(values[2:], 0.6, rtol=1e-3)
+    assert cubic.compute(states[-1], duration=0.03)["receiver"][name] == 0.0, "a shorter last step"
+
+
+def test_time_and_forces_are_integrated() -> None:
+    pressed = situation(forces=(20.0, 3.0))
+    assert value("time", situation(), situation(), 0.037) == pytest.approx(0.037, abs=1e-12)
+    assert value("object_force", situation(), pressed) == pytest.approx(2.0)
+    assert value("hand_force", situation(), pressed, 0.2) == pytest.approx(0.6)
+
+
+def test_clearance_is_measured_from_the_gripper() -> None:
+    """Distances are measured from boxes that reach z = 0.1126 m (fingers) and y = 0.104 m (body) of the hand link."""
+    cases = [((0.0, 0.0533, 1.15), 0.15 - 0.1126), ((0.0, 0.154, 1.02), 0.05), ((0.0, 0.0, 1.02), 0.0)]
+    for wrist, distance in cases:
+        found = value("clearance", situation(), situation(wrist=wrist))
+        assert found == pytest.approx((distance - 0.1) * 0.1, abs=1e-5)
+    assert value("clearance", situation(), situation(wrist=(0.0, 0.5, 1.02))) == 0.0
+    # The gripper's y axis is the world's x axis.
+    turned = situation(wrist=(0.154, 0.0, 1.02), turn=(0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)))
+    assert value("clearance", situation(), turned) == pytest.approx(-0.05 * 0.1, abs=1e-5)
+
+
+def test_wrong_weights_are_named() -> None:
+    with pytest.raises(UnknownNameError, match="reward term 'speed'; valid: success, contact"):
+        TermWeights(receiver={"speed": 1.0})
+    for wrong in (float("nan"), "1", None, True):
+        with pytest.raises(OptionError, match="weight of term 'time' of the giver must be a finite number"):
+            TermWeights(giver={"time": wrong})  # type: ignore[dict-item]
+    with pytest.raises(OptionError, match="receiver of TermWeights must be a dict"):
+        TermWeights(receiver=3.0)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="gamma of TermWeights must be a number from 0 to 1"):
+        TermWeights(gamma=1.5)
+
+
+def test_every_term_has_a_row_in_the_table() -> None:
+    rows = [line.split("|") for line in (rewards.__doc__ or "").splitlines() if line.startswith("| ")][1:]
+    assert [row[1].strip() for row in rows] == list(TERMS)
 
 
 def test_the_environment_adds_up_the_terms_it_reports() -> None:
@@ -156,22 +222,11 @@ def test_the_environment_adds_up_the_terms_it_reports() -> None:
     for number in range(30):
         robot[0] = 0.02 * number
         giver = np.array([0, 0.01 * number, 0, 0, 0, 0, 0, 0], dtype=np.float32)
-        _, rewards, _, _, infos = env.step({"giver": giver, "receiver": robot})
-        for agent, reward in rewards.items():
+        _, found, _, _, infos = env.step({"giver": giver, "receiver": robot})
+        for agent, reward in found.items():
             parts = {key: value for key, value in infos[agent].items() if key.startswith("reward/")}
             assert reward == pytest.approx(sum(parts.values()))
+            assert list(parts) == [f"reward/{name}" for name in getattr(SHAPED, agent)]
             total[agent] += reward
-        names = ("task", "distance", "grasp", "goal", "contact", "drop")
-        assert {key for key in infos["receiver"] if key.startswith("reward/")} == {f"reward/{name}" for name in names}
     assert total["giver"] < 0
     assert total["receiver"] != 0
-
-
-@given(situations, st.sampled_from(list(EpisodeStatus)))
-def test_outcome_terms_need_no_state(now: State, status: EpisodeStatus) -> None:
-    outcomes = RewardConfig(ReceiverWeights(task=2.0, drop=-1.0), GiverWeights(contact=-3.0))
-    values = Rewards(outcomes, {}).compute({}, status)
-    tiny = RewardConfig(ReceiverWeights(task=2.0, drop=-1.0, grasp=1e-300), GiverWeights(contact=-3.0))
-    full = terms(tiny, situation(), now, status)
-    for agent in ("receiver", "giver"):
-        assert values[agent] == pytest.approx(full[agent], abs=1e-290)

@@ -6,7 +6,6 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -56,6 +55,7 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("data", "keys"), KEYS.items())
 def test_what_is_seen_is_in_the_space(data: str, keys: set[str]) -> None:
     blind, env = make(), make(obs_mode=f"state+{data}")
@@ -79,6 +79,7 @@ def test_sight_alone_has_no_privileged_key(data: str) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", KEYS)
 def test_the_checkers_are_content(data: str) -> None:
     parallel_api_test(make(obs_mode=f"state+{data}", max_cycles=5), num_cycles=8)
@@ -88,16 +89,7 @@ def test_the_checkers_are_content(data: str) -> None:
     sb3.check_env(env, warn=False)
 
 
-@pytest.mark.parametrize("data", ["pointcloud", "rgbd"])
-def test_torchrl_is_content(data: str) -> None:
-    torchrl = pytest.importorskip("torchrl.envs", reason="needs the extra `torchrl`")
-    from torchrl.envs.utils import check_env_specs
-
-    env = torchrl.PettingZooWrapper(make(obs_mode=f"state+{data}", max_cycles=5))
-    check_env_specs(env)
-    env.close()
-
-
+@pytest.mark.slow
 def test_whole_rollouts_repeat_whoever_looks() -> None:
     first = rollout()
     assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
@@ -111,6 +103,7 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
     )
 
 
+@pytest.mark.slow
 def test_looking_changes_nothing_else() -> None:
     for physics, steps in (("exact", 4), ("fast", 8)):
         blind = rollout(steps, obs_mode="state", physics=physics)
@@ -155,20 +148,6 @@ def test_a_look_is_the_view_of_the_moment() -> None:
     env.close()
 
 
-def test_every_kind_of_environment_can_look() -> None:
-    blind = {**OPTIONS, "max_cycles": 3}
-    made = [
-        gymnasium.make("HandoverMARL/Receiver-v0", **blind),
-        handover_marl.env(**blind),
-        handover_marl.freeze(make()),
-        handover_marl.encode(make()),
-    ]
-    for env in made:
-        env.reset(seed=0)
-        assert env.unwrapped.capture_wrist_camera().depth.shape == (224, 224)
-        env.close()
-
-
 def test_the_geometry_is_a_choice() -> None:
     clouds = {}
     for camera_model in ("handoversim", "pinhole"):
@@ -189,27 +168,6 @@ def test_copies_see_alike() -> None:
         assert_same([env.reset(seed=1)[0]["receiver"]], [other.reset(seed=1)[0]["receiver"]])
         other.close()
     env.close()
-
-
-@pytest.mark.slow
-def test_vector_environments_repeat_from_their_seed() -> None:
-    def last(n: int) -> dict[str, np.ndarray]:
-        envs = gymnasium.make_vec(
-            "handover_marl:HandoverMARL/Receiver-v0",
-            num_envs=n,
-            vectorization_mode="async",
-            obs_mode="state+pointcloud",
-            **OPTIONS,
-        )
-        envs.reset(seed=5)
-        for _ in range(4):
-            seen = envs.step(np.tile(START, (n, 1)))[0]
-        envs.close()
-        return seen
-
-    first, fewer = last(2), last(1)
-    for key, value in first.items():
-        np.testing.assert_array_equal(value[:1], fewer[key])
 
 
 class Looker(Receiver):

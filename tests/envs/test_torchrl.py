@@ -11,6 +11,7 @@ pytestmark = [pytest.mark.filterwarnings("ignore")]
 OPTIONS = {"dataset": "synthetic", "physics": "fast", "control_period": 0.2, "max_cycles": 10}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rewards", ["sparse", "shaped"])
 def test_the_two_agent_environment(rewards: str) -> None:
     from torchrl.envs.utils import check_env_specs
@@ -21,7 +22,7 @@ def test_the_two_agent_environment(rewards: str) -> None:
     # Random actions may end an episode before it is cut off.
     assert rollout.shape[0] == 10 or rollout["next", "receiver", "done"][-1].all()
     assert rollout.shape[0] <= 10
-    assert ("next", "receiver", "info", "reward/task") in rollout.keys(True)
+    assert ("next", "receiver", "info", "reward/success") in rollout.keys(True)
     env.close()
 
 
@@ -36,6 +37,7 @@ def test_wrapped_environments(frozen: bool) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("autoreset", ["disabled", "same_step"])
 @pytest.mark.parametrize("encoded", [False, True])
 def test_vector_environments(autoreset: str, encoded: bool) -> None:

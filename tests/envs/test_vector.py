@@ -53,6 +53,7 @@ def sb3_rollout(envs: Any, seed: int, steps: int) -> Rollout:
     return seen, total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "rollout", "is_made_again"),
     # Processes of Stable-Baselines3 import PyTorch, which takes seconds.

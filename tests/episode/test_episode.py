@@ -47,6 +47,7 @@ def batch_episode() -> Iterator[Episode]:
     episode.close()
 
 
+@pytest.mark.slow
 def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps with callbacks have the outcome of rollouts; the object is released once, after the robot grasped it."""
     releases: list[int] = []

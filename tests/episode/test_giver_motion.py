@@ -9,8 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion
-from handover_marl.episode.recordings import NEVER, find_pick_up_frame, find_wrist_in_base
+from handover_marl.episode.giver_motion import NEVER, NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.wrist_offset import move_with_wrists
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links

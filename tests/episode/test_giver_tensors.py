@@ -47,6 +47,7 @@ def compare(batch: GiverMotion, singles: list[OneGiver], rng: np.random.Generato
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_random_actions_give_equal_motions(seed: int) -> None:

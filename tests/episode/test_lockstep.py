@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.lockstep import RefereeStateBatch, judge_steps
+from handover_marl.episode.lockstep import judge_steps
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
@@ -73,6 +73,10 @@ def arrays(episodes: list[list[Contacts]]) -> ContactBatch:
     return ContactBatch(*(np.concatenate(column, axis=1) for column in columns))
 
 
+def stack_states(states: list[RefereeState]) -> RefereeState:
+    return RefereeState(*np.array(states).T.copy())
+
+
 def step_by_step(referee: Referee, steps: list[Contacts]) -> tuple[int, RefereeState]:
     """Return the index of the step with the first release or end, or of the last step, and the state after it."""
     held = not referee.released
@@ -103,14 +107,14 @@ def test_arrays_give_the_states_of_the_referee(
     ]:
         length = min(chunk, *(len(episodes[number]) - start[number] for number in running))
         parts = [episodes[number][start[number] : start[number] + length] for number in running]
-        before = RefereeStateBatch.from_states([restored[number].get_state() for number in running])
-        before = RefereeStateBatch(*map(factory.asarray, before))
+        before = stack_states([restored[number].get_state() for number in running])
+        before = RefereeState(*map(factory.asarray, before))
         last, states = judge_steps(before, ContactBatch(*map(factory.asarray, arrays(parts))), RULES)
         for place, number in enumerate(running):
             expected = step_by_step(referees[number], parts[place])
-            found = last[place], states.select(place)
+            found = last[place], states.select_rows(place)
             assert without_final_count(*found) == without_final_count(*expected)
-            restored[number].restore(states.select(place))
+            restored[number].restore(states.select_rows(place))
             assert restored[number].status == referees[number].status
             assert restored[number].release_reason == referees[number].release_reason
             assert restored[number].release_step == referees[number].release_step
@@ -125,7 +129,7 @@ def test_whole_episodes_end(status: EpisodeStatus) -> None:
     )
     steps = [holds if status is EpisodeStatus.SUCCESS else Contacts()] * 50
     referee = Referee(RULES)
-    last, states = judge_steps(RefereeStateBatch.from_states([referee.get_state()]), arrays([steps]), RULES)
+    last, states = judge_steps(stack_states([referee.get_state()]), arrays([steps]), RULES)
     if status is EpisodeStatus.SUCCESS:
         assert (last[0], states.release_reason[0], states.status[0]) == (
             3,

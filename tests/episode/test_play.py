@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl import givers, receivers
+from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
 from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed, run_episode
-from handover_marl.givers.cooperative import CooperativeGiver
+from handover_marl.givers.reactions import CooperativeGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.receivers import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver
@@ -115,53 +115,6 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
             np.testing.assert_array_equal(value, as_it_was[key], err_msg=f"the receiver spoilt the giver's {key}")
 
 
-class Places(EpisodeCallback):
-    """Callback that records the joint positions of robot and objects after every step."""
-
-    def on_reset(self, episode: Episode) -> None:
-        self.rows: list[np.ndarray] = []
-
-    def on_step(self, episode: Episode) -> None:
-        world = episode.world
-        self.rows.append(np.concatenate([world.read_agent_joints().robot, world.read_object_joints().ravel()]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("physics", "giver", "scenes"),
-    [("fast", "replay", (209, 214)), ("fast", "noisy", (214, 219)), ("exact", "noisy", (209,))],
-)
-def test_an_episode_does_not_depend_on_those_before_it(physics: str, giver: str, scenes: tuple[int, ...]) -> None:
-    """Episodes are bit-equal after any earlier ones, so that results do not depend on the division among workers.
-
-    The random receiver collides with whatever is in its reach.
-    """
-    dataset = SyntheticDataset()
-    players = receivers.make("random", dataset), givers.make(giver, dataset)
-    used = Episode(physics)
-
-    def play(episode: Episode, scene_id: int) -> tuple[Any, np.ndarray]:
-        places = Places()
-        episode.reset(dataset.load_scene(scene_id))
-        run_episode(episode, *players, seed=0, until=HALF_WAY, callbacks=[places])
-        return (episode.status, episode.steps, episode.release_step), np.array(places.rows)
-
-    # The first scene is the first one of `used`, and the others are simulated in episodes of their own.
-    first = {scenes[0]: play(used, scenes[0])}
-    for scene_id in scenes[1:]:
-        episode = Episode(physics)
-        first[scene_id] = play(episode, scene_id)
-        episode.close()
-    for turn, scene_id in enumerate((*scenes[1:], scenes[0])):
-        expected_end, expected = first[scene_id]
-        end, found = play(used, scene_id)
-        shorter = min(len(found), len(expected))
-        different = np.flatnonzero((found[:shorter] != expected[:shorter]).any(axis=1))
-        assert not len(different), f"scene {scene_id} differs from step {different[0] + 1} on in turn {turn + 1}"
-        assert end == expected_end
-    used.close()
-
-
 class Counting(Policy):
     """Policy with a constant action that records its seeds, its first observation and the times of its calls (ms)."""
 
@@ -228,12 +181,6 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
     episode.close()
 
 
-def test_seeds_of_givers_differ_between_scenes_and_runs() -> None:
-    seeds = [derive_giver_seed(seed, scene) for seed in (0, 1, 1000) for scene in range(1000)]
-    assert len(set(seeds)) == len(seeds)
-    assert all(0 <= seed < 2**32 for seed in seeds)
-
-
 def test_the_seed_of_a_receiver_does_not_depend_on_the_number_of_the_scene(pair: tuple[Counting, Counting]) -> None:
     receiver, _ = pair
     episode, scene = Episode("fast"), SyntheticDataset().load_scene(SCENE)
@@ -274,12 +221,6 @@ def test_times_of_a_decision_are_those_of_rendering_and_policy(monkeypatch: pyte
     run_episode(episode, receivers.make("hold", dataset), until=1, callbacks=[times])
     episode.close()
     assert times.seconds == (2.0, 5.0)
-
-
-def test_no_seed_is_the_seed_zero() -> None:
-    assert derive_giver_seed(None, SCENE) == derive_giver_seed(0, SCENE)
-    seeds = {derive_giver_seed(seed, SCENE) for seed in (-1, 0, 1)}
-    assert len(seeds) == 3
 
 
 def test_seeds_are_those_of_earlier_versions() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
 from handover_marl.simulation.contacts import NO_POINTS, Contacts
 
 CONFIG = ProtocolConfig()
@@ -141,13 +141,6 @@ def test_timeout_only_without_success() -> None:
     assert referee.update(AT_GOAL) is EpisodeStatus.SUCCESS
 
 
-def test_labels() -> None:
-    assert EpisodeStatus(0).label == "running"
-    assert EpisodeStatus(6).label == "contact+drop"
-    labels = [EpisodeStatus(bit).label for bit in (1, 2, 4, 8)]
-    assert labels == ["success", "contact", "drop", "timeout"]
-
-
 def test_bits_are_those_of_handoversim() -> None:
     bits = {status.name: status.value for status in EpisodeStatus}
     assert bits == {"SUCCESS": 1, "HUMAN_CONTACT": 2, "OBJECT_DROP": 4, "TIMEOUT": 8}
@@ -182,21 +175,6 @@ def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], giv
         assert (restored.release_reason, restored.released) == (original.release_reason, original.released)
         assert restored.update(contacts) == original.update(contacts)
         assert restored.get_state() == original.get_state()
-
-
-def test_the_state_before_a_release() -> None:
-    referee = Referee(CONFIG)
-    assert referee.get_state() == RefereeState(0, 0, -1, -1, 0, 0, 0)
-    for _ in range(3):
-        referee.update(GRASP)
-    assert referee.get_state() == RefereeState(0, 3, -1, -1, 3, 0, 0)
-    referee.update(PUSH)
-    assert referee.get_state() == RefereeState(0, 4, -1, -1, 0, 1, 0)
-    referee.release_voluntarily()
-    assert referee.get_state() == RefereeState(0, 4, 2, 4, 0, 1, 0)
-    referee.update(AT_GOAL)
-    referee.release_voluntarily()
-    assert referee.get_state() == RefereeState(0, 5, 2, 4, 0, 1, 1), "a release is for good"
 
 
 @pytest.mark.parametrize("kind", [GRASP, PUSH])

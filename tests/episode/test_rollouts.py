@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.lockstep import RefereeStateBatch, make_judge
+from handover_marl.episode.lockstep import make_judge
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
 from tests.episode.test_lockstep import stack_contacts
@@ -98,6 +98,10 @@ def draw_steps(rng: np.random.Generator) -> list[Contacts]:
     return steps[:N_STEPS]
 
 
+def stack_states(states: list[RefereeState]) -> RefereeState:
+    return RefereeState(*np.array(states).T.copy())
+
+
 def draw_state(rng: np.random.Generator) -> RefereeState:
     """Return the state of an episode that has run for some steps, released or not."""
     referee = Referee(RULES)
@@ -115,7 +119,7 @@ def test_worlds_are_simulated_as_if_alone() -> None:
         for number, key in enumerate(keys)
     ]
     states = [draw_state(rng) for _ in worlds]
-    referees = RefereeStateBatch.from_states(states)
+    referees = stack_states(states)
     targets = [world.target for world in worlds]
     simulated = ScriptedWorld.rollout(worlds, targets, N_STEPS, make_judge(referees, RULES), RULES)
     statuses, reasons = set(), set()
@@ -130,7 +134,7 @@ def test_worlds_are_simulated_as_if_alone() -> None:
             if alone.released and not was_released:
                 releases.append(count)
         assert (simulated[number], world.position, world.releases) == (count, count, releases)
-        found, expected = referees.select(number), alone.get_state()
+        found, expected = referees.select_rows(number), alone.get_state()
         # The goal count of an episode that is over has no use.
         assert found._replace(goal_steps=0) == expected._replace(goal_steps=0)
         if not alone.status:
@@ -145,9 +149,9 @@ def test_worlds_are_simulated_as_if_alone() -> None:
 def test_a_single_world_is_simulated_for_the_requested_steps() -> None:
     ScriptedWorld.sizes, ScriptedWorld.lengths = [], []
     world = ScriptedWorld([APART] * N_STEPS, 0, "alone", 1000, False)
-    referees = RefereeStateBatch.from_states([Referee(RULES).get_state()])
+    referees = stack_states([Referee(RULES).get_state()])
     judge = make_judge(referees, RULES)
     assert ScriptedWorld.rollout([world], [world.target], 250, judge, RULES).tolist() == [250]
     assert ScriptedWorld.lengths == [100, 100, 50]
     assert (world.position, world.releases) == (250, [])
-    assert referees.select(0) == RefereeState(0, 250, -1, -1, 0, 0, 0)
+    assert referees.select_rows(0) == RefereeState(0, 250, -1, -1, 0, 0, 0)

@@ -1,5 +1,6 @@
 import numpy as np
 import numpy.typing as npt
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,6 +23,7 @@ def track(*targets: tuple[npt.ArrayLike, int]) -> np.ndarray:
     return np.concatenate(parts)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(st.tuples(components, components, components), st.integers(1, 300)), max_size=4))
 def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, float, float], int]]) -> None:
     values = np.concatenate([np.zeros((2, 3)), track(*targets)])
@@ -32,6 +34,7 @@ def test_speed_and_acceleration_are_limited(targets: list[tuple[tuple[float, flo
     assert acceleration.max(initial=0.0) <= ACCELERATION + 1.1
 
 
+@pytest.mark.slow
 @given(st.tuples(components, components, components))
 def test_the_set_point_is_reached_exactly_and_kept(goal: tuple[float, float, float]) -> None:
     np.testing.assert_array_equal(track((goal, 2500))[-200:], np.tile(goal, (200, 1)))

@@ -14,6 +14,8 @@ from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Releas
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.simulation.engines import WARP, BatchBackend
 
+pytestmark = pytest.mark.slow
+
 # As many rows as in the tests of the worlds, so that they share kernels.
 COUNT = 3
 #: Scenes in which the object is picked up after some 400 steps at twice the recorded speed.

@@ -9,11 +9,10 @@ import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import FLUENCY
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata
-from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
+from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
 from handover_marl.receivers import Receiver
 
 SCENES = (9, 14)
@@ -55,7 +54,7 @@ def make_report() -> Report:
         fluency = FluencyMetrics(**metrics | {"gripper_jerk": None})
         episodes.append(EpisodeResult(index, status, 4000 + index, 0.5 + index, scene, fluency=fluency, **known))
     metadata = ResultMetadata("s0", "test", "mine", "replay", "exact", "dexycb", "1.0")
-    return Report(metadata, tuple(episodes), metadata.split_size)
+    return Report(metadata, tuple(episodes))
 
 
 def write_results(path: Path) -> Path:

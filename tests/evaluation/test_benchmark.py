@@ -1,5 +1,8 @@
+"""Tests of evaluations: official rules and files, resuming, errors, and shards."""
+
 import json
 import os
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl import EvaluationConfig, ExecutionConfig
 from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets.splits import get_prescribed_side, list_split_scenes
 from handover_marl.errors import (
     DataNotFoundError,
     OptionError,
@@ -21,7 +27,8 @@ from handover_marl.errors import (
     UnknownNameError,
 )
 from handover_marl.evaluation import episode_runner
-from handover_marl.evaluation.reports.report_files import evaluate
+from handover_marl.evaluation.benchmark import select_shard
+from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
@@ -119,6 +126,7 @@ def test_an_interrupted_evaluation_resumes(fake_data: Path, tmp_path: Path, monk
     assert json.loads((tmp_path / "report.json").read_text())["n_resumed"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"PK", None])
 def test_truncated_results_are_simulated_again(fake_data: Path, tmp_path: Path, damage: bytes | None) -> None:
     report = run(fake_data, tmp_path)
@@ -217,6 +225,7 @@ class FailingGiver(Giver):
         raise LookupError("nonsense")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_errors_of_policies_are_reported_with_their_names(fake_data: Path, tmp_path: Path, workers: int) -> None:
     with pytest.raises(PolicyError, match=r"(?s)receiver 'fails_to_act' in scene (9|14): .*KeyError.*nonsense"):
@@ -250,24 +259,28 @@ def test_folders_of_the_original_code(tmp_path: Path) -> None:
     assert report.metadata.receiver == "omg-planner"
     assert not report.is_partial
     assert report.success_rate == 0.25
-    assert report.time_exec == pytest.approx((5000 + 5140) / 2 / 1000)
+    assert report.official_means["exec_s"].mean == pytest.approx((5000 + 5140) / 2 / 1000)
     assert report.episodes[0].scene_id == 209
     assert report.episodes[0].object_name == "003_cracker_box"
     assert "published: OMG Planner" in str(report)
 
 
-@pytest.mark.parametrize(
-    ("config", "field", "value", "message"),
-    [
-        *(
-            (EvaluationConfig, "seed", value, "seed must be an integer of at most 64 bits")
-            for value in (None, 1.0, 2**63)
-        ),
-        *((ExecutionConfig, name, 0, f"{name} must be True or False") for name in ("trust", "fresh", "progress")),
-        *((ExecutionConfig, "out", value, "out must be a path") for value in ("", 5, "a\0b")),
-        (EvaluationConfig, "data_dir", ["a"], "data_dir must be a path"),
-    ],
-)
-def test_impossible_values_in_configurations(config: Any, field: str, value: object, message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        config(**{field: value})
+@given(st.sets(st.integers(0, 999), min_size=1, max_size=300), st.data())
+def test_shards_are_disjoint_complete_and_of_about_equal_size(chosen: set[int], data: st.DataObject) -> None:
+    scenes = tuple(sorted(chosen))
+    count = data.draw(st.integers(1, len(scenes)))
+    shards = [select_shard(f"{number}/{count}", scenes) for number in range(1, count + 1)]
+    assert sorted(scene for shard in shards for scene in shard) == list(scenes)
+    assert all(list(shard) == sorted(shard) for shard in shards)
+    sizes = [len(shard) for shard in shards]
+    assert max(sizes) - min(sizes) <= 1
+
+
+def test_scenes_of_a_shard_are_stable_and_mixed() -> None:
+    """Shards of different machines can be merged, and each has several objects."""
+    scenes = list_split_scenes("s0", "test", get_prescribed_side)
+    assert select_shard("1/3", range(12)) == (0, 2, 4, 9)
+    assert select_shard("3/16", scenes)[:3] == (214, 264, 284)
+    for count in (6, 9, 18):
+        objects = Counter(scene // 5 % 20 for scene in select_shard(f"1/{count}", scenes))
+        assert len(objects) >= min(6, len(scenes) // count - 2)

@@ -7,13 +7,12 @@ from PIL import Image
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation import benchmark
-from handover_marl.evaluation.crossplay import format_pair_folder
+from handover_marl.errors import OptionError, UnknownNameError
 
 SCENES = "9"
 
 
+@pytest.mark.slow
 def test_command_writes_tables_and_a_picture(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -43,20 +42,3 @@ def test_unknown_names_are_reported_before_the_first_scene(fake_data: Path, tmp_
     for givers in ([], None, 5):
         with pytest.raises(OptionError, match="givers must name at least one giver, got"):
             handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
-
-
-def test_folders_that_cannot_be_written_are_reported_before_the_first_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(benchmark, "run_episodes", lambda *_: pytest.fail("a scene was simulated"))
-    (tmp_path / "replay-random").write_text("")
-    with pytest.raises(ResultsError, match=r"cannot use .*replay-random as result folder"):
-        handover_marl.crossplay(["replay"], ["hold", "random"], dataset="synthetic", out=tmp_path)
-
-
-@pytest.mark.parametrize("letter", ["x", "é"])
-def test_folders_of_long_labels_are_short_and_differ(letter: str) -> None:
-    assert format_pair_folder(("noisy:rate=0", "hold")) == "noisy_rate=0-hold"
-    names = [format_pair_folder((letter * 300, f"reactive:wait={number}")) for number in range(2)]
-    assert len(set(names)) == 2
-    assert all(len(name.encode()) < 255 for name in names)

@@ -13,11 +13,9 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
-from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import HandoverError, OptionError, ResultsError, UnknownNameError
+from handover_marl.errors import HandoverError, OptionError, UnknownNameError
 from handover_marl.evaluation import rendering as scene_rendering
 from handover_marl.evaluation.rendering import render_scene
-from handover_marl.simulation.contacts import Contacts
 from handover_marl.visualization import video as video_module
 
 CAMERA = CameraConfig(width=96, height=72)
@@ -53,6 +51,7 @@ def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return steps
 
 
+@pytest.mark.slow
 def test_key_frames_span_the_episode(tmp_path: Path, drawn_after: list[int]) -> None:
     path = draw(tmp_path / "new" / "sheet.png", key_frames=4)
     shown = pictures(path)
@@ -97,6 +96,7 @@ def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> N
         assert end == list(ends[0][:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".gif", ".mp4"])
 def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if suffix == ".mp4":
@@ -131,32 +131,6 @@ def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error
     assert not list(tmp_path.iterdir())
 
 
-def refuse_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise AssertionError("it is noticed too late")
-
-    for name in ("reset", "advance", "render"):
-        monkeypatch.setattr(Episode, name, fail)
-
-
-@pytest.mark.parametrize(
-    "out",
-    [
-        *("file/x.png", "folder.png", "file/deeper/x.gif", "/proc/x.png", "x" * 300 + ".png"),
-    ],
-    ids=lambda out: out[-30:],
-)
-def test_invalid_output_paths_are_reported_before_rendering(
-    tmp_path: Path, out: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("")
-    (tmp_path / "folder.png").mkdir()
-    refuse_to_draw(monkeypatch)
-    with pytest.raises(ResultsError, match="cannot write"):
-        draw(tmp_path / out)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.png"]
-
-
 def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
@@ -178,30 +152,6 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     assert "do not apply to --plan" in capsys.readouterr().err
     assert main([*command, "--vertical-fov", "180"]) == 2
     assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
-
-
-class AtStep:
-    """Substitute for an episode that has been simulated for 4250 steps."""
-
-    def __init__(self, status: EpisodeStatus, release_step: int | None = None, touching: bool = False) -> None:
-        self.steps, self.status, self.release_step = 4250, status, release_step
-        self.contacts = Contacts(robot_touches_object=touching)
-
-
-@pytest.mark.parametrize(
-    ("episode", "state"),
-    [
-        (AtStep(EpisodeStatus.RUNNING), ""),
-        (AtStep(EpisodeStatus.RUNNING, None, True), ", object touched"),
-        (AtStep(EpisodeStatus.RUNNING, 4000, True), ", released"),
-        (AtStep(EpisodeStatus.SUCCESS, 4000, True), ", goal reached"),
-        (AtStep(EpisodeStatus.HUMAN_CONTACT), ", contact"),
-        (AtStep(EpisodeStatus.HUMAN_CONTACT | EpisodeStatus.OBJECT_DROP, 4000), ", contact+drop"),
-        (AtStep(EpisodeStatus.TIMEOUT), ", timeout"),
-    ],
-)
-def test_caption_of_every_state(episode: Any, state: str) -> None:
-    assert video_module.format_caption(episode) == f"4.25 s{state}"
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

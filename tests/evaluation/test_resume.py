@@ -78,6 +78,7 @@ def is_refused(fake_data: Path, out: Path, receiver: Any, what: str = "receiver 
         run(fake_data, out, receiver=receiver, scenes=[9])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_name", [False, True])
 def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Write, by_name: bool) -> None:
     out = tmp_path / "out"

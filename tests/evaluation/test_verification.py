@@ -9,12 +9,11 @@ import yaml
 
 from handover_marl.cli import main
 from handover_marl.config import PhysicsConfig, ProtocolConfig, WorldConfig
-from handover_marl.errors import HandoverError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import read_result
+from handover_marl.evaluation.results import EpisodeResult, read_result
 from handover_marl.evaluation.verification import (
     StoredActions,
     check_episode,
@@ -140,6 +139,7 @@ REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.slow
 def test_an_unchanged_folder_is_verified(folder: Path) -> None:
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     verification = verify(folder, workers=1, progress=False)
@@ -149,12 +149,14 @@ def test_an_unchanged_folder_is_verified(folder: Path) -> None:
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", ACTION_FORGERIES)
 def test_forged_actions_are_found(forgery: str, folder: Path, runner: EpisodeRunner) -> None:
     change_arrays(folder, ACTION_FORGERIES[forgery])
     assert check_episode(runner, folder, SceneTask(INDEX, SCENE), same_version=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", VALUE_FORGERIES)
 def test_forged_values_are_found(forgery: str, folder: Path, simulated: EpisodeResult) -> None:
     assert compare_results(read_result(folder / "002.npz"), simulated, same_version=True) == []
@@ -169,6 +171,7 @@ def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
     assert check_reports(folder)
 
 
+@pytest.mark.slow
 def test_what_was_not_compared_is_printed(folder: Path) -> None:
     path = folder / "config.yaml"
     text = str(verify(folder, workers=1, progress=False))
@@ -182,6 +185,7 @@ def test_what_was_not_compared_is_printed(folder: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     change_arrays(folder, replaced("result", np.int64(8)))
     assert main(["verify", str(folder), "--workers", "1", "--no-progress"]) == 1
@@ -191,6 +195,7 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert "Not equal: 1 of 1 episodes" in printed
 
 
+@pytest.mark.slow
 def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
     evaluate_pair("hesitant", "yang2021", "s0", "val", scenes=[SCENE], out=tmp_path, **OPTIONS)
     assert verify(tmp_path, workers=1, progress=False).is_verified
@@ -220,27 +225,17 @@ def test_another_seed_or_physics_in_the_configuration_is_found(
     assert verification.changed_scenes == ((SCENE,) if is_other else ())
 
 
+@pytest.mark.slow
 def test_a_copied_result_is_found(folder: Path) -> None:
     (folder / "003.npz").write_bytes((folder / "002.npz").read_bytes())
     verification = verify(folder, workers=1, progress=False)
     assert verification.changed_scenes == (24,)
 
 
+@pytest.mark.slow
 def test_another_world_must_be_passed(tmp_path: Path) -> None:
     config = WorldConfig(physics=PhysicsConfig(gravity=-9.0))
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=config, **OPTIONS)
     with pytest.raises(ResultsError, match="world_config"):
         verify(tmp_path, workers=1, progress=False)
     assert verify(tmp_path, workers=1, progress=False, world_config=config).is_verified
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("seed", "x"), ("physics", "bullet"), ("dataset", "mine"), ("robot", "ur5"), ("giver", "none")]
-)
-def test_unknown_names_in_a_folder_are_errors(key: str, value: str, folder: Path) -> None:
-    path = folder / "config.yaml"
-    content = yaml.safe_load(path.read_text())
-    content["HANDOVER_MARL"][key] = value
-    path.write_text(yaml.safe_dump(content))
-    with pytest.raises(HandoverError):
-        verify(folder, workers=1, progress=False)

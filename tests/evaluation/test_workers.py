@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.errors import PolicyError
 from tests.evaluation import quick
-from tests.evaluation.quick import QuickReceiver
+
+pytestmark = pytest.mark.slow
 
 
 def run(data: Path, n_workers: int | None, **options: Any) -> list[tuple[Any, ...]]:
@@ -30,7 +30,6 @@ def files(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-@pytest.mark.slow
 def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: Path) -> None:
     """Results depend neither on the number of workers nor on the scenes simulated before in the same process."""
     drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy"}
@@ -73,20 +72,6 @@ def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
     assert waited_for(lambda: all(ended(int(child)) for child in children), 2.0)
 
 
-class QuitsActing(QuickReceiver):
-    name = "quits"
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        sys.exit(3)
-
-
-@pytest.mark.parametrize("n_workers", [1, 2])
-def test_receiver_that_exits(fake_data: Path, tmp_path: Path, n_workers: int) -> None:
-    with pytest.raises(PolicyError, match=r"(?s)receiver 'quits' in scene (9|14): .*SystemExit: 3"):
-        run(fake_data, n_workers, receiver=QuitsActing, out=tmp_path / "out")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
-
-
 SLEEPING = """
 import os, sys, time
 from pathlib import Path
@@ -122,7 +107,6 @@ def waited_for(condition: Any, seconds: float) -> bool:
     return True
 
 
-@pytest.mark.slow
 def test_workers_end_with_a_killed_parent(fake_data: Path, tmp_path: Path) -> None:
     """Workers end if their parent is killed during a scene, even if their policy sleeps."""
     (tmp_path / "script.py").write_text(SLEEPING)
@@ -191,7 +175,6 @@ for workers in (1, 2):
 """
 
 
-@pytest.mark.slow
 def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
     """Workers use policies of a script without running it again, so that it needs no `__main__` guard."""
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -1,6 +1,5 @@
 """Tests of evaluations of receivers that observe the wrist camera."""
 
-import importlib.util
 import time
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,8 @@ import pytest
 import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
-from handover_marl.evaluation.results.metadata import read_result_metadata
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.receivers import Receiver
 from tests.evaluation.quick import SHORT
 
@@ -57,6 +56,7 @@ def actions(folder: Path) -> list[np.ndarray]:
     return [np.load(path)["action"] for path in sorted(folder.glob("[0-9]*.npz"))]
 
 
+@pytest.mark.slow
 def test_point_clouds_do_not_depend_on_the_worker(tmp_path: Path) -> None:
     options = {**OPTIONS, "world_config": LONGER}
     for workers in (1, 2):
@@ -81,11 +81,6 @@ def test_rendering_time_is_not_planning_time(monkeypatch: pytest.MonkeyPatch) ->
     assert report.episodes[0].plan_s < 0.2
 
 
-def test_nothing_is_rendered_without_camera_observations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Episode, "observe_camera", lambda self, obs_mode: pytest.fail("drawn"))
-    handover_marl.evaluate_pair(receiver="hold", scenes=SCENES[:1], workers=1, **OPTIONS)
-
-
 def test_results_store_robot_observation_mode_and_wait(tmp_path: Path) -> None:
     run = {"receiver": (Seeing, {"wait": 1.5}), "scenes": SCENES[:1], "workers": 1, "out": tmp_path, **OPTIONS}
     report = handover_marl.evaluate_pair(**run, robot="panda_camera", camera_model="pinhole")
@@ -102,20 +97,3 @@ def test_results_store_robot_observation_mode_and_wait(tmp_path: Path) -> None:
     ):
         with pytest.raises(ResultsError, match="holds another evaluation"):
             handover_marl.evaluate_pair(**run, **other)
-
-
-class Lost(Seeing):
-    obs_mode = "sonar"
-
-
-def test_impossible_options_are_reported_before_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(UnknownNameError, match="unknown obs_mode 'sonar'"):
-        handover_marl.evaluate_pair(receiver=Lost, scenes=SCENES, **OPTIONS)
-    with pytest.raises(UnknownNameError, match="unknown renderer"):
-        handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, renderer="x", **OPTIONS)
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else find(name, *rest)
-    )
-    with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
-        handover_marl.evaluate_pair(receiver=Seeing, scenes=SCENES, **OPTIONS)

@@ -1,6 +1,5 @@
 """Tests of reading archives from untrusted sources: links and paths outside are never read."""
 
-import contextlib
 import io
 import os
 import tarfile
@@ -51,8 +50,6 @@ def contents(source: Path) -> dict[str, bytes]:
     [
         lambda path: tar(path / "a.tar", "w"),
         lambda path: tar(path / "a.tar.gz", "w:gz"),
-        lambda path: tar(path / "a.tar.bz2", "w:bz2"),
-        lambda path: tar(path / "a.tar.xz", "w:xz"),
         lambda path: tar(path / "called otherwise", "w:gz"),
         lambda path: zipped(path / "a.zip"),
         lambda path: folder(path / "unpacked"),
@@ -84,17 +81,6 @@ def test_unsafe_entries_are_refused(entry: tarfile.TarInfo, tmp_path: Path) -> N
     with pytest.raises(UnsafeFileError, match="refused to unpack"):
         contents(source)
     assert [path.name for path in tmp_path.iterdir()] == ["a.tar.gz"]
-
-
-@pytest.mark.parametrize("name", ["../x", "/x", "a/../../x"])
-@pytest.mark.parametrize("is_zip", [True, False])
-def test_nothing_is_written_outside(name: str, is_zip: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    source = zipped(tmp_path / "a", {name: b"x"}) if is_zip else tar(tmp_path / "a", "w", {name: b"x"})
-    with contextlib.suppress(UnsafeFileError):
-        assert set(contents(source)) <= {"x", "a/x"}
-    assert not Path("/x").exists()
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_links_in_a_folder_are_ignored(tmp_path: Path) -> None:

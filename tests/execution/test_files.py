@@ -1,6 +1,5 @@
 """Tests of atomic writing of files, and of locks."""
 
-import fcntl
 import os
 import threading
 import time
@@ -60,29 +59,21 @@ def test_failed_writes_leave_no_file(
         write(tmp_path / "none" / "a.txt", "text")
 
 
-@pytest.mark.parametrize("has_links", [True, False])
-def test_create_exclusively(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool) -> None:
+def test_create_exclusively(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, sync = tmp_path / "a.txt", os.fsync
-
-    def refuse(*_: object) -> None:
-        raise PermissionError(1, "Operation not permitted")
 
     def sync_late(handle: int) -> None:
         sync(handle)
         path.write_text("another's")
 
-    if not has_links:
-        monkeypatch.setattr(Path, "hardlink_to", refuse)
     for content in ("first", "second"):
         create_exclusively(path, content)
         assert path.read_text() == "first"
+    path.unlink()
+    monkeypatch.setattr(os, "fsync", sync_late)
+    create_exclusively(path, "mine")
+    assert path.read_text() == "another's"
     assert list(tmp_path.iterdir()) == [path]
-    if has_links:
-        path.unlink()
-        monkeypatch.setattr(os, "fsync", sync_late)
-        create_exclusively(path, "mine")
-        assert path.read_text() == "another's"
-        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_temporary_files_of_killed_writers_are_removed(tmp_path: Path) -> None:
@@ -123,15 +114,3 @@ def test_locks_of_folders(tmp_path: Path) -> None:
             exclusive_lock(tmp_path),
         ):
             pass
-
-
-def test_lock_that_cannot_be_made_has_no_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with wait_for_lock(tmp_path / "nowhere" / "a.lock", pytest.fail):
-        pass
-
-    def refuse(*_: object) -> None:
-        raise OSError(38, "Function not implemented")
-
-    monkeypatch.setattr(fcntl, "flock", refuse)
-    with wait_for_lock(tmp_path / "a.lock", pytest.fail), wait_for_lock(tmp_path / "a.lock", pytest.fail):
-        pass

@@ -2,10 +2,9 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress, open_pool, share_pool
+from handover_marl.execution.pool import LocalPool, map_with_progress, open_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -41,7 +40,8 @@ def test_one_worker_is_this_process() -> None:
 
 def test_worker_processes_run_local_functions() -> None:
     """Worker processes run functions that are defined within functions, which no other process can import."""
-    found = sorted(open_pool(PoolConfig(2)).map_unordered(open_worker([]), [1, 2, 3, 4]))
+    with closing(open_pool(PoolConfig(2))) as pool:
+        found = sorted(pool.map_unordered(open_worker([]), [1, 2, 3, 4]))
     assert [result for _, (_, result) in found] == [10, 20, 30, 40]
     processes = {process for _, (process, _) in found}
     assert 1 <= len(processes) <= 2
@@ -64,15 +64,11 @@ def test_errors_of_tasks_are_raised_here() -> None:
         run(raise_error(KeyError), [1, 2], workers=1)
 
 
-def test_results_that_cannot_be_pickled() -> None:
-    with pytest.raises(WorkerError, match=r"result cannot be pickled .*lock"):
-        run(lambda _: threading.Lock(), [1, 2])
-
-
 def kill_this_process() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
     killed = tmp_path / "killed"
 
@@ -86,6 +82,7 @@ def test_a_killed_worker_is_replaced(tmp_path: Path) -> None:
         assert run(work, [1, 2, 3, 4, 5]) == {task: task for task in range(1, 6)}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:a worker process died")
 def test_a_task_that_kills_its_worker_twice() -> None:
     """The error names the task that kills its worker, and no task whose worker ends at the same time."""
@@ -98,12 +95,6 @@ def test_a_task_that_kills_its_worker_twice() -> None:
 
     with pytest.raises(WorkerError, match=r"died twice while numbers: 2 \(exit code .*-9\)\)"):
         run(work, [1, 2, 3])
-
-
-@pytest.mark.filterwarnings("ignore:a worker process died")
-def test_a_worker_that_dies_while_it_starts() -> None:
-    with pytest.raises(WorkerError, match="died twice while numbers: "):
-        dict(map_with_progress(kill_this_process, [1, 2], "numbers", PoolConfig(2), progress=False))  # type: ignore[arg-type]
 
 
 def test_closing_ends_running_tasks() -> None:
@@ -132,16 +123,17 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
         open_pool(PoolConfig(backend="ray"))
 
 
+@pytest.mark.slow
 def test_shared_pool_keeps_its_processes() -> None:
     def run_shared(function: Callable[[int], object]) -> list[object]:
-        found = open_workers().map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
+        found = pool.map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
         return [result for _, result in sorted(found)]
 
     def get_process(task: int) -> int:
         time.sleep(0.2)
         return os.getpid()
 
-    with share_pool(PoolConfig(2)) as open_workers:
+    with closing(LocalPool(2)) as pool:
         first = set(run_shared(get_process))
         assert len(first) == 2
         assert run_shared(lambda task: task + 1) == [1, 2, 3, 4]
@@ -149,17 +141,3 @@ def test_shared_pool_keeps_its_processes() -> None:
     for process in first:
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
-
-
-@pytest.mark.filterwarnings("ignore:a worker process died")
-def test_shared_pool_continues_after_a_crash(tmp_path: Path) -> None:
-    def work(task: int) -> int:
-        if task == 1 and not (tmp_path / "killed").exists():
-            (tmp_path / "killed").touch()
-            kill_this_process()
-        return task
-
-    with share_pool(PoolConfig(2)) as open_workers:
-        for _ in range(2):
-            found = open_workers().map_unordered(lambda: nullcontext(work), [0, 1, 2])
-            assert sorted(result for _, result in found) == [0, 1, 2]

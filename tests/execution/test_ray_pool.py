@@ -223,19 +223,6 @@ def test_errors_of_policies_are_raised_here(cluster: Any, nodes: list[Any]) -> N
         play(cluster, receiver=Failing)
 
 
-def test_adapted_networks_act_as_here(cluster: Any, nodes: list[Any], tmp_path: Path) -> None:
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    from tests.learning.adapters.networks import CHOICES, make_net
-
-    receiver = handover_marl.as_receiver(make_net(), **CHOICES["receiver"])
-    scenes = SCENES[:2]
-    handover_marl.evaluate_pair(
-        **{**OPTIONS, "receiver": receiver, "scenes": scenes, "workers": 1, "out": tmp_path / "alone"}
-    )
-    play(cluster, tmp_path / "ray", receiver=receiver, scenes=scenes, workers=2)
-    assert_same(tmp_path / "ray", tmp_path / "alone")
-
-
 def test_interruption_frees_the_cores(cluster: Any, nodes: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt

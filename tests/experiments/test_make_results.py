@@ -14,9 +14,8 @@ from experiments import make_results
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata
-from handover_marl.evaluation.results.result_folder import ResultFolder, encode_result
+from handover_marl.evaluation.metadata import ResultMetadata
+from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
 from tests.docs.test_results import check_outcome_row, list_outcome_rows
 from tests.evaluation.quick import write_results
 from tests.short_episodes import shorten_episodes
@@ -41,11 +40,12 @@ def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "docs" / "results"
     shutil.copytree(make_results.DATA, folder / "data", ignore=shutil.ignore_patterns("episodes"))
     real = make_results.FOLDER
-    for constant in ("FOLDER", "DATA", "EPISODES", "COUNTS", "TEST_USE"):
+    for constant in ("FOLDER", "DATA", "EPISODES", "EVALUATIONS", "TEST_USE"):
         monkeypatch.setattr(make_results, constant, folder / getattr(make_results, constant).relative_to(real))
     return folder
 
 
+@pytest.mark.slow
 def test_stored_outcomes_are_printed(pages: Path, tmp_path: Path) -> None:
     """Rates, times and AS of two stored evaluations are those of their files, and so is their paired difference."""
     reactive, yang = itertools.cycle([1, 1, 1, 1, 1, 6, 8]), itertools.cycle([1, 1, 2, 4, 1])
@@ -108,11 +108,12 @@ def test_other_data_are_not_in_one_table(pages: Path, tmp_path: Path) -> None:
 
 
 def test_a_partial_folder_is_refused(pages: Path, tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match="whole split"):
+    with pytest.raises(SystemExit, match="whole test split"):
         make_results.add_evaluation(write_results(tmp_path / "partial"), "a test")
     assert not make_results.EPISODES.exists()
 
 
+@pytest.mark.slow
 def test_a_shared_scene_is_simulated_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = {"s0": (9, 14), "s2": (3, 9)}
     shorten_episodes(monkeypatch, 1500)

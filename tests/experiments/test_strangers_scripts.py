@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from experiments.strangers.search_best_responses import SEARCH_SPACE, BestResponse, draw_policy, format_results
+from experiments.strangers.search_best_responses import SEARCH_SPACE, draw_policy, format_results
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.policies.populations import Partner
 from handover_marl.policies.reference import parse_policy
+from tests.evaluation.reports.test_report import report
 
 
 def test_drawn_settings_are_options() -> None:
@@ -19,8 +20,8 @@ def test_drawn_settings_are_options() -> None:
 
 def test_best_response_is_that_of_the_best_search() -> None:
     partners = (Partner("a", "f", "train", "a", "x"),)
-    found = {(0, 1): BestResponse("second", 0.7, 1.0), (0, 0): BestResponse("first", 0.6, 0.9)}
-    text = format_results(partners, found, 8)
-    assert "60.0, 70.0" in text
+    found = {(0, 1): report(1, 1, receiver="second"), (0, 0): report(1, 2, receiver="first")}
+    text = format_results(partners, found)
+    assert "30.8, 61.5" in text
     assert "second" in text
     assert "first" not in text

@@ -65,9 +65,7 @@ def test_unreadable_cache_is_computed_again(kind: str, tmp_path: Path) -> None:
     assert load_cached_arrays(tmp_path / "cache.npz", ["values"], "field") is None
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\x00\xff junk", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"]
-)
+@pytest.mark.parametrize("content", [b"", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"])
 def test_what_is_no_urdf(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "body.urdf").write_bytes(content)
     for read in (read_tree, check_collision_meshes):

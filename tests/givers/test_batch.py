@@ -10,26 +10,19 @@ from handover_marl import givers
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.givers.array_giver import make_giver_batch
-from handover_marl.givers.cooperative import CooperativeGiver
-from handover_marl.policies.batch import make_giver_actions
-from handover_marl.policies.policy import Action, make_giver_action
 from tests.givers.test_givers import seen
 from tests.tensors import make_device_tensors, make_observe_function
+
+pytestmark = pytest.mark.slow
 
 COUNT = 6
 NAMES = (
     "replay",
-    "hesitant",
     "hesitant:pauses_per_second=1.5,longest_pause=0.5",
-    "hurried",
     "hurried:min_rate=-0.4,max_rate=0.2",
-    "stop_when_near",
     "stop_when_near:distance=0.5",
-    "noisy",
     "noisy:displacement=0.05,rotation=0,rate=0,time_constant=1",
-    "withdrawing",
     "withdrawing:max_speed=0.1,max_distance=0.6,withdrawal=0.3,return_after=0.2",
-    "cooperative",
     "displaced",
     "early_release",
     "interrupting",
@@ -129,19 +122,3 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
             assert np.ptp(acted, axis=0).any()
         if name.startswith("cooperative"):
             assert np.array(acted)[..., 7].any(), "no object was released"
-
-
-def test_a_subclass_that_acts_otherwise_has_no_batch() -> None:
-    class Own(CooperativeGiver):
-        def act(self, observation: Observation) -> Action:
-            return make_giver_action()
-
-    assert make_giver_batch(Own(), 2) is None
-    assert make_giver_batch(CooperativeGiver(), 2) is not None
-
-
-def test_actions_of_components() -> None:
-    shift = np.arange(6.0).reshape(2, 3)
-    found = make_giver_actions(2, 0.5, shift, -shift, [True, False])
-    for row, release in enumerate((True, False)):
-        np.testing.assert_array_equal(found[row], make_giver_action(0.5, shift[row], -shift[row], release))

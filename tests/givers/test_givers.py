@@ -1,7 +1,6 @@
 """Tests of the requirements on all givers, and of the behaviour of each giver."""
 
 import json
-from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any
 
@@ -9,17 +8,12 @@ import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-import handover_marl
 from handover_marl import givers
 from handover_marl.config import PandaConfig
-from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import check_giver_action, giver_action_space
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError
 from handover_marl.givers import Giver
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
@@ -55,35 +49,16 @@ def make(name: str, seed: int = 0) -> Giver:
     return giver
 
 
-@pytest.fixture(scope="module")
-def episode() -> Iterator[Episode]:
-    episode = Episode("fast")
-    yield episode
-    episode.close()
+@pytest.mark.parametrize("name", ["hesitant", "hurried", "noisy", "displaced", "tired", "recording_spread"])
+def test_actions_depend_on_the_seed(name: str) -> None:
+    """`tests/test_testing.py` checks that they repeat from it."""
+    first, other = (make(name, seed) for seed in (1, 2))
+    times = 0.1 * np.arange(40, dtype=np.float32)
+    actions = [[giver.act(seen(time=times[[n]])) for n in range(40)] for giver in (first, other)]
+    assert not np.array_equal(*actions)
 
 
-def rollout(episode: Episode, name: str, seed: int, steps: int = 20) -> list[np.ndarray]:
-    clock = PolicyScheduler(givers.make(name))
-    episode.reset(SyntheticDataset().load_scene(209))
-    clock.reset(seed)
-    actions = []
-    for _ in range(steps):
-        action = clock.act(lambda: episode.observe_giver(episode.observe()), episode.steps)
-        checked = check_giver_action(action, giver_action_space())
-        assert giver_action_space().contains(checked)
-        episode.advance(START, 100, checked)
-        actions.append(np.concatenate([action, episode.observe()["hand_keypoints"].ravel()]))
-    return actions
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_rollouts_repeat_from_their_seed(episode: Episode, name: str) -> None:
-    first = rollout(episode, name, 1)
-    np.testing.assert_array_equal(first, rollout(episode, name, 1))
-    if name in ("hesitant", "hurried", "noisy", "displaced", "tired", "recording_spread"):
-        assert not np.array_equal(first, rollout(episode, name, 2))
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cooperative", "learned"])
 def test_the_environment_takes_givers(name: str) -> None:
     options = {"split": "val", "dataset": "synthetic", "physics": "fast", "control_period": 0.03}
@@ -91,20 +66,11 @@ def test_the_environment_takes_givers(name: str) -> None:
     parallel_seed_test(lambda: freeze(parallel_env(**options), "receiver", name), num_cycles=5)
 
 
-def test_unknown_names() -> None:
-    with pytest.raises(UnknownNameError, match="giver 'polite'; valid: cooperative, displaced"):
-        handover_marl.evaluate_pair("polite", dataset="synthetic")
-
-
 def test_hesitant_people_pause_and_go_on() -> None:
     giver = make("hesitant")
     rates = [giver.act(seen(time=np.float32([0.1 * n])))[0] for n in range(130)]
     assert set(rates) == {-1.0, 0.0}
     assert 0.1 < np.mean(np.array(rates) == -1.0) < 0.6
-
-
-def test_hurried_people_are_faster_than_recorded() -> None:
-    assert all(0.4 <= make("hurried", seed).act(seen())[0] <= 1.0 for seed in range(20))
 
 
 def test_noise_has_the_size_it_says() -> None:
@@ -168,6 +134,7 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
 @pytest.mark.parametrize(
     "text",
     [
+        "hurried:min_rate=0.9,max_rate=0.5",
         "displaced:distance=0.4",
         "tired:frequency=20",
         "early_release:max_delay=-1",
@@ -181,23 +148,8 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
     ],
 )
 def test_options_out_of_range(text: str) -> None:
-    with pytest.raises(OptionError, match="must be a finite number from"):
+    with pytest.raises(OptionError, match=r"must be (a finite number from|at most)"):
         givers.make(text)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["hurried:min_rate=0.9,max_rate=0.5", "hesitant:shortest_pause=2", "interrupting:shortest=3,longest=2"],
-)
-def test_reversed_ranges(text: str) -> None:
-    with pytest.raises(OptionError, match=r"of \w+Config must be at most"):
-        givers.make(text)
-
-
-def test_options_of_speed() -> None:
-    slow = [make("hurried:min_rate=-0.5,max_rate=-0.3", seed).act(seen())[0] for seed in range(20)]
-    assert all(-0.5 <= rate <= -0.3 for rate in slow)
-    assert make("stop_when_near:distance=0.7").act(seen())[0] == -1.0
 
 
 def test_interruptions_withdraw_the_hand_for_a_while() -> None:
@@ -229,14 +181,6 @@ def test_deviations_are_those_between_recordings_of_the_object() -> None:
     np.testing.assert_allclose(deviations[1:4], spread["displacement"], rtol=0.08)
     np.testing.assert_allclose(deviations[4:7], spread["rotation"], rtol=0.08)
     assert np.std(np.log1p(np.array(actions)[:, 0])) == pytest.approx(spread["log_pace"], rel=0.08)
-
-
-def test_spread_of_unknown_objects_and_factors() -> None:
-    giver = givers.make("recording_spread:displacement=0,pace=0")
-    giver.reset(3)
-    action = giver.act(seen(object_classes=np.float32([99, 0, 0, 0, 0])))
-    assert not action[:4].any()
-    assert action[4:7].any()
 
 
 def test_stopping_when_near() -> None:

@@ -16,6 +16,8 @@ from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE, read_recording
 from tests.playing import play
 
+pytestmark = pytest.mark.slow
+
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("gaddpg/*.npz")) if RECORDINGS else ["none"]
 #: `ELSEWHERE` was recorded after `AFTER` in the same process, in another world. The scripts query PyBullet's first
 #: client for inverse kinematics. That was the client of the first world, so every query started from the robot's last

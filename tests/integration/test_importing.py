@@ -110,10 +110,11 @@ def imported(raw_dexycb: Path, real_data: Path, tmp_path_factory: pytest.TempPat
     return out
 
 
-@pytest.mark.parametrize("physics", ["exact", "fast"])
-def test_imported_scenes_are_played(imported: Path, physics: str) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize(("physics", "scenes"), [("exact", PLAYED[:1]), ("fast", PLAYED)])
+def test_imported_scenes_are_played(imported: Path, physics: str, scenes: tuple[int, ...]) -> None:
     dataset = OfficialDataset(imported)
-    for scene_id in PLAYED:
+    for scene_id in scenes:
         episode = Episode(physics)
         play(episode, dataset.load_scene(scene_id), receivers.make("yang2021", dataset))
         assert episode.status
@@ -121,6 +122,7 @@ def test_imported_scenes_are_played(imported: Path, physics: str) -> None:
         episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene_id", PLAYED)
 def test_a_hand_from_the_import_is_the_originals(
     imported: Path, several_objects: OfficialDataset, scene_id: int
@@ -137,6 +139,7 @@ def test_a_hand_from_the_import_is_the_originals(
         np.testing.assert_array_equal(value, states[1][key], err_msg=key)
 
 
+@pytest.mark.slow
 def test_results_say_what_was_imported(imported: Path) -> None:
     report = benchmark(setup="s0", split="train", scenes=[5, 108], data_dir=imported, physics="fast", progress=False)
     assert report.data_label == "DexYCB, 4 to 5 objects a scene, MANO hand"

@@ -10,6 +10,8 @@ import pytest
 from tests.comma_locale import install_comma_locale
 from tests.integration.process_settings import __file__ as script
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 #: Settings of Python and of the system, and of PyTorch.
 PYTHON = "locale,umask,garbage,decimal,generators,numpy,warnings"
@@ -46,12 +48,10 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return play("none", tmp_path_factory.mktemp("none"), {})
 
 
-@pytest.mark.slow
 def test_settings_of_python_and_the_system_change_no_episode(tmp_path: Path, expected: dict[str, str]) -> None:
     assert play(PYTHON, tmp_path, VARIABLES) == expected
 
 
-@pytest.mark.slow
 def test_settings_of_pytorch_change_no_episode(tmp_path: Path, expected: dict[str, str]) -> None:
     """Other policies compute without PyTorch."""
     found = play(PYTORCH, tmp_path, {}, *WITH_NETWORKS)

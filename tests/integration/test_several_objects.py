@@ -44,6 +44,7 @@ def test_the_given_object_comes_first(several_objects: OfficialDataset, scene_id
     np.testing.assert_array_equal(scene.object_dof[:, :, 3:], recorded[:, order, 3:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PHYSICS)
 @pytest.mark.parametrize("scene_id", SCENES)
 def test_all_of_them_are_observed(several_objects: OfficialDataset, scene_id: int, physics: str) -> None:
@@ -85,6 +86,7 @@ def stacked(scene: Scene) -> tuple[Scene, float]:
     return replace(scene, object_dof=dof, hand_dof=hand), float(dof[-1, 1, 2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PHYSICS)
 def test_an_object_that_falls_on_another_one_is_dropped(several_objects: OfficialDataset, physics: str) -> None:
     scene, lower = stacked(several_objects.load_scene(STACK))
@@ -111,6 +113,7 @@ def replay(episode: Episode, actions: np.ndarray) -> None:
             episode.advance(action, 1)
 
 
+@pytest.mark.slow
 def test_the_others_sleep_until_the_arm_comes(several_objects: OfficialDataset, recordings: Path) -> None:
     scene = several_objects.load_scene(108)
     with np.load(recordings / "multi" / "multi_scene108_knock.npz") as archive:
@@ -136,6 +139,7 @@ def test_the_others_sleep_until_the_arm_comes(several_objects: OfficialDataset, 
         episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEVERAL)
 def test_fast_physics_ends_the_recordings_alike(several_objects: OfficialDataset, recordings: Path, name: str) -> None:
     with np.load(recordings / "multi" / f"{name}.npz") as archive:
@@ -165,6 +169,7 @@ def planned_way(dataset: OfficialDataset, scene: Scene) -> np.ndarray:
     return transform_points(receiver.world_from_base, hand)
 
 
+@pytest.mark.slow
 def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> None:
     scene = several_objects.load_scene(STACK)
     away = scene.object_dof.copy()
@@ -180,11 +185,11 @@ def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> N
     assert np.linalg.norm(round_it - place, axis=1).min() > 0.05
 
 
-@pytest.mark.parametrize("scene_id", [44, 108, 205])
-def test_the_wrist_camera_separates_them(several_objects: OfficialDataset, scene_id: int) -> None:
+@pytest.mark.slow
+def test_the_wrist_camera_separates_them(several_objects: OfficialDataset) -> None:
     """In a view over the table, both renderers label the other objects separately from the given one."""
     pytest.importorskip("embreex")
-    scene = several_objects.load_scene(scene_id)
+    scene = several_objects.load_scene(108)
     over_the_table = np.array([0.0, -0.3, 0.0, -2.2, 0.0, 2.9, 0.785, 0.04, 0.04], dtype=np.float32)
     views = {}
     for renderer in ("bullet", "rays"):

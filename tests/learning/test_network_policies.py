@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,10 +16,10 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.network_policies import NetworkPolicyBatch, TensorNetwork, make_network_policy_batch
+from handover_marl.learning.network_policies import NetworkPolicyBatch, make_network_policy_batch
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
     ACTIVATIONS,
@@ -40,8 +39,6 @@ PAIRS = [
     for agent, features in choices({agent: list_features(agent) for agent in AGENTS})
     for scheme in list_schemes(agent)
 ]
-#: Pairs with all features and all schemes, but not all combinations: the network alone connects them.
-FEW_PAIRS = [pair for pair in PAIRS if pair[0] == "giver" or pair[1] == "close_stack" or pair[2] == "grasp_servo"]
 
 
 def draw_network(n_inputs: int, n_outputs: int, seed: int, activation: str = "tanh") -> DenseNetwork:
@@ -96,39 +93,14 @@ def test_a_network_of_tensors_has_the_same_outputs(
         network = replace(network, output=activation)
     inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
     with make_device_tensors() as tensors:
-        found = to_numpy(TensorNetwork(network, tensors)(tensors.asarray(inputs)))
+        found = to_numpy(network.copy_to(tensors)(tensors.asarray(inputs)))
     assert found.dtype == np.float32
     expected = network(inputs)
     # Sums of large terms that cancel each other are as accurate as the terms.
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
-@pytest.mark.parametrize(("agent", "features", "scheme"), FEW_PAIRS)
-def test_a_batch_of_tensors_acts_as_one_of_arrays(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
-    network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
-    path = write(tmp_path / "policy.npz", agent, features, scheme, network)
-    with make_device_tensors() as tensors:
-        makers = (NUMPY_ARRAYS, tensors)
-        policy = LearnedPolicy(agent, CONTEXT, path)
-        batches = [make_network_policy_batch(policy, COUNT, np.asarray, arrays) for arrays in makers]
-        starts = np.zeros(COUNT, dtype=np.int64)
-        for decision in range(6):
-            observation = draw_observation(decision)
-            for row in ROWS.tolist() if decision == 0 else [decision]:
-                starts[row] = 100 * decision
-                for batch in batches:
-                    assert batch is not None
-                    batch.reset(row, row, ("025_mug",))
-            rows = ROWS[decision % 3 :: 2]
-            found = []
-            for batch, arrays in zip(batches, makers, strict=True):
-                assert batch is not None
-                steps = arrays.asarray(100 * decision - starts[rows])
-                found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
-            assert is_tensor(found[1])
-            np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=1e-5, atol=1e-5)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
@@ -167,7 +139,7 @@ def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
     policies = [f"learned:{path}", f"learned:{path}:wait=0.5", handover_marl.as_receiver(path)]
     assert [type(make_batch(policy)) for policy in policies] == [NetworkPolicyBatch] * 3
     assert type(make_batch("learned", "giver")) is NetworkPolicyBatch
-    own = "tests.learning.encodings.custom"
+    own = "tests.learning.custom"
     custom = write(tmp_path / "own.npz", "receiver", f"{own}:OffsetAndCount", "grasp_servo", draw_network(4, 7, 0))
     assert type(make_batch(f"learned:{custom}")) is SequentialPolicyBatch
 
@@ -201,37 +173,3 @@ def test_outputs_that_are_not_finite_are_refused(tmp_path: Path) -> None:
             batch, rows = make_batch(policy, arrays=arrays), arrays.arange(2)
             with np.errstate(all="ignore"), pytest.raises(ActionError, match="finite"):
                 batch.act(rows, make_observe_function(observation, arrays), 0 * rows)
-
-
-OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "control_period": 0.2}
-
-
-@pytest.mark.parametrize("agent", ["giver", "receiver"])
-def test_whole_episodes_equal_those_of_single_environments(agent: str, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco", reason="needs MuJoCo")
-    partner = "receiver" if agent == "giver" else "giver"
-    features, scheme = ("close", "grasp_servo") if partner == "receiver" else ("giver", "offer")
-    network = draw_network(count_features(partner, features), count_outputs(partner, scheme), 2)
-    policy = f"learned:{write(tmp_path / 'policy.npz', partner, features, scheme, network)}"
-
-    def make_single() -> gymnasium.Env[Any, Any]:
-        env = handover_marl.parallel_env(physics="mujoco", max_cycles=16, **OPTIONS)
-        return handover_marl.freeze(env, agent, policy, api="gymnasium")
-
-    envs = [
-        gymnasium.vector.SyncVectorEnv([make_single] * 2, autoreset_mode=gymnasium.vector.AutoresetMode.SAME_STEP),
-        *(
-            handover_marl.vector_env(n, agent, policy, autoreset="same_step", threads=1, max_cycles=16, **OPTIONS)
-            for n in (2, 1)
-        ),
-    ]
-    for one in envs:
-        one.reset(seed=4)
-    low = envs[0].single_action_space.low
-    for _ in range(18):
-        expected, found, alone = (one.step(np.zeros((one.num_envs, *low.shape), dtype=np.float32)) for one in envs)
-        for key, values in found[0].items():
-            np.testing.assert_allclose(values, expected[0][key], rtol=0, atol=1e-4)
-            np.testing.assert_array_equal(alone[0][key], values[:1])
-    for one in envs:
-        one.close()

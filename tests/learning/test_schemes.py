@@ -9,11 +9,10 @@ from scipy.spatial.transform import Rotation
 from handover_marl.config import GiverConfig, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.spaces import check_giver_action, giver_action_space, receiver_action_space
-from handover_marl.errors import UnknownNameError
 from handover_marl.learning.array_features import compute_handover_frames
 from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
-from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.receiver_schemes import GraspServoScheme
 from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme, outputs_from_action
 from handover_marl.planning.arm_control import ArmInWorld
@@ -37,13 +36,6 @@ def test_any_outputs_give_a_valid_action(agent: str) -> None:
             action = scheme.compute_action(seen())
             action = check_giver_action(action, giver_action_space()) if agent == "giver" else action
             assert space.contains(action), name
-
-
-def test_zero_outputs_follow_the_recording() -> None:
-    for name in ("deviation", "offer"):
-        scheme = make_scheme("giver", name, CONTEXT)
-        scheme.set_outputs(np.zeros(scheme.size))
-        np.testing.assert_allclose(scheme.compute_action(seen()), np.zeros(8), atol=1e-7)
 
 
 def handover_action(values: np.ndarray, **changes: object) -> np.ndarray:
@@ -70,12 +62,6 @@ def test_outputs_follow_from_the_action_of_a_handover_pose(values: np.ndarray) -
     scheme = make_scheme("giver", "offer", CONTEXT)
     found = outputs_from_action(scheme, handover_action(values), seen())
     np.testing.assert_allclose(found[:6], values[:6], atol=1e-5)
-
-
-def test_outputs_follow_from_a_deviation() -> None:
-    scheme, action = make_scheme("giver", "deviation", CONTEXT), giver_action_space().high / 2
-    scheme.set_outputs(outputs_from_action(scheme, action, seen()))
-    np.testing.assert_allclose(scheme.compute_action(seen()), action)
 
 
 def test_outputs_are_needed_once_when_the_recording_arrives() -> None:
@@ -176,24 +162,6 @@ def test_grasp_servo_approaches_along_the_axis_of_the_grasp(monkeypatch: pytest.
     assert max(backs) <= GraspServoScheme.max_standoff + 1e-6
 
 
-def test_chosen_grasp_keeps_clear_of_the_hand() -> None:
-    """The selector chooses another grasp if a hand is at the first; rotating the gripper by pi changes nothing."""
-    observation = seen()
-    away = observation | {"hand_keypoints": np.full((16, 3), 5.0, np.float32)}
-    first = select_grasp(CONTEXT, away)
-    assert first is not None
-    assert first[1] == MAX_CLEARANCE
-    there = np.tile(first[0][:3] + 0.01, (16, 1)).astype(np.float32)
-    second = select_grasp(CONTEXT, observation | {"hand_keypoints": there})
-    assert second is not None
-    assert second[1] > 0.02
-    flipped = observation["gripper_pose"].copy()
-    flipped[3:] = (Rotation.from_quat(flipped[3:]) * Rotation.from_rotvec([0, 0, np.pi])).as_quat()
-    other = select_grasp(CONTEXT, away | {"gripper_pose": flipped})
-    assert other is not None
-    np.testing.assert_allclose(other[0][:3], first[0][:3], atol=1e-6)
-
-
 def test_chosen_grasp_is_kept_while_observations_are_equal() -> None:
     selector, observation = LowestCostGraspSelector(CONTEXT, 1), seen()
     pose = observation["object_poses"].copy()
@@ -215,22 +183,6 @@ def test_chosen_grasp_is_kept_while_observations_are_equal() -> None:
             if fresh is not None:
                 np.testing.assert_array_equal(grasps[0], fresh[0])
                 assert clearances[0] == fresh[1]
-
-
-def test_gripper_closes_above_zero() -> None:
-    for name in ("joint_delta", "cartesian_delta"):
-        scheme = make_scheme("receiver", name, CONTEXT)
-        values = np.zeros(scheme.size)
-        values[-1] = 0.1
-        scheme.set_outputs(values)
-        np.testing.assert_array_equal(scheme.compute_action(seen())[7:], [0.0, 0.0])
-
-
-def test_unknown_schemes_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="action scheme of the giver 'joints'; valid: giver, deviation, offer"):
-        make_scheme("giver", "joints", CONTEXT)
-    with pytest.raises(UnknownNameError, match="action scheme of the receiver 'offer'; valid: receiver, joints"):
-        count_outputs("receiver", "offer")
 
 
 def test_schemes_and_features_follow_the_configuration() -> None:

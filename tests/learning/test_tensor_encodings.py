@@ -14,7 +14,7 @@ import handover_marl
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
@@ -52,6 +52,7 @@ def record_observations() -> list[Observation]:
     return found
 
 
+@pytest.mark.slow
 def test_recorded_observations_have_all_states() -> None:
     recorded = record_observations()[:-RANDOM_STATES]
     for key in FLAGS:
@@ -85,6 +86,7 @@ def assert_equal(found: Any, expected: np.ndarray, tolerance: float = 2e-6) -> N
     np.testing.assert_allclose(own, expected, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "name"), FEATURES)
 def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
     host = make_array_features(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)
@@ -93,6 +95,7 @@ def test_features_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> Non
         assert_equal(batch(own_rows, tensors), host(rows, observation))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("agent", "name"), SCHEMES)
 def test_actions_of_tensors(agent: str, name: str, arrays: ArrayFactory) -> None:
     host = make_array_scheme(agent, name, CONTEXT, LowestCostGraspSelector(CONTEXT, COUNT), COUNT)

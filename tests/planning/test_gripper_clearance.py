@@ -12,20 +12,10 @@ from handover_marl.planning.clearance import (
     GRIPPER_BOX_HALF_SIZES,
     Spheres,
     compute_grasp_clearances,
-    compute_gripper_corners,
     find_closest_points,
-    sample_surface_spheres,
 )
 
 HERE = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
-CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
-CUBE_FACES = np.array(
-    [
-        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
-        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
-    ]
-)
-
 positions = st.lists(st.floats(-0.25, 0.25), min_size=3, max_size=3).map(np.array)
 rotations = st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3).map(np.array)
 
@@ -54,6 +44,7 @@ def test_grasp_clearance(position: tuple[float, ...], sweep: float, clearance: f
     assert found == pytest.approx(clearance, abs=2e-3)
 
 
+@pytest.mark.slow
 @given(positions, rotations)
 def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.ndarray) -> None:
     hand = pose(np.array([0.3, -0.1, 0.2]), rotation)
@@ -69,27 +60,3 @@ def test_closest_points_match_the_clearance(position: np.ndarray, rotation: np.n
         assert find_closest_points(moved, sphere(point)).distance <= closest.distance + 0.02 + 1e-9
         assert np.dot(closest.normal, closest.point - point) == pytest.approx(closest.distance + 0.01, abs=1e-9)
     assert np.linalg.norm(closest.normal) == pytest.approx(1.0)
-
-
-def test_gripper_corners() -> None:
-    lower, upper = (
-        (GRIPPER_BOX_CENTERS - GRIPPER_BOX_HALF_SIZES).min(axis=0),
-        (GRIPPER_BOX_CENTERS + GRIPPER_BOX_HALF_SIZES).max(axis=0),
-    )
-    found = compute_gripper_corners(np.stack([HERE[0], np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])]))
-    assert found.shape == (2, 32, 3)
-    np.testing.assert_allclose(found[0].min(axis=0), lower)
-    np.testing.assert_allclose(found[0].max(axis=0), upper)
-    np.testing.assert_allclose(found[1], found[0] + [1.0, 0.0, 0.0])
-
-
-def test_surface_spheres_cover_the_surface() -> None:
-    spheres = sample_surface_spheres(CUBE, CUBE_FACES, 60, 0.05)
-    on_face = np.isclose(spheres.centers, 0.0) | np.isclose(spheres.centers, 1.0)
-    assert on_face.any(axis=1).all()
-    assert (spheres.centers >= -1e-9).all()
-    assert (spheres.centers <= 1.0 + 1e-9).all()
-    rng = np.random.default_rng(0)
-    points = rng.uniform(size=(300, 3))
-    points[np.arange(300), rng.integers(0, 3, 300)] = rng.integers(0, 2, 300)
-    assert np.linalg.norm(points[:, None] - spheres.centers, axis=-1).min(axis=1).max() < 0.4

@@ -44,19 +44,6 @@ def test_attached_pose_moves_with_the_hand(
     assert abs(float(found[3:] @ rotation.as_quat())) == pytest.approx(1.0, abs=1e-5)
 
 
-def test_attached_pose_is_extrapolated(observation: Observation) -> None:
-    tracker = HandTracker()
-    for number in range(20):
-        tracker.update(
-            0.05 * number, predict_attached_pose(observation, np.array([0.0, 0.01 * number, 0.0]), Rotation.identity())
-        )
-    np.testing.assert_allclose(tracker.velocity, [0.0, 0.2, 0.0], atol=1e-3)
-    pose = np.array([0.5, 0.5, 0.5, 0.0, 0.0, 0.0, 1.0])
-    np.testing.assert_allclose(
-        tracker.predict_attached_pose(tracker.points, pose, 0.1)[:3], [0.5, 0.52, 0.5], atol=1e-4
-    )
-
-
 def test_without_a_hand_the_pose_stays(observation: Observation) -> None:
     tracker = HandTracker()
     tracker.update(0.0, observation)

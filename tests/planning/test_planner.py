@@ -11,7 +11,7 @@ from handover_marl.planning.goal_set import update_weights
 from handover_marl.planning.planner import Chomp, make_initial_trajectory
 from handover_marl.planning.planner_config import ChompConfig, CostConfig
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
-from tests.planning.robots import ARM, LIMITS, START, random_joints
+from tests.planning.robots import ARM, LIMITS, START
 
 BODY = sample_body_points(SyntheticDataset().panda_urdf, tuple(ARM.link_names), 15)
 GOAL = np.array([0.4, 0.2, -0.3, -1.8, 0.3, 2.2, 0.6])
@@ -63,20 +63,6 @@ def test_tails_have_no_cost_except_for_the_hand() -> None:
     free[:, -TAIL:] = True
     assert make_cost((make_sphere(end),)).evaluate_lines(START, goals, 30, free) < charged
     assert make_cost((make_sphere(end, in_tail=True),)).evaluate_lines(START, goals, 30, free) == pytest.approx(charged)
-
-
-def test_smoothness_gradient_equals_finite_differences() -> None:
-    optimizer = chomp(make_cost())
-    path = random_joints(0, 30)
-    gradient = optimizer.compute_smoothness_gradient(path)
-    small = 1e-5
-    for place in ((0, 0), (0, 6), (14, 3), (29, 5)):
-        step = np.zeros_like(path)
-        step[place] = small
-        slope = (optimizer.compute_smoothness_cost(path + step) - optimizer.compute_smoothness_cost(path - step)) / (
-            2 * small
-        )
-        assert gradient[place] == pytest.approx(slope, rel=1e-5)
 
 
 def test_steps_avoid_an_obstacle() -> None:

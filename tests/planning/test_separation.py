@@ -53,16 +53,6 @@ def test_clearance_decreases_slowly(velocity: np.ndarray, clearance: float) -> N
     )
 
 
-def test_forearm_keeps_clear() -> None:
-    origins, rotations = IN_WORLD.compute_link_frames(START[None])
-    cover = origins[0, 4] + rotations[0, 4] @ np.array([0.0, 0.16, -0.05])
-    sphere = Spheres(cover[None], np.array([0.01]))
-    before = find_closest_arm_points(IN_WORLD, START, sphere)[0].distance
-    assert before < 0.03
-    found = enforce_separation(np.zeros(7), IN_WORLD, START, [MovingBody(sphere, np.zeros(3), 0.03)], CONFIG)
-    assert find_closest_arm_points(IN_WORLD, START + 1e-3 * found, sphere)[0].distance > before
-
-
 def test_all_bodies_are_respected() -> None:
     """The robot moves away from both of two spheres that are too close, at a fingertip and beside the forearm."""
     origins, rotations = IN_WORLD.compute_link_frames(START[None])

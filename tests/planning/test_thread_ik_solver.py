@@ -72,32 +72,3 @@ def test_many_queries_have_the_solutions_of_single_ones(solver_class: Any, is_tu
     for rows in ([3], [5, 2], range(4, 14)):
         part = solver.solve_many(starts[rows], positions[rows], turns[rows] if is_turned else None)
         np.testing.assert_array_equal(part, found[rows])
-
-
-def test_queries_without_solution_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    searched = []
-
-    class Failing:
-        def __init__(self, *_: object) -> None:
-            pass
-
-        def solve_many(self, starts: np.ndarray, *_: object) -> np.ndarray:
-            searched.append(starts[:, 0].tolist())
-            return np.where(starts[:, :1] < 1.0, np.nan, starts[:, :7])
-
-    monkeypatch.setattr(ik_solvers, "_make_solver", Failing)
-    monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
-    solver, starts, positions = make_ik_solver(URDF, PANDA), np.zeros((3, 9)), np.zeros((3, 3))
-    starts[:, 0] = 0.1, 1.0, 0.2
-    for _ in range(2):
-        np.testing.assert_array_equal(np.isnan(solver.solve_many(starts, positions)[:, 0]), [True, False, True])
-    assert solver.solve(starts[0], positions[0]) is None
-    assert solver.solve(starts[1], positions[1]) is not None
-    assert solver.solve(starts[0], positions[0], (0.0, 0.0, 0.0, 1.0)) is None
-    assert searched == [[0.1, 1.0, 0.2], [1.0], [1.0], [0.1]]
-    # The oldest queries without solution are dropped from the cache and searched again.
-    for number in range(ik_solvers._MAX_UNSOLVED):
-        solver.solve(np.full(9, -number - 1.0), positions[0])
-    searched.clear()
-    solver.solve(starts[0], positions[0])
-    assert searched == [[0.1]]

@@ -13,9 +13,9 @@ import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE
-from handover_marl.policies.bundle import PolicyBundle
-from handover_marl.policies.reference import parse_policy
+from handover_marl.policies.reference import PolicyBundle, parse_policy
 from handover_marl.receivers import Receiver
+from handover_marl.version import __version__
 
 CODE = """
 from handover_marl.receivers import Receiver
@@ -90,9 +90,9 @@ def test_code_that_is_sent_is_not_compared() -> None:
         pass
 
     for kind in (Local, type("Typed", (Local,), {"__module__": "__main__"})):
-        assert PolicyBundle.pack(parse_policy("receiver", (kind, {"weights": __file__}))).code == ""
-    assert PolicyBundle.pack(parse_policy("receiver", (Reads, {"weights": __file__}))).code
-    assert PolicyBundle.pack(parse_policy("receiver", "yang2021")).code
+        assert PolicyBundle.pack(parse_policy("receiver", (kind, {"weights": __file__}))).packages == ()
+    assert PolicyBundle.pack(parse_policy("receiver", (Reads, {"weights": __file__}))).packages[0][0] == "tests"
+    assert PolicyBundle.pack(parse_policy("receiver", "yang2021")).packages == (("handover_marl", __version__),)
 
 
 def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,4 +141,4 @@ def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypat
     with pytest.raises(PolicyError, match=rf"receiver 'act' is not installed .*{name}"):
         bundle.unpack(tmp_path)
     # A local function is sent in the bundle, so it needs no installed package.
-    assert PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).reference.packages == ()
+    assert dict(PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).packages) == {"handover_marl": __version__}

@@ -2,12 +2,11 @@
 
 import pytest
 
-from handover_marl import givers
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import OptionError
 from handover_marl.givers import Giver, PolicyContext, make_policy_context
-from handover_marl.givers.replay import ReplayGiver
+from handover_marl.givers.variations import ReplayGiver
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
@@ -66,14 +65,3 @@ def test_givers_work_without_a_context() -> None:
             _ = made.context
     context = make_policy_context(DATA)
     assert Plain(context).context is context
-
-
-def test_the_context_is_no_option() -> None:
-    with pytest.raises(OptionError, match="it takes no options"):
-        parse_policy("giver", (Plain, {"context": None}))
-    assert make((Alone, {"height": 2.0})).__dict__ == {"height": 2.0}
-
-
-def test_all_givers_of_the_library_have_a_context() -> None:
-    for name in givers.list_available():
-        assert "context" in vars(make(name)) or name == "learned"

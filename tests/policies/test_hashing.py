@@ -4,6 +4,7 @@ import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import handover_marl
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import ResultsError
 from handover_marl.policies import hashing
-from handover_marl.policies.hashing import hash_object, hash_policy, list_packages
+from handover_marl.policies.hashing import find_package, hash_object, hash_policy
 from handover_marl.policies.policy import Action
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver
@@ -67,6 +68,11 @@ class Linear:
     [
         (lambda: make(1.0), lambda: make(2.0)),
         (lambda: lambda value: value + 1, lambda: lambda value: value + 2),
+        (
+            lambda: lambda value: [value + part for part in (1, 2)],
+            lambda: lambda value: [value + part for part in (1, 3)],
+        ),
+        (lambda: eval("lambda value: value.real"), lambda: eval("lambda value: value.imag")),
         (lambda: math.sin, lambda: math.cos),
         (lambda: Linear(1.0), lambda: Linear(2.0)),
         (lambda: Linear(1.0).__call__, lambda: Linear(2.0).__call__),
@@ -90,6 +96,15 @@ def test_variables_of_the_module_count_where_they_are_used(function: Any, monkey
     assert hash_object(make) == other
 
 
+def test_attributes_of_the_class_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Derived(Weighted):
+        pass
+
+    before = hash_object(Weighted), hash_object(Derived)
+    monkeypatch.setattr(Weighted, "control_period", 0.3)
+    assert all(hash_object(kind) != one for kind, one in zip((Weighted, Derived), before, strict=True))
+
+
 @pytest.mark.parametrize("kind", ["array", "tensor", "network", "list", "dictionary", "object"])
 def test_arrays_and_tensors_of_a_policy(kind: str) -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
@@ -111,32 +126,29 @@ def test_arrays_and_tensors_of_a_policy(kind: str) -> None:
     assert hash_state(1.0) == hash_state(1.0) != hash_state(2.0)
 
 
-def test_a_policy_without_arrays() -> None:
-    loop: list[Any] = []
-    loop.append(loop)
-    assert hash_object(Weighted(state=[1, "a", None, np, loop]), arrays_only=True) == ""
-    assert hash_object([1, loop])
-
-
 def test_version_and_weights_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = hash_policy(HoldReceiver)
-    assert parse_policy("receiver", "hold").resolve(open_dataset("synthetic")).code_hash == hash_policy(
-        HoldReceiver, ()
-    )
-    assert hash_policy(HoldReceiver, weights=b"1").startswith(f"{code}.")
-    assert hash_policy(HoldReceiver, weights=b"1") != hash_policy(HoldReceiver, weights=b"2")
+    policy, code = HoldReceiver(), hash_policy(HoldReceiver(), ())
+    assert parse_policy("receiver", "hold").resolve(open_dataset("synthetic")).code_hash == code
+    assert hash_policy(policy, (), b"1").startswith(f"{code}.")
+    assert hash_policy(policy, (), b"1") != hash_policy(policy, (), b"2")
     monkeypatch.setattr(hashing, "__version__", "0.0.1")
-    assert hash_policy(HoldReceiver) != code
+    assert hash_policy(policy, ()) != code
+
+
+def test_code_without_a_file_gets_another_hash_every_time() -> None:
+    module = ModuleType("typed_module")
+    exec("def act(value):\n    return value\nclass Typed:\n    pass", vars(module))
+    for value in (module.act, module.Typed, module.Typed()):
+        assert hash_object(value) != hash_object(value)
 
 
 def test_packages_of_imported_functions() -> None:
-    assert list_packages(use_weights) == ("tests",)
-    assert list_packages(Linear(1.0)) == list_packages(Linear(1.0).__call__) == ("tests",)
-    assert list_packages(functools.partial(use_weights)) == ("tests",)
-    assert list_packages(lambda value: value) == ()
-    assert list_packages(np.linalg.norm) == list_packages(math.sin) == ()
+    for function in (use_weights, Linear(1.0), Linear(1.0).__call__, functools.partial(use_weights)):
+        assert find_package(function) == "tests"
+    assert find_package(lambda value: value) == ""
 
 
+@pytest.mark.slow
 def test_results_of_other_weights_are_not_mixed(tmp_path: Path) -> None:
     weights, out = tmp_path / "w.npy", tmp_path / "out"
     options: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "workers": 1, "progress": False, "out": out}

@@ -20,6 +20,7 @@ def make_giver(path: Path, partners: str = "all") -> PopulationPolicy:
     return policy
 
 
+@pytest.mark.slow
 def test_members_are_those_of_the_split(tmp_path: Path) -> None:
     path = write_population(tmp_path)
     assert [member.name for member in make_giver(path).members] == ["replay", "hurried", "hurried"]
@@ -57,6 +58,7 @@ def test_receivers_with_a_camera_are_left_out(tmp_path: Path) -> None:
         receivers.make(("population", {"population": os.fspath(only), "partners": "test"}))
 
 
+@pytest.mark.slow
 def test_a_vector_environment_equals_single_environments(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     interrupting = {**GIVERS[0], "name": "interrupting", "policy": "interrupting"}

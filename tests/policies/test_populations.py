@@ -1,7 +1,6 @@
 """Tests of population files."""
 
 import configparser
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,10 @@ import pytest
 
 from handover_marl import evaluate_pair
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
-from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, make_content, write_population
+from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
 
 
 def test_own_file(tmp_path: Path) -> None:
@@ -36,15 +35,14 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "policy",
     [
         "learned:{folder}/weights.pth",
-        "learned:{folder}/weights.pth:wait=1",
         "vision:weights={folder}/weights.pth",
         "gaddpg:weights={folder}/weights.pth,wait=1",
         "gaddpg:weights={outside}/weights.pth",
-        "gaddpg:weights={outside}",
         "not_installed.robots:MyReceiver:weights={folder}/weights.pth",
     ],
 )
@@ -64,14 +62,11 @@ def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: st
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"givers": 3}, "not a readable population"),
         ({"givers": [GIVERS[0], GIVERS[0]]}, "every name must be unique, got 'recorded' twice"),
-        ({"givers": [GIVERS[0], GIVERS[0] | {"name": "other"}]}, "every policy must be unique"),
         ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "family in one split must be unique, got 'timing'"),
         ({"givers": [GIVERS[0] | {"split": "val"}]}, "split must be train or test, got 'val'"),
         ({"givers": [{"name": "a"}]}, "not a readable population .*missing 4 required"),
         ({"name": "a\nb"}, "values must be text without control characters"),
-        ({"version": 1}, "values must be text"),
     ],
 )
 def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -79,26 +74,7 @@ def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) 
         load_population(write_population(tmp_path, **changes))
 
 
-def test_files_that_are_no_populations(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    with pytest.raises(DataNotFoundError, match="cannot be read"):
-        load_population(path)
-    for text in ("{", "[]", json.dumps(make_content() | {"more": 1})):
-        path.write_text(text)
-        with pytest.raises(DataFormatError, match="not a readable population"):
-            load_population(path)
-    with pytest.raises(UnknownNameError, match="unknown population 'nobody'; valid: "):
-        load_population("nobody")
-
-
-def test_splits_without_partners(tmp_path: Path) -> None:
-    found = load_population(write_population(tmp_path))
-    with pytest.raises(OptionError, match="must have receivers in 'train'"):
-        found.select("receiver", "train")
-    with pytest.raises(UnknownNameError, match="unknown partners 'val'; valid: train, test, all"):
-        found.select("giver", "val")
-
-
+@pytest.mark.slow
 def test_shipped_populations() -> None:
     """All partners of the default population can be parsed, and all givers made; train and test share no family."""
     assert DEFAULT_POPULATION in list_populations()
@@ -117,6 +93,7 @@ def test_shipped_populations() -> None:
             assert len(set(labels)) == len(labels)
 
 
+@pytest.mark.slow
 def test_learned_givers_act_and_are_installed() -> None:
     found = load_population()
     learned = [giver for giver in found.givers if giver.family == "learned"]

@@ -15,9 +15,8 @@ from handover_marl.config import ProtocolConfig, WorldConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import HandoverError, UnsafeFileError
 from handover_marl.evaluation.comparison import compare
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.strangers.protocol import strangers
-from handover_marl.evaluation.strangers.reference_update import update_references
+from handover_marl.evaluation.reports.report import evaluate
+from handover_marl.evaluation.strangers.protocol import strangers, update_references
 from handover_marl.evaluation.verification import verify
 from handover_marl.learning.features import count_features
 from handover_marl.learning.policy_files import write_policy
@@ -29,8 +28,8 @@ from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_popu
 MODULE = "module_of_a_stranger"
 CODE = f"""
 from pathlib import Path
-from handover_marl.givers.timing import HurriedGiver
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.givers.variations import HurriedGiver
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.receivers.hold import HoldReceiver
 
 Path("imported").touch()
@@ -126,6 +125,7 @@ READERS: dict[str, Callable[[bool], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
 def test_names_in_files_need_trust(reader: str) -> None:
     with pytest.raises(UnsafeFileError, match=rf"{MODULE}:\w+' must not be imported .* pass trust=True \(--trust\)"):
@@ -135,6 +135,7 @@ def test_names_in_files_need_trust(reader: str) -> None:
     assert Path("imported").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "read",
     [

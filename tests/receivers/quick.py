@@ -1,4 +1,7 @@
-"""Short validations of grasps and observations of a handover for tests of receivers."""
+"""Short validations of grasps, short planning and observations of a handover for tests of receivers."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,6 +9,7 @@ import pytest
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
+from handover_marl.planning.planner_config import PlannerConfig
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
@@ -32,3 +36,10 @@ def observe_handover(scene: Scene, milliseconds: int) -> Observation:
     observation = episode.observe()
     episode.close()
     return observation
+
+
+def shorten_planning(policy_class: Any) -> PlannerConfig:
+    """Return the configuration of an OMG receiver with few goals and few steps of optimization."""
+    config: PlannerConfig = policy_class.default_config
+    goals = replace(config.goals, ik_seeds=config.goals.ik_seeds[:4])
+    return replace(config, goals=goals, chomp=replace(config.chomp, n_selection_steps=4, n_fixed_goal_steps=2))

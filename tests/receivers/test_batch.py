@@ -56,6 +56,7 @@ def record_rollouts(limit: int) -> list[Rollout]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make_solver", "limit"),
     # The library's own inverse kinematics is slower, so that the retreats are not recorded to their end.

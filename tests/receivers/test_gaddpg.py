@@ -1,7 +1,6 @@
 """Tests of GA-DDPG's protocol, on synthetic observations."""
 
 import json
-import sys
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +11,10 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import OptionError, PolicyError, ResetNeededError
+from handover_marl.errors import PolicyError, ResetNeededError
 from handover_marl.geometry.poses import compose
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers import make
 from handover_marl.receivers.gaddpg import GaddpgReceiver
-from handover_marl.receivers.point_cloud_memory import PointCloudMemoryConfig
 from handover_marl.testing import check_receiver
 
 Array = npt.NDArray[np.float64]
@@ -115,20 +112,6 @@ def test_decision_is_commanded_for_150_ms(
     assert [remaining for _, remaining in network.calls] == [20, 19]
 
 
-def test_no_decision_before_the_first_view(
-    receiver: GaddpgReceiver, gripper: npt.NDArray[np.float32], network: ConstantNetwork
-) -> None:
-    joints = START + 0.1
-    for number in range(30):
-        action = receiver.act(make_observation(150 * number, gripper, FAR[:0], joints))
-        np.testing.assert_array_equal(action, np.float32(START))
-        receiver.act(make_observation(150 * number + 149, gripper, FAR[:0], joints))
-    assert network.calls == []
-    receiver.act(make_observation(4500, gripper))
-    receiver.act(make_observation(4650, gripper, FAR[:0]))
-    assert [remaining for _, remaining in network.calls] == [20, 19]
-
-
 def find_closing_time(receiver: GaddpgReceiver, times: list[int], gripper: npt.NDArray[np.float32]) -> int:
     for time in times:
         if receiver.act(make_observation(time, gripper))[7] == 0.0:
@@ -196,6 +179,7 @@ def test_retreat_is_straight_and_may_overshoot(receiver: GaddpgReceiver, gripper
     assert 0.03 * count > length
 
 
+@pytest.mark.slow
 def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> None:
     commands, calls = [], []
     for period in (None, 1, 10):
@@ -234,32 +218,6 @@ def test_shipped_weights_describe_their_training() -> None:
     assert about["settings"]["max_steps"] == 30
 
 
-def test_max_steps_of_weights() -> None:
-    pytest.importorskip("torch", reason="needs the extra `train`")
-    own, fewer = make("gaddpg", DATA), make("gaddpg:max_steps=12", DATA)
-    assert isinstance(own, GaddpgReceiver)
-    assert isinstance(fewer, GaddpgReceiver)
-    assert (own.memory.remaining, fewer.memory.remaining) == (30, 12)
-    assert GaddpgReceiver(CONTEXT, memory=PointCloudMemoryConfig(max_steps=9)).memory.remaining == 9
-    assert GaddpgReceiver(CONTEXT, network=scaled_step).memory.remaining == 20
-
-
-def test_invalid_options() -> None:
-    with pytest.raises(OptionError, match="either a network or weights, not both"):
-        GaddpgReceiver(CONTEXT, network=scaled_step, weights="here")
-    for wrong in (0, 2.5, True):
-        with pytest.raises(OptionError, match="max_steps"):
-            GaddpgReceiver(CONTEXT, network=scaled_step, max_steps=wrong)  # type: ignore[arg-type]
-
-
-def test_only_weights_need_pytorch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"needs torch: pip install 'handover-marl\[train\]'"):
-        make("gaddpg:weights=here", DATA)
-    GaddpgReceiver(CONTEXT, network=scaled_step).reset()
-
-
 def test_invalid_network_output(
     receiver: GaddpgReceiver, network: ConstantNetwork, gripper: npt.NDArray[np.float32]
 ) -> None:
@@ -270,5 +228,6 @@ def test_invalid_network_output(
         GaddpgReceiver(CONTEXT, network=network, wait=0.0).act(make_observation(0, gripper))
 
 
+@pytest.mark.slow
 def test_satisfies_the_receiver_checks() -> None:
     check_receiver((GaddpgReceiver, {"network": scaled_step, "wait": 0.2}), DATA, scenes=(9,), steps=600)

@@ -40,20 +40,6 @@ def test_thinning(count: int, remaining: int, kept: int) -> None:
     assert len(set(chosen)) == kept
 
 
-@pytest.mark.parametrize(
-    ("moved", "remaining", "after"),
-    [(0.0999, 10, 10), (0.1001, 10, 15), (0.1001, 17, 20), (0.1001, 20, 20), (0.1001, 0, 5)],
-)
-def test_motion_grants_more_decisions(moved: float, remaining: int, after: int) -> None:
-    memory = PointCloudMemory()
-    memory.update(cloud(200), pose())
-    memory.remaining = remaining
-    memory.update(cloud(200), pose((0.4, 0.1 + moved, 0.5)))
-    assert memory.remaining == after
-    memory.update(cloud(200), pose((0.4, 0.1 + moved, 0.5)))
-    assert memory.remaining == after, "relative to the last view"
-
-
 def test_network_input() -> None:
     memory = PointCloudMemory()
     memory.update(cloud(2000), pose())

@@ -67,6 +67,7 @@ def test_slip_is_detected() -> None:
     assert not make_validator(MARKER, rough).is_stable(grasp)
 
 
+@pytest.mark.slow
 def test_shipped_grasps_hold() -> None:
     """Over 90 % of the shipped grasps, which were validated in PyBullet, are stable; displaced ones are often bad."""
     rng, held, displaced = np.random.default_rng(0), [], []

@@ -1,35 +1,44 @@
-"""Tests of the motor models of joints without contact."""
+"""Tests of the trajectories of bodies without contact."""
 
 import numpy as np
 
 from handover_marl.config import MotorConfig
-from handover_marl.simulation.reference_tracking import MotorModel, simulate_motors
+from handover_marl.simulation.reference_tracking import BodyTrajectory, track_references
 
 MOTORS = [MotorConfig(1.0, 0.2), MotorConfig(1.0, 0.1)]
 
 
 def test_errors_fall_by_a_fixed_ratio_in_every_step() -> None:
-    model = MotorModel(MOTORS, [0.0, 1.0])
-    simulate_motors([model], [np.array([[1.0, 0.0], [1.0, 0.0]], dtype=np.float32)])
-    np.testing.assert_allclose(model.trajectory, [[0.2, 0.9], [0.36, 0.81]])
-    np.testing.assert_array_equal(model.position, model.trajectory[-1])
+    body = BodyTrajectory(MOTORS, np.float32([0.0, 1.0]))
+    track_references([(body, np.array([[1.0, 0.0], [1.0, 0.0]], dtype=np.float32), None)])
+    np.testing.assert_allclose(body.joints, [[0.0, 1.0], [0.0, 1.0], [0.2, 0.9], [0.36, 0.81]])
+    np.testing.assert_array_equal(body.get_joints(1), body.joints[-1])
 
 
-def test_results_do_not_depend_on_the_division_of_targets() -> None:
-    targets = np.random.default_rng(0).uniform(-1, 1, (50, 2)).astype(np.float32)
-    whole, cut = MotorModel(MOTORS, [0.0, 0.0]), MotorModel(MOTORS, [0.0, 0.0])
-    simulate_motors([whole], [targets])
+def test_results_do_not_depend_on_the_division_of_targets_or_other_bodies() -> None:
+    rng = np.random.default_rng(0)
+    targets, present = rng.uniform(-1, 1, (50, 2)).astype(np.float32), rng.random(50) < 0.7
+    whole, cut, other = (BodyTrajectory(MOTORS, np.float32([0.0, 0.0])) for _ in range(3))
+    track_references([(whole, targets, present)])
     parts = []
-    for part in np.split(targets, [1, 8, 30]):
-        simulate_motors([cut], [part])
-        parts.append(cut.trajectory)
-    np.testing.assert_array_equal(whole.trajectory, np.concatenate(parts))
+    for rows in np.split(np.arange(50), [1, 8, 30]):
+        track_references([(other, targets[rows], None), (cut, targets[rows], present[rows])])
+        parts.append(cut.joints[2:])
+    np.testing.assert_array_equal(whole.joints[2:], np.concatenate(parts))
+    np.testing.assert_array_equal(np.isinf(whole.predict_positions(0)).all(axis=1), ~present)
+
+
+def test_absent_bodies_appear_at_their_target() -> None:
+    body = BodyTrajectory(MOTORS, None)
+    track_references([(body, np.float32([[1.0, 0.0], [0.0, 1.0]]), np.array([False, True]))])
+    assert not body.is_present_after(0)
+    np.testing.assert_array_equal(body.get_joints(1), [0.0, 1.0])
 
 
 def test_joints_at_rest_stay_and_can_move_again() -> None:
     start = np.float32([0.3, -0.7])
-    model = MotorModel(MOTORS, start)
-    simulate_motors([model], [np.tile(start, (5, 1))])
-    np.testing.assert_array_equal(model.trajectory, np.tile(start, (5, 1)).astype(np.float64))
-    simulate_motors([model], [np.array([[0.4, -0.7]], dtype=np.float32)])
-    np.testing.assert_allclose(model.trajectory, [[0.32, -0.7]], atol=1e-7)
+    body = BodyTrajectory(MOTORS, start)
+    track_references([(body, np.tile(start, (5, 1)), None)])
+    np.testing.assert_array_equal(body.joints[2:], np.tile(start, (5, 1)).astype(np.float64))
+    track_references([(body, np.array([[0.4, -0.7]], dtype=np.float32), None)])
+    np.testing.assert_allclose(body.joints[2:], [[0.32, -0.7]], atol=1e-7)

@@ -18,6 +18,8 @@ from handover_marl.episode.observations import Observation
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.learning.action_scheme import ActionScheme
 
+pytestmark = pytest.mark.slow
+
 HORIZON_STEPS = 600
 SHORT = replace(OFFICIAL_CONFIG, protocol=replace(OFFICIAL_CONFIG.protocol, horizon_steps=HORIZON_STEPS))
 

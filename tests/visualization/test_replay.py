@@ -16,26 +16,24 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.callbacks import EpisodeCallback
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
-from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import Receiver, make
 from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.visualization.replay_bodies import (
-    compute_link_trajectories,
-    compute_robot_link_poses,
-    find_nearest_point,
-    load_simplified_meshes,
-)
 from handover_marl.visualization.replay_recorder import (
     FRAME_STEPS,
     EpisodeLog,
     ReplayRecorder,
-    describe_frame,
-    list_events,
 )
-from handover_marl.visualization.replay_scene import END_PAUSE_S, build_replay_page
+from handover_marl.visualization.replay_scene import (
+    END_PAUSE_S,
+    build_replay_page,
+    compute_link_trajectories,
+    compute_robot_link_poses,
+    load_simplified_meshes,
+)
 from tests.evaluation.quick import QuickReceiver
 from tests.visualization.outside import outside
 
@@ -121,6 +119,7 @@ def test_clouds_and_plans_are_recorded(log: EpisodeLog) -> None:
         assert max(len(cloud.object_points), len(cloud.hand_points)) <= 600
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["panda", "hand"])
 def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: str) -> None:
     from handover_marl.geometry.kinematic_tree import read_tree
@@ -172,36 +171,6 @@ def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pyte
     assert "canvas{opacity:1!important" in unescape(page).partition("</head>")[2].partition("</head>")[0]
     names = {message.get("name") for _, message in recording["messages"]}
     assert {"/goal", "/planned_path", "/robot/9", "/object0/6", "/object1/6", "/status"} <= names
-
-
-def moved(log: EpisodeLog, number: int, **changes: Any) -> EpisodeLog:
-    from dataclasses import replace
-
-    frames = [replace(m, **changes) if k == number else m for k, m in enumerate(log.frames)]
-    return replace(log, frames=tuple(frames), release=ReleaseReason.ACTIVE, release_step=413, status=EpisodeStatus(2))
-
-
-def test_frame_text_and_events(log: EpisodeLog) -> None:
-    point = np.zeros((1, 3), dtype=np.float32)
-    other = moved(log, 9, touches_object=True, finger_points=(point, point), touches_hand=True)
-    assert describe_frame(other, other.frames[9]) == "0.36 s - held out - robot on hand - both fingers on object"
-    assert describe_frame(other, other.frames[-1]).endswith(" s - contact")
-    events = {words: at for at, words in list_events(other)}
-    assert events["both fingers are on the object"] == pytest.approx(0.36)
-    assert events["the person lets go because the fingers hold the object"] == pytest.approx(0.413)
-    assert events["contact"] == pytest.approx(1.3)
-    assert [at for at, _ in list_events(other)] == sorted(at for at, _ in list_events(other))
-
-
-def test_nearest_point_of_robot_and_hand(log: EpisodeLog) -> None:
-    links = list(compute_link_trajectories(log))
-    assert find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 0) is None
-    place = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, 5)
-    back = find_nearest_point(links, SegmentationLabel.HAND, SegmentationLabel.ROBOT, 5)
-    assert place is not None
-    assert back is not None
-    assert np.linalg.norm(place - back) < 1.0
-    assert np.linalg.norm(back - log.frames[5].snapshot.hand[:3]) < 0.25
 
 
 @pytest.mark.slow

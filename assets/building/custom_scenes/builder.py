@@ -7,13 +7,13 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 import trimesh
 from rich.console import Console
 
-from handover_marl.assets.building.build_grasps import make_robot_grasps
 from handover_marl.assets.building.custom_scenes.finger_closing import close_hand
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
@@ -23,10 +23,10 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.object_files import load_mesh_solid
-from handover_marl.assets.hand_model import SUBJECTS, Side, make_hand_geometry
+from handover_marl.assets.building.robot_grasps import make_robot_grasps
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
-from handover_marl.config import MAX_OBJECTS
+from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,
     MOTION_FOLDER,
@@ -45,11 +45,12 @@ from handover_marl.datasets.custom.scene_file import (
     check_setup_name,
     read_scene_file,
 )
+from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
 from handover_marl.execution.files import exclusive_lock, write_arrays
 from handover_marl.execution.options import check_path
-from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 #: Ways to divide scenes: by the object that is handed over, by the person, or at random.
@@ -127,26 +128,22 @@ class CustomSceneFolder:
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
         text = _check("name", check_class_name, name)
-        if text in [item.name for item in self.content.objects]:
-            raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        console = Console(stderr=True, quiet=not progress)
-        with console.status("convex parts"):
+        self._check_new(text, self.content)
+        with Console(stderr=True, quiet=not progress).status("convex parts"):
             item = make_object_mesh(source, config)
-        with self._prepare(OBJECT_FOLDER) as scratch:
-            new = scratch / text
-            new.mkdir()
-            write_object(new, item, config)
-            report = make_robot_grasps(new / URDF_NAME, grasps, seed, workers, progress)
-            write_arrays(new / GRASP_FILE, {"grasps": report.grasps.astype(np.float32)})
-            with self._change() as content:
-                if text in [other.name for other in content.objects]:
-                    raise OptionError(f"name must be new, got {text!r}, which was added meanwhile; choose another one")
-                number = max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1
+        with tempfile.TemporaryDirectory() as scratch:
+            model = Path(scratch) / text
+            model.mkdir()
+            write_object(model, item, config)
+            report = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
+            write_arrays(model / GRASP_FILE, {"grasps": report.grasps.astype(np.float32)})
+            with self._change(OBJECT_FOLDER) as content:
+                self._check_new(text, content)
                 added = CustomObject(
                     name=text,
-                    number=number,
+                    number=max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1,
                     mass=round(item.mass, 6),
                     friction=float(config.friction),
                     n_grasps=len(report.grasps),
@@ -156,7 +153,7 @@ class CustomSceneFolder:
                 target = self.folder / OBJECT_FOLDER / text
                 # What an interrupted call left there belongs to no object.
                 shutil.rmtree(target, ignore_errors=True)
-                new.rename(target)
+                shutil.copytree(model, target)
                 replace(content, objects=(*content.objects, added)).write(self.folder)
         return added
 
@@ -194,46 +191,39 @@ class CustomSceneFolder:
             UnknownNameError: A class or a side does not exist.
             DataNotFoundError, DataFormatError: The recording is missing, malformed, or not at the table.
         """
-        content = self.content
         names = (object_name, *others)
         for item in names:
-            check_name("object", item, content.object_names.values())
+            check_name("object", item, self.content.object_names.values())
         if len(names) > MAX_OBJECTS or len(set(names)) < len(names):
             raise OptionError(f"others must be at most {MAX_OBJECTS - 1} different classes, got {', '.join(others)}")
-        check_name("side", side, ("right", "left"))
+        check_name("side", side, SIDES)
         if hand is not None:
             check_name("hand", hand, SUBJECTS)
         person = _check("subject", check_file_name, subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
-        self._check_bodies(table, others, hand)
+        _check_bodies(table, others, hand)
         urdfs = [self._find_urdf(item) for item in names]
         bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
-        check_objects(make_trajectory(table, others, None, None).object_dof, bodies)
-        side_name: Side = "left" if side == "left" else "right"
-        model, fingers = None, None
-        if hand is not None and table.wrist is not None:
-            model = make_hand_geometry(hand, side_name)
-            fingers = table.fingers
+        check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
+        model, fingers = None, table.fingers
+        if hand is not None:
+            model = make_hand_geometry(hand, cast(Side, side))
             if fingers is None:
-                table, fingers = close_hand(table, load_mesh_solid(urdfs[0]), hand, side_name)
-        trajectory = make_trajectory(table, others, model, fingers)
-        if trajectory.hand_span[0] >= 0:
-            frames = slice(trajectory.hand_span[0], trajectory.hand_span[1] + 1)
-            check_hand(trajectory.hand_dof[frames], trajectory.object_dof[frames])
-        with self._prepare(MOTION_FOLDER) as scratch, self._change() as content:
+                table, fingers = close_hand(table, read_solid(urdfs[0]), hand, cast(Side, side))
+        arrays = make_trajectory(table, others, model, fingers)
+        if model is not None:
+            frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
+            check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])
+        if recording is not None:
+            _check("recording", check_file_name, recording)
+        with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
-            name = f"{person}/{_check('recording', check_file_name, recording or f'{number:06d}')}"
+            name = f"{person}/{recording or f'{number:06d}'}"
             if name in [other.name for other in content.scenes]:
                 raise OptionError(f"recording must be new, got {name!r}, which {self.folder} has already; rename it")
-            scene = CustomScene(name, side, None if model is None else hand, names, table.repairs)
-            arrays = {
-                "object_dof": trajectory.object_dof,
-                "hand_dof": trajectory.hand_dof,
-                "hand_span": np.array(trajectory.hand_span),
-            }
-            write_arrays(scratch / "motion.npz", arrays)
-            (scratch / "motion.npz").rename(get_motion_path(self.folder, number))
+            write_arrays(get_motion_path(self.folder, number), arrays)
+            scene = CustomScene(name, side, hand, names, table.repairs)
             # The new scene is in no split until the splits are made again.
             replace(content, scenes=(*content.scenes, scene)).write(self.folder)
         return scene
@@ -258,8 +248,10 @@ class CustomSceneFolder:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
+        _check("name", check_setup_name, name)
+        if not self.folder.is_dir():
+            raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with self._change() as content:
-            _check("name", check_setup_name, name)
             setup = _split_scenes(content, by, {"val": val, "test": test}, seed)
             replace(content, setups={**content.setups, name: setup}).write(self.folder)
         return setup
@@ -273,48 +265,40 @@ class CustomSceneFolder:
         dataset = CustomDataset(self.folder)
         dataset.check_scenes(tuple(range(dataset.n_scenes)))
         for item in dataset.content.objects:
-            dataset.check_object(item)
+            check_model(dataset.find_object_urdf(item.name), OBJECT_DOF)
+            dataset.load_grasps(item.name)
         for scene_id in range(dataset.n_scenes):
             dataset.load_scene(scene_id)
         return dataset
 
-    def _check_bodies(self, table: MotionTable, others: Sequence[str], hand: int | None) -> None:
-        missing = [name for name in others if name not in table.bodies]
-        unknown = [name for name in table.bodies if name not in (OBJECT, *others)]
-        if missing:
-            raise DataFormatError(f"the motion has no poses of {missing[0]!r}, which others names; add its columns")
-        if unknown:
-            raise DataFormatError(f"the motion has poses of {unknown[0]!r}; name it in others, or remove its columns")
-        if hand is not None and table.wrist is None:
-            raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
+    def _check_new(self, name: str, content: SceneFile) -> None:
+        if name in [item.name for item in content.objects]:
+            raise OptionError(f"name must be new, got {name!r}, which {self.folder} has already; choose another one")
 
     def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
         return find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
 
     @contextlib.contextmanager
-    def _prepare(self, subfolder: str) -> Iterator[Path]:
-        """Create a temporary folder beside the files that are to be written, and delete it in the end."""
-        existed = [path for path in (self.folder, self.folder / subfolder) if not path.exists()]
+    def _change(self, subfolder: str = "") -> Iterator[SceneFile]:
+        """Lock the folder, which is created, against other processes, and read its present content."""
         try:
             (self.folder / subfolder).mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix=".new-", dir=self.folder) as scratch:
-                yield Path(scratch)
+            with exclusive_lock(self.folder):
+                yield self.content
         except OSError as error:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
-        finally:
-            for path in reversed(existed):
-                # Only folders that are still empty are removed.
-                with contextlib.suppress(OSError):
-                    path.rmdir()
 
-    @contextlib.contextmanager
-    def _change(self) -> Iterator[SceneFile]:
-        """Lock the folder against other processes and read its present content."""
-        if not self.folder.is_dir():
-            raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
-        with exclusive_lock(self.folder):
-            yield self.content
+
+def _check_bodies(table: MotionTable, others: Sequence[str], hand: int | None) -> None:
+    missing = [name for name in others if name not in table.bodies]
+    unknown = [name for name in table.bodies if name not in (OBJECT, *others)]
+    if missing:
+        raise DataFormatError(f"the motion has no poses of {missing[0]!r}, which others names; add its columns")
+    if unknown:
+        raise DataFormatError(f"the motion has poses of {unknown[0]!r}; name it in others, or remove its columns")
+    if hand is not None and table.wrist is None:
+        raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
 
 
 def _check(argument: str, check: Callable[[object], str], value: object) -> str:

@@ -8,11 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import Side
-from handover_marl.assets.hand_postures import Palms
-from handover_marl.datasets.generated.hands import HandTemplates, make_hand_templates
-from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, close_fingers
+from handover_marl.datasets.generated.hands import Palms, make_hand_templates
+from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
+from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.poses import compose, invert_pose
@@ -26,7 +25,6 @@ _N_OPENINGS, _MAX_CLOSED = 1500, 200  # postures, and postures whose fingers are
 #: Largest distance (m) by which a recorded wrist is moved.
 MAX_SHIFT = 0.021
 _MAX_PALM_OVERLAP = 0.004  # m
-_CLOSING = HumanGraspConfig()
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _MIRRORED_ANGLES = np.tile([1.0, -1.0, -1.0], 15)
 # Translations of the wrist along the fingers and along the palm's normal, the smallest first.
@@ -59,7 +57,7 @@ class HandGrasp:
     shift: Array
 
 
-def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> tuple[MotionTable, Array]:
+def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
 
     Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
@@ -83,7 +81,7 @@ def close_hand(table: MotionTable, solid: MeshSolid, hand: int, side: Side) -> t
     return table, np.asarray((1.0 - progress) * grasp.opened + progress * grasp.closed)
 
 
-def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
+def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
     """Return the open hand and the hand closed on the object at a pose (7,) of the wrist in the object's frame.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
@@ -98,17 +96,17 @@ def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side:
     templates = make_hand_templates(SUBJECT_SIZES[hand - 1], _N_OPENINGS)
     for shift in _SHIFTS:
         palm = Palms((position + rotation @ shift)[None], rotation[None])
-        if _measure_palm(solid, templates, palm) < -_MAX_PALM_OVERLAP:
+        if measure_body(solid, palm, *templates.palm)[0] < -_MAX_PALM_OVERLAP:
             continue
         rows = np.arange(len(templates.openings))
-        gaps = solid.compute_distances(palm[0 * rows].transform(templates.get_open_hands(rows))) - templates.radii
+        gaps = solid.compute_distances(palm[0 * rows].transform(templates.path[:, 0])) - templates.radii
         nearest = gaps.min(axis=(1, 2))
-        free = np.flatnonzero(nearest > -_CLOSING.skin_yield)
+        free = np.flatnonzero(nearest > -SKIN_YIELD)
         if not len(free):
             continue
         free = free[np.argsort(nearest[free], kind="stable")[:_MAX_CLOSED]]
-        closed = close_fingers(solid, templates, palm[0 * free], free, _CLOSING)
-        touching = closed.gaps.min(axis=2) < 2.0 * _CLOSING.skin_yield
+        closed = close_fingers(solid, templates, palm[0 * free], free)
+        touching = closed.gaps.min(axis=2) < 2.0 * SKIN_YIELD
         # The thumb counts twice: without it nothing is opposite the fingers. Of equal postures the tightest is taken,
         # whose links are nearest to the object on average (m).
         looseness = np.maximum(closed.gaps, 0.0).mean(axis=(1, 2))
@@ -120,16 +118,10 @@ def find_hand_grasp(solid: MeshSolid, object_from_wrist: Array, hand: int, side:
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
         angles = closed.posture.compute_joint_angles()[best]
         return HandGrasp(opened * signs, angles * signs, shift * _MIRROR if is_left else shift)
-    distance = 1000.0 * _measure_palm(solid, templates, Palms(position[None], rotation[None]))
+    distance = 1000.0 * float(measure_body(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(
         f"wrist must be where the fingers reach around the object when it is picked up ({place}), got a palm {where}; "
         "check the wrist's frame (origin in the wrist, fingers of a right hand along -x, back along +y, thumb towards "
         "+z; a left hand is mirrored in x) or pass hand=None"
     )
-
-
-def _measure_palm(solid: MeshSolid, templates: HandTemplates, palm: Palms) -> float:
-    """Return the smallest distance (m) of the palm from the object."""
-    centers, radii = templates.spheres.palm
-    return float((solid.compute_distances(palm.transform(centers[None])) - radii).min())

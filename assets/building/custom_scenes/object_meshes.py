@@ -7,17 +7,17 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import trimesh
-from scipy.spatial import QhullError
+from scipy.spatial import ConvexHull, QhullError
 
-from handover_marl.assets.building.object_files import write_convex_parts, write_visual
+from handover_marl.assets.building.objects import write_convex_parts, write_visual
 from handover_marl.assets.object_models import (
     COLLISION_NAME,
     FRICTION,
     PALETTE,
     URDF_NAME,
     VISUAL_NAME,
-    copy_palette,
     format_object_urdf,
+    read_palette_files,
 )
 from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
 from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
@@ -32,10 +32,12 @@ Array = npt.NDArray[np.float64]
 
 #: Metres in each unit of length.
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-#: Smallest and largest extent of an object (m).
-MIN_EXTENT, MAX_EXTENT = EXTENT
+_LIMITS: Final = {
+    **{"scale": (1e-6, 1e6), "mass": MASS, "density": (1.0, 30_000.0), "friction": FRICTION_RANGE},
+    **{"concavity": (0.01, 1.0), "max_faces": (100, 1_000_000)},
+}
 _MAX_BYTES = 1_000_000_000
-_MIN_VOLUME_SHARE = 1e-4  # of the box around the mesh
+_MIN_THICKNESS = 5e-4  # m
 
 
 @dataclass(frozen=True)
@@ -71,18 +73,9 @@ class MeshConfig:
         check_name("color", self.color, PALETTE)
         if self.mass is not None and self.density is not None:
             raise OptionError("mass and density must not both be given; leave one of them out")
-        limits: dict[str, tuple[float, float]] = {
-            "scale": (1e-6, 1e6),
-            "mass": MASS,
-            "density": (1.0, 30_000.0),
-            "friction": FRICTION_RANGE,
-            "concavity": (0.01, 1.0),
-            "max_faces": (100, 1_000_000),
-        }
-        for name, (low, high) in limits.items():
+        for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if value is not None and not (is_number and low <= value <= high):
+            if value is not None and not (isinstance(value, (int, float)) and low <= value <= high):
                 raise OptionError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
 
 
@@ -132,7 +125,8 @@ def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
     write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
     write_convex_parts(folder / COLLISION_NAME, list(item.parts))
-    copy_palette(folder)
+    for name, content in read_palette_files().items():
+        (folder / name).write_bytes(content)
     (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
 
 
@@ -166,85 +160,57 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
     """Return a mesh in metres with repaired surface, and descriptions of the repairs."""
     repairs: list[str] = []
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-    if not len(faces):
-        raise DataFormatError(f"{name}: has no triangles; export a triangle mesh")
-    if not np.isfinite(vertices).all():
-        raise DataFormatError(f"{name}: vertices must be finite, got NaN or infinity; export the mesh again")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise DataFormatError(f"{name}: a triangle names a vertex that does not exist; export the mesh again")
-    factor, is_small = UNITS[config.unit] * config.scale, len(faces) <= config.max_faces
-    mesh = trimesh.Trimesh(vertices * factor, faces, process=is_small)
+    if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
+        raise DataFormatError(f"{name}: must have triangles of finite vertices; export the mesh again")
+    mesh = trimesh.Trimesh(vertices * UNITS[config.unit] * config.scale, faces, process=False)
     _check_size(mesh, config, name)
-    n_faces = len(mesh.faces)
-    if n_faces > config.max_faces:
+    if len(mesh.faces) > config.max_faces:
         # First of all, since hulls and edges of a million triangles take minutes.
-        mesh = _simplify(mesh, config.max_faces)
-        repairs.append(f"simplified from {n_faces} to {len(mesh.faces)} triangles")
-        n_faces = len(mesh.faces)
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
+        require_modules("meshes of many triangles", "replay", "fast_simplification")
+        mesh = mesh.simplify_quadric_decimation(face_count=config.max_faces)
+        repairs.append(f"simplified from {len(faces)} to {len(mesh.faces)} triangles")
+    mesh.merge_vertices()
+    n_faces = len(mesh.faces)
+    with np.errstate(invalid="ignore"):  # flat bodies have no centre
+        is_outward = mesh.is_winding_consistent and mesh.volume >= 0.0
+        mesh.process(validate=True)
+    _check_solid(mesh, name)
     if len(mesh.faces) < n_faces:
         repairs.append(f"{n_faces - len(mesh.faces)} empty or repeated triangles removed")
-    if not len(mesh.faces):
-        raise DataFormatError(f"{name}: all triangles are empty; export the mesh again")
-    _check_solid(mesh, name)
-    if not mesh.is_winding_consistent:
-        trimesh.repair.fix_normals(mesh, multibody=True)  # type: ignore[no-untyped-call]
-        repairs.append("triangles turned so that all have the same winding")
+    if not is_outward:
+        repairs.append("triangles turned so that all face outwards")
     if not mesh.is_watertight:
         trimesh.repair.fill_holes(mesh)
-        closed = "holes filled" if mesh.is_watertight else "open surface kept; its convex parts are closed"
-        repairs.append(closed)
-    if mesh.volume < 0.0:
-        mesh.invert()
-        repairs.append("flipped, because its inside was outside")
+        repairs.append("holes filled" if mesh.is_watertight else "open surface kept; its convex parts are closed")
     return mesh, repairs
 
 
 def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
-    extents = np.asarray(mesh.extents if mesh.extents is not None else np.zeros(3))
-    size = " x ".join(f"{value:.3g}" for value in extents)
-    largest = float(extents.max())
-    if MIN_EXTENT <= largest <= MAX_EXTENT:
-        distance = float(np.linalg.norm(mesh.bounds.mean(axis=0)))
-        if distance > MAX_OFFSET:
-            raise DataFormatError(
-                f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
-            )
-        return
-    fitting = [
-        unit
-        for unit, metres in UNITS.items()
-        if 0.03 <= largest / UNITS[config.unit] * metres <= 0.5 and unit != config.unit
-    ]
-    advice = f"if it is in {' or '.join(fitting)}, pass unit={fitting[0]!r}" if fitting else "pass unit or scale"
-    raise DataFormatError(
-        f"{name}: the largest extent must be {MIN_EXTENT} to {MAX_EXTENT} m, got {size} m in unit {config.unit!r}; "
-        f"{advice}"
-    )
-
-
-def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
-    try:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            hull = float(mesh.convex_hull.volume)
-    except (QhullError, ValueError, IndexError):
-        hull = 0.0
-    extents = np.sort(mesh.extents)
-    if hull < _MIN_VOLUME_SHARE * float(extents[2]) ** 3 * 0.1 or extents[0] < 5e-4:
+    extents, (low, high) = np.asarray(mesh.extents), EXTENT
+    largest, distance = float(extents.max()), float(np.linalg.norm(mesh.bounds.mean(axis=0)))
+    if not low <= largest <= high:
+        metres = largest / UNITS[config.unit]
+        fitting = [unit for unit, size in UNITS.items() if 0.03 <= metres * size <= 0.5 and unit != config.unit]
+        advice = f"if it is in {' or '.join(fitting)}, pass unit={fitting[0]!r}" if fitting else "pass unit or scale"
         raise DataFormatError(
-            f"{name}: must be a solid body, got a flat or empty one of {extents[0]:.2g} m thickness; export a closed "
-            "surface"
+            f"{name}: the largest extent must be {low} to {high} m, got {' x '.join(f'{size:.3g}' for size in extents)}"
+            f" m in unit {config.unit!r}; {advice}"
+        )
+    if distance > MAX_OFFSET:
+        raise DataFormatError(
+            f"{name}: the body must be near the origin of its frame, got a distance of {distance:.3g} m; move it"
         )
 
 
-def _simplify(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
-    require_modules("meshes of many triangles", "replay", "fast_simplification")
-    import fast_simplification
-
-    vertices, faces = fast_simplification.simplify(
-        np.asarray(mesh.vertices, dtype=np.float32),
-        np.asarray(mesh.faces, dtype=np.int32),
-        target_reduction=1.0 - max_faces / len(mesh.faces),
-    )
-    return trimesh.Trimesh(vertices.astype(np.float64), faces, process=True)
+def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
+    corners = np.asarray(mesh.triangles).reshape(-1, 3)
+    extents = np.ptp(corners, axis=0) if len(corners) else np.zeros(3)
+    try:
+        hull = float(ConvexHull(corners).volume)
+    except (QhullError, ValueError):
+        hull = 0.0
+    if hull <= 1e-5 * float(extents.max()) ** 3 or extents.min() < _MIN_THICKNESS:
+        raise DataFormatError(
+            f"{name}: must be a solid body, got a flat or empty one of {extents.min():.2g} m thickness; export a "
+            "closed surface"
+        )

@@ -12,7 +12,6 @@ from typing import Any
 import torch
 import tyro
 from benchmarl.algorithms import MappoConfig
-from benchmarl.environments.common import Task
 from benchmarl.environments.pettingzoo.common import PettingZooClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
@@ -21,17 +20,14 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.modules import MultiAgentMLP
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.learning.policy_spec import dense_network_from_layers
 
 
 class HandoverClass(PettingZooClass):
     """BenchMARL task with two groups of one agent, giver and receiver."""
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
-        make: Callable[[], EnvBase] = lambda: PettingZooWrapper(  # noqa: E731
-            make_env(self.config["args"]), return_state=True, seed=seed, device=device
-        )
-        return make
+        return lambda: PettingZooWrapper(make_env(self.config["args"]), return_state=True, seed=seed, device=device)
 
     def supports_continuous_actions(self) -> bool:
         return True
@@ -50,20 +46,10 @@ class HandoverClass(PettingZooClass):
         return "handover"
 
 
-class HandoverTask(Task):
-    """Handover tasks that BenchMARL can train."""
-
-    HANDOVER: Any = None
-
-    @staticmethod
-    def associated_class() -> type[HandoverClass]:
-        return HandoverClass
-
-
 def main(args: PairArgs) -> None:
     torch.set_num_threads(1)
     Path(args.out).mkdir(parents=True, exist_ok=True)
-    task = HandoverTask.HANDOVER.get_task({"args": args, "max_cycles": args.max_cycles})
+    task = HandoverClass("handover", {"args": args, "max_cycles": args.max_cycles})
     algorithm, model, config = (each.get_from_yaml() for each in (MappoConfig, MlpConfig, ExperimentConfig))
     algorithm.clip_epsilon, algorithm.lmbda = args.clip_range, args.gae_lambda
     algorithm.scale_mapping = f"biased_softplus_{args.initial_std}"

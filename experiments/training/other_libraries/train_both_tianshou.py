@@ -1,14 +1,12 @@
-"""Train giver and receiver together with Tianshou's PPO, with one network for both.
+"""Train giver and receiver together with Tianshou's PPO, with networks of their own for both agents.
 
     python experiments/training/other_libraries/train_both_tianshou.py --dataset synthetic --out runs/tianshou
 
-Agents that share parameters need equal spaces: `handover_marl.homogeneous` pads them and adds an agent indicator.
-Every agent is one environment for Tianshou, so that it learns from its own transitions. The script needs the extra
-`tianshou`.
+Tianshou's collectors have one agent, so the loop fills a replay buffer for each agent. It needs the extra `tianshou`.
 """
 
+import contextlib
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,63 +17,24 @@ from rich.progress import track
 from tianshou.algorithm import PPO
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory
-from tianshou.data import Collector, VectorReplayBuffer
-from tianshou.env import BaseVectorEnv
+from tianshou.data import Batch, VectorReplayBuffer
 from tianshou.utils.net.common import Net
 from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
 from tianshou.utils.torch_utils import policy_within_training_step
 from torch import nn
 from torch.distributions import Independent, Normal
 
-from handover_marl import homogeneous
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.envs.wrappers.encode import EncodedEnv
+from handover_marl.learning.policy_spec import dense_network_from_layers
 
 
-class AgentsVectorEnv(BaseVectorEnv):
-    """Environments of both agents of each world: 2 w of the giver in world w, 2 w + 1 of the receiver."""
-
-    def __init__(self, args: PairArgs) -> None:
-        self.worlds = [homogeneous(make_env(args)) for _ in range(args.num_envs)]
-        self.env_num, self.is_async, self.is_closed = 2 * len(self.worlds), False, False
-        self.seeds: list[int | None] = [args.seed + number for number in range(len(self.worlds))]
-
-    def get_env_attr(self, key: str, id: Any = None) -> list[Any]:  # noqa: A002
-        return [getattr(self.worlds[0], key)("giver") if key.endswith("_space") else None] * self.env_num
-
-    def reset(self, env_id: Any = None, **kwargs: Any) -> tuple[np.ndarray, np.ndarray]:
-        # Episodes end for both agents at once, so that their numbers come in pairs.
-        parts = []
-        for number in [each // 2 for each in self._wrap_id(env_id)][::2]:
-            parts.append(self.worlds[number].reset(self.seeds[number]))
-            self.seeds[number] = None
-        observations, infos = ([part[kind][agent] for part in parts for agent in AGENTS] for kind in (0, 1))
-        return np.stack(observations), np.array(infos)
-
-    def step(self, action: Any, id: Any = None) -> tuple[np.ndarray, ...]:  # noqa: A002
-        chosen, steps = self._wrap_id(id), []
-        for row in range(0, len(chosen), 2):
-            actions = dict(zip(AGENTS, action[row : row + 2], strict=True))
-            steps.append(self.worlds[chosen[row] // 2].step(actions))
-        *parts, infos = ([step[kind][agent] for step in steps for agent in AGENTS] for kind in range(5))
-        for number, info in zip(chosen, infos, strict=True):
-            info["env_id"] = number
-        return *map(np.stack, parts), np.array(infos)
-
-    def close(self) -> None:
-        for world in self.worlds:
-            world.close()
-
-
-def main(args: PairArgs) -> None:
-    torch.manual_seed(args.seed)
-    torch.set_num_threads(1)
-    envs = AgentsVectorEnv(args)
-    world, (n_inputs,) = envs.worlds[0], envs.worlds[0].observation_space("giver").shape
-    actions = world.action_space("giver")
+def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
+    """Make PPO for one agent; first outputs are nearly zero, a sensible action."""
+    n_inputs, actions = env.observation_space(agent).shape[0], env.action_space(agent)
     nets = [Net(state_shape=(n_inputs,), hidden_sizes=[args.width] * 2, activation=nn.Tanh) for _ in range(2)]
     actor = ContinuousActorProbabilistic(preprocess_net=nets[0], action_shape=actions.shape, unbounded=True)
-    with torch.no_grad():  # first outputs are nearly zero, a sensible action
+    with torch.no_grad():
         actor.mu.model[-1].weight.mul_(0.01)
         actor.mu.model[-1].bias.zero_()
         actor.sigma_param.fill_(math.log(args.initial_std))
@@ -86,7 +45,7 @@ def main(args: PairArgs) -> None:
         action_scaling=False,
         action_bound_method=None,
     )
-    algorithm = PPO(
+    return PPO(
         policy=policy,
         critic=ContinuousCritic(preprocess_net=nets[1]),
         optim=AdamOptimizerFactory(lr=args.learning_rate),
@@ -96,23 +55,39 @@ def main(args: PairArgs) -> None:
         ent_coef=0.0,
         max_grad_norm=0.5,
     )
-    count = 2 * args.batch_size
-    collector = Collector(algorithm, envs, VectorReplayBuffer(count, len(envs)))
-    collector.reset()
-    for _ in track(range(args.decisions // args.batch_size), description="updates"):
-        with policy_within_training_step(algorithm.policy):
-            collector.collect(n_step=count)
-            algorithm.update(buffer=collector.buffer, batch_size=args.minibatch_size, repeat=args.epochs)
-        collector.reset_buffer(keep_statistics=True)
-    envs.close()
-    shared = dense_network_from_layers(actor, "tanh")
-    networks = {}
-    for place, agent in enumerate(AGENTS):
-        # The indicator is constant, so its column is part of the bias; the padding is zero.
-        sizes, first = world.get_sizes(agent), shared.weights[0]
-        weights = [first[:, : sizes[0]], *shared.weights[1:-1], shared.weights[-1][: sizes[1]]]
-        biases = [shared.biases[0] + first[:, place - len(AGENTS)], *shared.biases[1:-1], shared.biases[-1][: sizes[1]]]
-        networks[agent] = replace(shared, weights=tuple(weights), biases=tuple(biases))
+
+
+def main(args: PairArgs) -> None:
+    torch.manual_seed(args.seed)
+    torch.set_num_threads(1)
+    envs = [make_env(args) for _ in range(args.num_envs)]
+    seen = [env.reset(seed=args.seed + number)[0] for number, env in enumerate(envs)]
+    algorithms = {agent: make_algorithm(envs[0], agent, args) for agent in AGENTS}
+    buffers = {agent: VectorReplayBuffer(args.batch_size, args.num_envs) for agent in AGENTS}
+    names = ("obs_next", "rew", "terminated", "truncated")
+    with contextlib.ExitStack() as stack:
+        for algorithm in algorithms.values():
+            stack.enter_context(policy_within_training_step(algorithm.policy))
+        for number in track(range(args.decisions // args.num_envs), description="decisions"):
+            batches = {agent: Batch(obs=np.stack([one[agent] for one in seen]), info={}) for agent in AGENTS}
+            for agent, batch in batches.items():
+                with torch.no_grad():
+                    batch.act = algorithms[agent].policy(batch).act.numpy()
+            steps: list[Any] = [
+                env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)
+            ]
+            for agent, batch in batches.items():
+                batch.update({name: np.array([step[n][agent] for step in steps]) for n, name in enumerate(names)})
+                batch.done = batch.terminated | batch.truncated
+                buffers[agent].add(batch)
+            seen = [step[0] if env.agents else env.reset()[0] for env, step in zip(envs, steps, strict=True)]
+            if (number + 1) % (args.batch_size // args.num_envs) == 0:
+                for agent, buffer in buffers.items():
+                    algorithms[agent].update(buffer=buffer, batch_size=args.minibatch_size, repeat=args.epochs)
+                    buffer.reset()
+    for env in envs:
+        env.close()
+    networks = {agent: dense_network_from_layers(each.policy.actor, "tanh") for agent, each in algorithms.items()}
     write_pair(networks, args, "train_both_tianshou")
 
 

@@ -5,8 +5,6 @@
 The loop follows TorchRL's multi-agent examples. It needs the extra `torchrl`.
 """
 
-import functools
-
 import torch
 import tyro
 from pair import PairArgs, make_env, write_pair
@@ -14,18 +12,13 @@ from rich.progress import track
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.data import LazyTensorStorage, ReplayBuffer, SamplerWithoutReplacement
 from torchrl.envs import EnvBase, ParallelEnv, PettingZooWrapper
 from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
+from handover_marl.learning.policy_spec import dense_network_from_layers
 from handover_marl.learning.training.dense_networks import make_mlp
-
-
-def wrap_env(args: PairArgs) -> EnvBase:
-    return PettingZooWrapper(make_env(args))
 
 
 def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:
@@ -62,7 +55,7 @@ def main(args: PairArgs) -> None:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     # With shared buffers the main process would busy-wait and occupy a core.
-    env = ParallelEnv(args.num_envs, functools.partial(wrap_env, args), use_buffers=False)
+    env = ParallelEnv(args.num_envs, lambda: PettingZooWrapper(make_env(args)), use_buffers=False)
     env.set_seed(args.seed)
     losses = {agent: make_loss(env, agent, args) for agent in AGENTS}
     optimizers = {agent: torch.optim.Adam(loss.parameters(), args.learning_rate) for agent, loss in losses.items()}
@@ -77,19 +70,18 @@ def main(args: PairArgs) -> None:
             with torch.no_grad():
                 parameters = {"params": loss.critic_network_params, "target_params": loss.target_critic_network_params}
                 loss.value_estimator(batch, **parameters)
-            storage, sampler = LazyTensorStorage(args.batch_size), SamplerWithoutReplacement()
-            buffer = ReplayBuffer(storage=storage, sampler=sampler, batch_size=args.minibatch_size)
-            buffer.extend(batch.reshape(-1))
-            for _ in range(args.epochs * (args.batch_size // args.minibatch_size)):
-                found = loss(buffer.sample())
-                optimizers[agent].zero_grad()
-                (found["loss_objective"] + found["loss_critic"] + found["loss_entropy"]).backward()
-                nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
-                optimizers[agent].step()
+            rows = batch.reshape(-1)
+            for _ in range(args.epochs):
+                for numbers in torch.randperm(len(rows)).split(args.minibatch_size):
+                    found = loss(rows[numbers])
+                    optimizers[agent].zero_grad()
+                    (found["loss_objective"] + found["loss_critic"] + found["loss_entropy"]).backward()
+                    nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
+                    optimizers[agent].step()
         collector.update_policy_weights_()
-    sizes = {agent: env.full_action_spec[agent, "action"].shape[-1] for agent in AGENTS}
     networks = {
-        agent: dense_network_from_layers(actor, "tanh", "tanh", sizes[agent]) for agent, actor in actors.items()
+        agent: dense_network_from_layers(actor, "tanh", "tanh", env.full_action_spec[agent, "action"].shape[-1])
+        for agent, actor in actors.items()
     }
     collector.shutdown()
     write_pair(networks, args, "train_both_torchrl")

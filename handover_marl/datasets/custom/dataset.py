@@ -19,19 +19,16 @@ import numpy.typing as npt
 
 from handover_marl.assets.hand_model import find_hand_urdf
 from handover_marl.assets.object_models import URDF_NAME
-from handover_marl.assets.object_models import find_object_urdf as find_ycb_urdf
-from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.ranges import check_grasps, check_hand, check_objects, check_vertices
-from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomObject, CustomScene, SceneFile, read_scene_file
+from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file
 from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file
-from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
-from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links
+from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -152,33 +149,14 @@ class CustomDataset(Dataset):
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of an object class's URDF."""
         if object_name in CLASS_NAMES.values():
-            return find_ycb_urdf(object_name)
+            return super().find_object_urdf(object_name)
         return _require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME)
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Load the robot grasps (n, 4, 4) of an object class, or None if it has none."""
         if object_name in CLASS_NAMES.values():
-            return load_object_grasps(object_name)
+            return super().load_grasps(object_name)
         return self._read_grasps(object_name)
-
-    def check_object(self, item: CustomObject) -> None:
-        """Check the model and the grasps of an object of `scenes.json`.
-
-        Raises:
-            DataNotFoundError, DataFormatError, SimulationError: A file is missing or damaged, or mass or friction of
-                the model are not those in `scenes.json`.
-        """
-        urdf = self.find_object_urdf(item.name)
-        check_model(urdf, OBJECT_DOF)
-        # The last link but the base carries the mass and all shapes.
-        link = read_urdf_links(urdf, read_tree(urdf))[-2]
-        for name in ("mass", "friction"):
-            stated, found = getattr(item, name), getattr(link, name)
-            if abs(found - stated) > 1e-3 * stated + 1e-6:
-                raise DataFormatError(
-                    f"{urdf}: {name} must be {stated:g} as in scenes.json, got {found:g}; correct one"
-                )
-        self.load_grasps(item.name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
         """Raise `DataNotFoundError` for the first missing file of the given scenes."""

@@ -37,11 +37,6 @@ def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
     )
 
 
-def build_object_urdf() -> str:
-    """Return the text of `model_normalized.urdf`, which is the same for all YCB classes."""
-    return render_urdf(__package__, "object.urdf")
-
-
 def format_numbers(*numbers: float) -> str:
     """Return numbers as the text of a URDF attribute.
 
@@ -94,8 +89,15 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
             )
 
 
-def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[str, bytes]:
-    """Build the 33 files of a hand of shape (10,): `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`."""
+def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
+    """Write the 33 files of a subject's hand of shape (10,) to the folder `<subject>_<side>/` in `assets/`.
+
+    They are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses the shape parameters of the
+    subject's first scene for both sides. Returns the path of the folder.
+
+    Raises:
+        ResultsError: A file exists with other content, or cannot be written.
+    """
     vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
     files = {"mano.urdf": build_hand_urdf(joints).encode()}
@@ -104,19 +106,8 @@ def build_hand_files(model: ManoModel, betas: Sequence[float] | Array) -> dict[s
             weight = _MIN_ROOT_WEIGHT if kind == "collision" and joint in _ROOT_JOINTS else _MIN_WEIGHT
             corners, faces = _extract_link_mesh(model, vertices, joint, weight)
             files[f"meshes/{kind}/mesh{joint + 1}.obj"] = format_obj(corners - joints[joint], faces).encode()
-    return files
-
-
-def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
-    """Write the files of a subject's hand to the folder `<subject>_<side>/` in `assets/` and return its path.
-
-    HandoverSim uses the shape parameters (10,) of the subject's first scene for both sides.
-
-    Raises:
-        ResultsError: A file exists with other content, or cannot be written.
-    """
     folder = assets / f"{subject}_{model.side}"
-    write_missing_files(folder, build_hand_files(model, betas))
+    write_missing_files(folder, files)
     return folder
 
 
@@ -134,25 +125,8 @@ def write_object_assets(assets: Path) -> None:
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
     """
-    content = build_object_urdf().encode()
+    content = render_urdf(__package__, "object.urdf").encode()
     write_missing_files(assets, {f"{name}/model_normalized.urdf": content for name in CLASS_NAMES.values()})
-
-
-def build_table_urdf(original: str) -> str:
-    """Return the text of HandoverSim's `table.urdf`, made from PyBullet's.
-
-    Raises:
-        DataFormatError: PyBullet's table is not the one that HandoverSim was made with.
-    """
-    text = original
-    for old, new, times in _TABLE_REPLACEMENTS:
-        if text.count(old) != times:
-            raise DataFormatError(
-                f"table/table.urdf in pybullet_data has {old} {text.count(old)} times instead of {times}; "
-                "install the PyBullet that this library asks for again"
-            )
-        text = text.replace(old, new)
-    return text
 
 
 def find_table_folder() -> Path:
@@ -166,14 +140,21 @@ def find_table_folder() -> Path:
 
 
 def write_table_assets(assets: Path) -> None:
-    """Write the folder `table/` with HandoverSim's URDF and copies of PyBullet's mesh and texture.
+    """Write the folder `table/` with HandoverSim's URDF, made from PyBullet's, and copies of its mesh and texture.
 
     Raises:
         OptionError: PyBullet is not installed.
-        DataFormatError: PyBullet's table cannot be read, or is not the one that HandoverSim uses.
+        DataFormatError: PyBullet's table is not the one that HandoverSim uses.
         ResultsError: A file exists with other content, or cannot be written.
     """
     source = find_table_folder()
-    original = (source / "table.urdf").read_bytes().decode()
+    text = (source / "table.urdf").read_bytes().decode()
+    for old, new, times in _TABLE_REPLACEMENTS:
+        if text.count(old) != times:
+            raise DataFormatError(
+                f"table/table.urdf in pybullet_data has {old} {text.count(old)} times instead of {times}; "
+                "install the PyBullet that this library asks for again"
+            )
+        text = text.replace(old, new)
     copies = {name: (source / name).read_bytes() for name in _COPIED_TABLE_FILES}
-    write_missing_files(assets / "table", {"table.urdf": build_table_urdf(original).encode(), **copies})
+    write_missing_files(assets / "table", {"table.urdf": text.encode(), **copies})

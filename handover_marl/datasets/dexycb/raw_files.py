@@ -156,10 +156,9 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
     meta = read_meta(sequence)
     objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
     extrinsics = sequence.calibration / f"extrinsics_{meta.extrinsics}" / "extrinsics.yml"
-    pose = _get(extrinsics, _get(extrinsics, _read_mapping(extrinsics), "extrinsics"), "apriltag")
     return RawSequence(
         meta=meta,
-        world_from_tag=_check_numbers(extrinsics, pose, 12).reshape(3, 4),
+        world_from_tag=_read_numbers(extrinsics, 12, "extrinsics", "apriltag").reshape(3, 4),
         betas=read_betas(sequence.calibration, meta.mano_calib),
         objects=objects,
         hand=hand,
@@ -172,8 +171,7 @@ def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
     Raises:
         DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
     """
-    path = calibration / f"mano_{mano}" / "mano.yml"
-    return tuple(_check_numbers(path, _get(path, _read_mapping(path), "betas"), N_BETAS).tolist())
+    return tuple(_read_numbers(calibration / f"mano_{mano}" / "mano.yml", N_BETAS, "betas").tolist())
 
 
 def read_meta(sequence: SequenceFolder) -> SequenceMeta:
@@ -214,7 +212,11 @@ def _get(path: Path, content: object, key: str) -> Any:
     return content[key]
 
 
-def _check_numbers(path: Path, values: object, count: int) -> Float64:
+def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
+    """Read numbers from a YAML file, below a key of the mapping below another key and so on."""
+    values = _read_mapping(path)
+    for key in keys:
+        values = _get(path, values, key)
     try:
         numbers = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

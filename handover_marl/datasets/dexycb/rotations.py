@@ -206,11 +206,6 @@ class KeyframeSpan:
     last: int
 
     @property
-    def n_keyframes(self) -> int:
-        """Number of keyframes in the range, both ends included."""
-        return self.last - self.first + 1
-
-    @property
     def frames(self) -> slice:
         """Slice of the 1 kHz frames from the first to the last keyframe of the range."""
         return slice(STRIDE * self.first, STRIDE * self.last + 1)

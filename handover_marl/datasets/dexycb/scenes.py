@@ -6,7 +6,6 @@ The import of a scene depends on no other scene, so scenes can be imported in pa
 import functools
 import json
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,8 @@ from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
 from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
 from handover_marl.execution.files import has_content, write_arrays, write_atomically
 from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import map_with_progress
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
@@ -180,86 +179,55 @@ def import_scene(
 ) -> None:
     """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
 
+    Existing files must be equal.
+
     Raises:
         DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or one of the scene differs.
         ResultsError: A file cannot be written.
     """
-    scene = convert_sequence(sequence, read_sequence(sequence), models, first_betas)
+    meta, arrays = convert_sequence(sequence, read_sequence(sequence), models, first_betas)
     cache = out / CACHE_FOLDER
     try:
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultsError(f"cannot make the folder {cache} ({error.strerror or error}); choose another") from error
-    write_scene(scene, cache)
-
-
-@dataclass(frozen=True, eq=False)
-class CachedScene:
-    """Content of a scene's two files in the cache.
-
-    Attributes:
-        scene_id: Scene number.
-        meta: Content of the meta file, keys in the official order.
-        pose_y: (T, n, 6) float32 motion of the n objects at 1 kHz in the frame of the AprilTag on the
-            table: position (m), intrinsic XYZ Euler angles (rad).
-        pose_m: (T, 1, 51) float32 joint positions of the hand at 1 kHz in the same frame: 3 positions (m),
-            48 angles (rad).
-    """
-
-    scene_id: int
-    meta: dict[str, Any]
-    pose_y: Float32
-    pose_m: Float32
+    pose, meta_file = cache / f"pose_{sequence.scene_id:03d}.npz", cache / f"meta_{sequence.scene_id:03d}.json"
+    text = json.dumps(meta).encode()
+    if not pose.exists():
+        write_arrays(pose, arrays)
+    is_same = _has_arrays(pose, arrays)
+    # The meta file is written last: it marks the scene as complete.
+    if is_same and not meta_file.exists():
+        write_atomically(meta_file, text)
+    if not (is_same and has_content(meta_file, text)):
+        raise DataFormatError(
+            f"{meta_file if is_same else pose} exists, but differs from the result of this recording; remove it to "
+            "have it written again, or choose another folder"
+        )
 
 
 def convert_sequence(
     sequence: SequenceFolder, raw: RawSequence, models: Mapping[str, ManoModel], first_betas: BetasBySubject
-) -> CachedScene:
-    """Convert a recording to a scene, with the shape parameters of `find_first_betas`."""
+) -> tuple[dict[str, Any], dict[str, Float32]]:
+    """Convert a recording to a scene, with the shape parameters of `find_first_betas`.
+
+    Returns:
+        Content of the meta file, keys in the official order, and arrays of the pose file, both in the frame of the
+        AprilTag on the table at 1 kHz: `pose_y` (T, n, 6), position (m) and intrinsic XYZ Euler angles (rad) of the
+        objects, and `pose_m` (T, 1, 51), joint positions of the hand: 3 positions (m), 48 angles (rad).
+    """
     meta, model, tag = raw.meta, models[raw.meta.side], TagFrame.from_extrinsics(raw.world_from_tag)
     base = model.locate_wrist(first_betas.get((sequence.subject, meta.side), raw.betas))
     objects = [compute_object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
     hand = compute_hand_trajectory(raw.hand, tag, model, model.locate_wrist(raw.betas), base)
-    return CachedScene(
-        scene_id=sequence.scene_id,
-        meta={
-            "name": sequence.name,
-            "ycb_ids": list(meta.ycb_ids),
-            "ycb_grasp_ind": meta.ycb_grasp_ind,
-            "mano_sides": [meta.side],
-            "mano_betas": [list(raw.betas)],
-        },
-        pose_y=np.stack(objects, axis=1),
-        pose_m=hand[:, None],
-    )
-
-
-def write_scene(scene: CachedScene, cache: Path) -> None:
-    """Write the files meta_NNN.json and pose_NNN.npz of a scene; existing files must be equal.
-
-    Raises:
-        DataFormatError: A file exists with other content.
-        ResultsError: A file cannot be written.
-    """
-    arrays = {"pose_y": np.ascontiguousarray(scene.pose_y), "pose_m": np.ascontiguousarray(scene.pose_m)}
-    pose = cache / f"pose_{scene.scene_id:03d}.npz"
-    # The meta file is written last: it marks the scene as complete.
-    meta, text = cache / f"meta_{scene.scene_id:03d}.json", json.dumps(scene.meta).encode()
-    if not pose.exists():
-        write_arrays(pose, arrays)
-    elif not _has_arrays(pose, arrays):
-        raise _make_mismatch_error(pose)
-    if not meta.exists():
-        write_atomically(meta, text)
-    elif not has_content(meta, text):
-        raise _make_mismatch_error(meta)
-
-
-def _make_mismatch_error(path: Path) -> DataFormatError:
-    return DataFormatError(
-        f"{path} exists, but differs from the result of this recording; remove it to have it written again, or "
-        "choose another folder"
-    )
+    content = {
+        "name": sequence.name,
+        "ycb_ids": list(meta.ycb_ids),
+        "ycb_grasp_ind": meta.ycb_grasp_ind,
+        "mano_sides": [meta.side],
+        "mano_betas": [list(raw.betas)],
+    }
+    return content, {"pose_y": np.stack(objects, axis=1), "pose_m": np.ascontiguousarray(hand[:, None])}
 
 
 def _has_arrays(path: Path, expected: dict[str, Float32]) -> bool:

@@ -33,10 +33,9 @@ from handover_marl.datasets.official_files import (
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.tasks import map_with_progress
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import format_convex_parts as join_convex_parts
-from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -152,73 +151,46 @@ def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) ->
     """
     if not models.is_dir():
         return []
-    _copy_models(models, assets)
-    faults = _write_convex_parts(assets, workers, progress)
-    _write_grasps(assets)
-    _write_panda(assets)
-    return faults
-
-
-def _write_convex_parts(assets: Path, workers: int, progress: bool) -> list[str]:
-    names = [
-        name
-        for name in CLASS_NAMES.values()
-        if (assets / name / _VISUAL_FILES[0]).is_file() and not (assets / name / _COLLISION_FILE).exists()
-    ]
-    if not names:
-        return []
-    if find_spec("coacd") is None:
-        return [
-            f"{len(names)} objects such as {names[0]} have no convex parts: give HandoverSim's third-party archive "
-            "(--third-party), which has the original ones, or install what cuts them (pip install "
-            "'handover-marl[import]')"
-        ]
-    write = functools.partial(_write_object_convex_parts, assets)
-    results = map_with_progress(lambda: write, names, "convex parts", PoolConfig(workers), progress)
-    return [fault for _, fault in results if fault]
-
-
-def _write_object_convex_parts(assets: Path, name: str) -> str:
-    try:
-        content = format_convex_parts(assets / name / _VISUAL_FILES[0]).encode()
-        write_missing_files(assets, {f"{name}/{_COLLISION_FILE}": content})
-    except DataFormatError as error:
-        return str(error)
-    return ""
-
-
-def _copy_models(models: Path, assets: Path) -> None:
-    """Copy the missing visual meshes and textures from DexYCB's models."""
     for name in CLASS_NAMES.values():
-        for file in _VISUAL_FILES:
-            source = models / name / file
-            if not source.exists() or (assets / name / file).exists():
-                continue
-            write_missing_files(assets, {f"{name}/{file}": source.read_bytes()})
-
-
-def format_convex_parts(model: Path) -> str:
-    """Return an OBJ text with the convex parts of a mesh by CoACD, one OBJ object per part.
-
-    Raises:
-        DataFormatError: The file is not a mesh of a solid body.
-    """
-    mesh = read_obj(model)
-    parts = decompose_convex(mesh.vertices, mesh.faces)
-    if not parts:
-        raise DataFormatError(f"{model}: CoACD finds no body in it; copy DexYCB's models again")
-    hulls = ((corners, compute_convex_hull(corners)[1]) for corners in parts)
-    return f"# {STAND_IN}: convex parts by CoACD\n" + join_convex_parts(hulls)
-
-
-def _write_grasps(assets: Path) -> None:
-    """Write the library's grasps of the YCB classes without a grasp file."""
-    for name in CLASS_NAMES.values():
+        for path in (f"{name}/{file}" for file in _VISUAL_FILES):
+            if (models / path).exists() and not (assets / path).exists():
+                write_missing_files(assets, {path: (models / path).read_bytes()})
         path, grasps = f"grasps/{name}.npy", load_object_grasps(name)
         if grasps is not None and not (assets / path).exists():
             stream = io.BytesIO()
             np.save(stream, np.array({b"source": STAND_IN.encode(), b"transforms": grasps}), allow_pickle=True)
             write_missing_files(assets, {path: stream.getvalue()})
+    _write_panda(assets)
+    names = [
+        name
+        for name in CLASS_NAMES.values()
+        if (assets / name / _VISUAL_FILES[0]).is_file() and not (assets / name / _COLLISION_FILE).exists()
+    ]
+    if names and find_spec("coacd") is None:
+        return [
+            f"{len(names)} objects such as {names[0]} have no convex parts: give HandoverSim's third-party archive "
+            "(--third-party), which has the original ones, or install what cuts them (pip install "
+            "'handover-marl[import]')"
+        ]
+    write = functools.partial(_write_convex_parts, assets)
+    results = map_with_progress(lambda: write, names, "convex parts", PoolConfig(workers), progress)
+    return [fault for _, fault in results if fault]
+
+
+def _write_convex_parts(assets: Path, name: str) -> str:
+    """Write the convex parts of an object's mesh by CoACD, one OBJ object per part; return an error message or ""."""
+    model = assets / name / _VISUAL_FILES[0]
+    try:
+        mesh = read_obj(model)
+    except DataFormatError as error:
+        return str(error)
+    parts = decompose_convex(mesh.vertices, mesh.faces)
+    if not parts:
+        return f"{model}: CoACD finds no body in it; copy DexYCB's models again"
+    text = format_convex_parts((corners, compute_convex_hull(corners)[1]) for corners in parts)
+    content = f"# {STAND_IN}: convex parts by CoACD\n{text}".encode()
+    write_missing_files(assets, {f"{name}/{_COLLISION_FILE}": content})
+    return ""
 
 
 def _write_panda(assets: Path) -> None:

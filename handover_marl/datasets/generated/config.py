@@ -1,7 +1,7 @@
 """Configuration of generated scenes, the data set's name that describes it, and their seeds and splits."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -22,11 +22,8 @@ FAMILIES: Final = (DEFAULT, HARD)
 #: Kinds of procedural objects.
 OBJECT_KINDS: Final = ("boxes", "cylinders", "bottles", "tools", "superquadrics")
 
-#: Largest seed, number of scenes, and number of objects or people: seeds are 32-bit words, and class
-#: numbers are exact in float32 observations.
-MAX_SEED, MAX_SCENES, MAX_POOL = 2**32 - 1, 10_000_000, 1_000_000
 #: Version of the generator, part of every seed. It changes whenever the scenes do.
-VERSION: Final = 1
+VERSION: Final = 2
 # First word of the seeds; the synthetic scenes have their version, 1.
 _SALTS: Final = {"scene": 1001, "object": 1002, "person": 1003}
 # Of ten numbers on average eight are in train and one each in val and test.
@@ -35,9 +32,12 @@ _OBJECT_OFFSET: Final = 1 << 40
 ItemKind = Literal["scene", "object", "person"]
 
 
-def _check_number(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:  # Also refuses NaN.
-        raise OptionError(f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range")
+# Smallest and largest values. Seeds are 32-bit words, and class numbers are exact in float32 observations.
+_LIMITS: Final = {
+    **{"n": (1, 10_000_000), "seed": (0, 2**32 - 1), "objects": (50, 100_000), "people": (1, 100_000)},
+    **{"procedural": (0, 1), "left": (0, 1), "clutter_max": (0, MAX_OBJECTS - 1)},
+    **dict.fromkeys(OBJECT_KINDS, (0, 1_000_000)),
+}
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,12 @@ class GeneratedConfig:
 
     def __post_init__(self) -> None:
         check_name("family", self.family, FAMILIES)
-        for name, low, high in (
-            *(("n", 1, MAX_SCENES), ("seed", 0, MAX_SEED), ("objects", 50, MAX_POOL), ("people", 1, MAX_POOL)),
-            *(("clutter_min", 0, self.clutter_max), ("clutter_max", 0, MAX_OBJECTS - 1)),
-        ):
-            _check_number(name, getattr(self, name), low, high)
-        for name in ("procedural", "left"):
-            _check_number(name, getattr(self, name), 0.0, 1.0)
-        for name in OBJECT_KINDS:
-            _check_number(name, getattr(self, name), 0.0, 1e6)
+        for name, (low, high) in {**_LIMITS, "clutter_min": (0, self.clutter_max)}.items():
+            value = getattr(self, name)
+            if not low <= value <= high:  # Also refuses NaN.
+                raise OptionError(
+                    f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range"
+                )
         if not any(self.kind_weights):
             raise OptionError(f"one of {', '.join(OBJECT_KINDS)} must be above 0, got 0 for all; leave them out")
 
@@ -100,12 +97,8 @@ class GeneratedConfig:
     @property
     def argument(self) -> str:
         """Text after `generated:` that describes this configuration: n, seed and values that are not defaults."""
-        usual = FAMILY_DEFAULTS[self.family]
-        names = [field.name for field in fields(self)]
-        chosen = [name for name in names if name in ("n", "seed") or getattr(self, name) != getattr(usual, name)]
-        if self.family != DEFAULT:
-            chosen.append("family")
-        return ",".join(f"{name}={_format_value(getattr(self, name))}" for name in names if name in chosen)
+        usual = {**vars(FAMILY_DEFAULTS[self.family]), "n": None, "seed": None, "family": DEFAULT}
+        return ",".join(f"{name}={value}" for name, value in vars(self).items() if value != usual[name])
 
 
 #: Configuration of each family unless something else is given.
@@ -125,7 +118,7 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
         UnknownNameError: A parameter or the family does not exist.
     """
     values: dict[str, Any] = {}
-    types = {field.name: field.type for field in fields(GeneratedConfig)}
+    defaults = vars(GeneratedConfig())
     for entry in argument.split(","):
         name, separator, text = (word.strip() for word in entry.partition("="))
         if not separator or not text:
@@ -133,30 +126,21 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
                 f"generated scenes must be described as n=1000,seed=7, got {entry[:80]!r}; "
                 "separate entries name=value by commas"
             )
-        check_name("parameter of generated scenes", name, types)
+        check_name("parameter of generated scenes", name, defaults)
         if name in values:
             raise OptionError(f"parameter {name} of generated scenes must be given once, got it twice; leave one out")
-        values[name] = _parse_value(name, text, types[name])
+        kind = type(defaults[name])
+        try:
+            values[name] = kind(text)
+        except ValueError:
+            wanted = "a whole number" if kind is int else "a number"
+            raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
     family = values.pop("family", DEFAULT)
     check_name("family", family, FAMILIES)
     usual = FAMILY_DEFAULTS[family]
     if "clutter_max" in values and "clutter_min" not in values:
         values["clutter_min"] = min(usual.clutter_min, values["clutter_max"])
     return replace(usual, **values)
-
-
-def _parse_value(name: str, text: str, kind: object) -> int | float | str:
-    if kind in (str, "str"):
-        return text
-    try:
-        return int(text) if kind in (int, "int") else float(text)
-    except ValueError:
-        wanted = "a whole number" if kind in (int, "int") else "a number"
-        raise OptionError(f"{name} must be {wanted}, got {text[:80]!r}; write for example {name}=1") from None
-
-
-def _format_value(value: float | str) -> str:
-    return value if isinstance(value, str) else repr(value)
 
 
 def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:

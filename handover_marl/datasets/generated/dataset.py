@@ -1,16 +1,11 @@
 """Data set of generated scenes, each made when it is loaded."""
 
-from collections.abc import Iterator, Mapping
-from functools import lru_cache
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import find_hand_urdf
-from handover_marl.assets.object_models import find_object_urdf
-from handover_marl.assets.shipped import load_object_grasps
-from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.generated.config import (
     GENERATED,
     VERSION,
@@ -18,69 +13,26 @@ from handover_marl.datasets.generated.config import (
     list_split,
     parse_generated_config,
 )
-from handover_marl.datasets.generated.model_files import write_hand_model, write_object_model
+from handover_marl.datasets.generated.model_files import write_object_model
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
 from handover_marl.datasets.generated.scenes import (
     FIRST_CLASS,
-    GeneratedHandover,
     draw_object_grasps,
     draw_procedural_object,
     draw_side,
-    generate_handover,
+    generate_scene,
 )
-from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.resampling import compute_trajectories
-from handover_marl.errors import UnknownNameError, check_name
+from handover_marl.datasets.synthetic.dataset import GeneratedHandover, HandoverGenerator
+from handover_marl.errors import check_name
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES
 
-Trajectories = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], int]
-
 #: Name of the only setup of generated data.
 SETUP = "random"
-_PREFIX, _DIGITS = "object_", 5
 
 
-class ObjectNames(Mapping[int, str]):
-    """Class names by class number: the YCB classes, then procedural objects such as "object_00042".
-
-    Args:
-        count: Number of procedural objects.
-    """
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-
-    def __getitem__(self, number: int) -> str:
-        if number in CLASS_NAMES:
-            return CLASS_NAMES[number]
-        if not FIRST_CLASS <= number < FIRST_CLASS + self._count:
-            raise KeyError(number)
-        return f"{_PREFIX}{number - FIRST_CLASS:0{_DIGITS}d}"
-
-    def __iter__(self) -> Iterator[int]:
-        yield from CLASS_NAMES
-        yield from range(FIRST_CLASS, FIRST_CLASS + self._count)
-
-    def __len__(self) -> int:
-        return len(CLASS_NAMES) + self._count
-
-    def find_procedural(self, name: str) -> int | None:
-        """Return the number, from 0, of a procedural object by its class name; None for a YCB class.
-
-        Raises:
-            UnknownNameError: There is no such class.
-        """
-        if name in CLASS_NAMES.values():
-            return None
-        digits = name.removeprefix(_PREFIX)
-        if name.startswith(_PREFIX) and digits.isdecimal() and int(digits) < self._count:
-            return int(digits)
-        raise UnknownNameError("object", name, (*CLASS_NAMES.values(), f"{_PREFIX}00000"))
-
-
-class GeneratedDataset(Dataset):
+class GeneratedDataset(HandoverGenerator):
     """Scenes that are generated from a configuration; needs no data folder.
 
     Args:
@@ -95,11 +47,14 @@ class GeneratedDataset(Dataset):
         UnknownNameError: A parameter, the family or the robot does not exist.
     """
 
+    scene_format = "08d"
+
     def __init__(self, config: GeneratedConfig | str, robot: str = PANDA) -> None:
         super().__init__(robot)
         self.config = parse_generated_config(config) if isinstance(config, str) else config
         self.name = f"{GENERATED}:{self.config.argument}"
-        self._names = ObjectNames(self.config.objects)
+        self._numbers = {f"object_{number:05d}": number for number in range(self.config.objects)}
+        self._names = {**CLASS_NAMES, **{FIRST_CLASS + number: name for name, number in self._numbers.items()}}
 
     @property
     def n_scenes(self) -> int:
@@ -113,7 +68,7 @@ class GeneratedDataset(Dataset):
 
     @property
     def object_names(self) -> Mapping[int, str]:
-        """Class names of objects by class number: the YCB classes, then the procedural objects."""
+        """Class names by class number: the YCB classes, then procedural objects such as "object_00042"."""
         return self._names
 
     @property
@@ -132,31 +87,15 @@ class GeneratedDataset(Dataset):
         self.check_scene_id(scene_id)
         return draw_side(self.config, scene_id)
 
-    def load_info(self, scene_id: int) -> SceneInfo:
-        """Generate a scene and return its description; raises `SceneError`."""
-        self.check_scene_id(scene_id)
-        handover, _ = _generate_scene(self.config, scene_id)
-        giver = handover.giver
-        ids = (giver.class_id, *(item.class_id for item in handover.clutter))
-        name, names = f"{giver.subject}/scene-{scene_id:08d}", tuple(self._names[number] for number in ids)
-        return SceneInfo(scene_id, name, giver.side, ids, names)
-
-    def load_scene(self, scene_id: int) -> Scene:
-        """Generate a scene with its motion in the world frame; raises `SceneError`."""
-        info = self.load_info(scene_id)
-        handover, (object_dof, hand_dof, hand_first) = _generate_scene(self.config, scene_id)
-        person, side = handover.giver.person, handover.giver.side
-        hand = find_hand_urdf(person, side) if isinstance(person, int) else write_hand_model(person, side)
-        return self.make_scene(
-            info, self.find_assets(info, hand), object_dof, hand_dof, (hand_first, len(hand_dof) - 1)
-        )
+    def generate(self, scene_id: int) -> GeneratedHandover:
+        """Generate an existing scene."""
+        return generate_scene(self.config, scene_id)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
-        number = self._names.find_procedural(object_name)
-        if number is None:
-            return find_object_urdf(object_name)
-        return write_object_model(object_name, draw_procedural_object(self.config, number))
+        if object_name not in self._numbers:
+            return super().find_object_urdf(object_name)
+        return write_object_model(object_name, draw_procedural_object(self.config, self._numbers[object_name]))
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
         """Return robot grasps (n, 4, 4) of a class, or None if it has none.
@@ -164,22 +103,11 @@ class GeneratedDataset(Dataset):
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
         antipodal and do not collide with the object; they are not simulated.
         """
-        number = self._names.find_procedural(object_name)
-        if number is None:
-            return load_object_grasps(object_name)
-        solid = Solid(draw_procedural_object(self.config, number).parts)
-        grasps = draw_object_grasps(self.config, number, solid, RobotGraspConfig())
+        if object_name not in self._numbers:
+            return super().load_grasps(object_name)
+        grasps = draw_object_grasps(self.config, self._numbers[object_name], RobotGraspConfig())
         return grasps if len(grasps) else None
-
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Do nothing: all files are part of the library or written when needed."""
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return version and configuration of the generator; the number of scenes does not matter."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
-
-
-@lru_cache(maxsize=4)
-def _generate_scene(config: GeneratedConfig, scene_id: int) -> tuple[GeneratedHandover, Trajectories]:
-    handover = generate_handover(config, scene_id)
-    return handover, compute_trajectories(handover.motion, handover.clutter)

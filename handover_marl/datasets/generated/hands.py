@@ -1,34 +1,38 @@
-"""People that hand over procedural objects, and open postures of hands of their sizes.
+"""Hands of people in generated scenes: open postures around an object, and the paths of closing fingers.
 
-The paths of the phalanges while the fingers close freely are computed once for each hand, so that
-closing on an object needs few evaluations of the forward kinematics.
+All hands are right hands, approximated by spheres: three per phalanx, others in palm and forearm. The paths of the
+phalanges while the fingers close freely are computed once for each hand, so that closing on an object needs few
+evaluations of the forward kinematics.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import MEN, SKIN_COLORS, WOMEN, HandSize
-from handover_marl.assets.hand_model import HandGeometry, scale_hand
-from handover_marl.assets.hand_postures import (
-    THUMB,
-    ArrayBatch,
-    HandSpheres,
-    OpeningDraws,
-    Openings,
-    Posture,
-    make_reference_openings,
-    measure_openings,
-)
+from handover_marl.assets.anthropometry import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandSize
+from handover_marl.assets.hand_model import HandGeometry, euler_from_matrices, scale_hand
 from handover_marl.datasets.generated.config import GeneratedConfig, make_seed
+from handover_marl.datasets.generated.shapes import normalize
 from handover_marl.datasets.synthetic.random_stream import RandomStream, open_stream
 from handover_marl.geometry.poses import compute_cross_products
 
-Array = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
+Array = npt.NDArray[np.float64]
+#: Tapered capsule (m): start (3,), end (3,), radius at the start, radius at the end.
+Capsule = tuple[Array, Array, float, float]
+#: Centers (k, 3) and radii (k,) of spheres (m).
+Spheres = tuple[Array, Array]
+
+#: Index of the thumb among the digits.
+THUMB: Final = 4
 #: Number of steps of the free closing, and flexion in each step of the root, middle and end joint (rad).
 N_STEPS: Final = 20
 STEP_ANGLES: Final = np.radians(5.0) * np.array([[1.0, 1.0, 0.55]] * 4 + [[0.6, 0.7, 0.9]])
@@ -38,6 +42,14 @@ LIMITS: Final = np.radians([[85.0, 100.0, 65.0]] * 4 + [[45.0, 55.0, 70.0]])
 _SEED, _N_DRAWS, _N_TEMPLATES = 1010, 3000, 48
 # Correlation of length and breadth of a hand, and largest standard score.
 _CORRELATION, _MAX_SCORE = 0.6, 2.0
+# Smallest cosine between the pads' direction and the thumb, and smallest width (m) of a gap.
+_MIN_FACING: Final = 0.2
+_MIN_WIDTH: Final = 0.012
+# Extreme directions of the thumb's first bone in the palm's frame: forward beside the index finger,
+# abducted in the plane of the palm, and in front of the palm opposite the fingers.
+_THUMB_DIRECTIONS = np.array([[-0.80, -0.40, 0.44], [-0.58, -0.24, 0.78], [-0.42, -0.87, 0.25]])
+# Point (m) that the reference hand's thumb flexes towards, below the middle finger's first bone.
+_THUMB_TARGET = np.array([-0.100, -0.030, 0.002])
 
 
 @dataclass(frozen=True)
@@ -65,6 +77,113 @@ def draw_person(config: GeneratedConfig, number: int) -> Person:
     one, two = np.clip([first, second], -_MAX_SCORE, _MAX_SCORE).tolist()
     size = HandSize(round(lengths[0] + one * lengths[1], 4), round(breadths[0] + two * breadths[1], 4))
     return Person(f"generated-person-{number:05d}", size, SKIN_COLORS[random.integer(len(SKIN_COLORS))])
+
+
+class ArrayBatch:
+    """Base class of dataclasses of n items; n is the first dimension of all fields."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+
+    def __getitem__(self, rows: npt.NDArray[np.integer | np.bool_]) -> "Self":
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))  # type: ignore[arg-type]
+
+    @classmethod
+    def concatenate(cls, parts: "Sequence[Self]") -> "Self":
+        """Return all items of several batches as one batch."""
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))  # type: ignore[arg-type]
+        return cls(
+            *(
+                type(column[0]).concatenate(column) if isinstance(column[0], ArrayBatch) else np.concatenate(column)
+                for column in columns
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Palms(ArrayBatch):
+    """Poses of n palms in the object's frame.
+
+    Attributes:
+        position: (n, 3) positions (m).
+        rotation: (n, 3, 3) rotation matrices.
+    """
+
+    position: Array
+    rotation: Array
+
+    def transform(self, points: npt.NDArray[np.floating]) -> Array:
+        """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
+        count = math.prod(points.shape[1:-1])  # -1 is not allowed where there are no palms
+        flat = points.reshape(len(points), count, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
+        return np.asarray(flat.reshape(points.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Posture(ArrayBatch):
+    """Finger postures of n right hands.
+
+    Attributes:
+        bends: (n, 5, 3) flexion (rad) of the digits' joints, in the order of `hand_model.DIGIT_ORDER`.
+        spread: (n, 4) abduction (rad) of the fingers at the knuckles, towards the thumb.
+        thumb_root: (n, 3, 3) rotation of the thumb's root before flexion.
+        thumb_axis: (n, 3) unit axis of the thumb's flexion in the palm's frame.
+    """
+
+    bends: Array
+    spread: Array
+    thumb_root: Array
+    thumb_axis: Array
+
+    def compute_joint_angles(self) -> Array:
+        """Return the finger joint angles (n, 45), intrinsic XYZ Euler angles (rad)."""
+        angles = np.zeros((len(self), 5, 3, 3))
+        angles[..., 2] = self.bends
+        angles[:, :THUMB, 0, 1] = self.spread
+        bends = self.bends[:, THUMB]
+        local = np.einsum("nji,nj->ni", self.thumb_root, self.thumb_axis)
+        root = Rotation.from_rotvec(self.thumb_axis * bends[:, :1]).as_matrix() @ self.thumb_root
+        angles[:, THUMB, 0] = euler_from_matrices(root)
+        for joint in (1, 2):
+            turns = Rotation.from_rotvec(local * bends[:, joint : joint + 1])
+            angles[:, THUMB, joint] = euler_from_matrices(turns.as_matrix())
+        return angles.reshape(-1, 45)
+
+
+def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
+    """Return the capsules of a right palm: metacarpals and balls of thumb and little finger."""
+    index, middle, little, ring, thumb = hand.joint_origins[::3] / hand.scale
+    drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
+    capsules = [
+        (np.array([-0.012, -0.002, 0.013]), index + drop, wrist, 0.0128),
+        (np.array([-0.012, -0.002, 0.005]), middle + drop, wrist, 0.0130),
+        (np.array([-0.012, -0.002, -0.005]), ring + drop, wrist, 0.0125),
+        (np.array([-0.012, -0.003, -0.012]), little + drop / 2, wrist, 0.0118),
+        (thumb + np.array([0.004, 0.0, -0.006]), thumb + np.array([-0.024, -0.006, 0.004]), 0.0150, 0.0125),
+        (np.array([-0.022, -0.008, -0.019]), little + np.array([0.022, -0.006, 0.002]), 0.0135, 0.0115),
+    ]
+    return _scale_capsules(hand, capsules)
+
+
+def make_forearm_capsules(hand: HandGeometry) -> list[Capsule]:
+    """Return the capsules of the end of the forearm in the palm's frame."""
+    return _scale_capsules(
+        hand,
+        [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)],
+    )
+
+
+def _scale_capsules(hand: HandGeometry, capsules: list[Capsule]) -> list[Capsule]:
+    across = float(hand.scale[1])
+    return [(a * hand.scale, b * hand.scale, r0 * across, r1 * across) for a, b, r0, r1 in capsules]
+
+
+def _spheres_from_capsules(capsules: list[Capsule], count: int) -> Spheres:
+    """Return spheres spaced evenly in capsules, `count` in each."""
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    centers = [start + t * (end - start) for start, end, _, _ in capsules]
+    radii = [first + t[:, 0] * (last - first) for _, _, first, last in capsules]
+    return np.vstack(centers), np.concatenate(radii)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +215,9 @@ class DigitPaths(ArrayBatch):
         return np.asarray(centers.reshape(*bends.shape[:2], 5, 9, 3))
 
 
-def make_digit_paths(spheres: HandSpheres, posture: Posture) -> DigitPaths:
+def make_digit_paths(model: HandGeometry, posture: Posture) -> DigitPaths:
     """Return the paths of the spheres of a hand for n open postures."""
-    n, model = len(posture), spheres.model
+    n, shares = len(posture), np.array([1.0, 2.0, 3.0]) / 3.0
     axes, roots = np.zeros((n, 5, 3)), np.zeros((n, 5, 3, 3))
     sin, cos = np.sin(posture.spread), np.cos(posture.spread)
     axes[:, :THUMB, 0], axes[:, :THUMB, 2], axes[:, THUMB] = sin, cos, posture.thumb_axis
@@ -107,7 +226,8 @@ def make_digit_paths(spheres: HandSpheres, posture: Posture) -> DigitPaths:
     roots[:, :THUMB, 1, 1], roots[:, THUMB] = 1.0, posture.thumb_root
     origins = model.joint_origins.reshape(5, 3, 3)
     points = np.zeros((5, 3, 4, 3))
-    points[:, :, :3], points[:, :2, 3] = spheres.along.reshape(5, 3, 3, 3), origins[:, 1:]
+    points[:, :, :3] = (model.tips[:, None] * shares[:, None]).reshape(5, 3, 3, 3)
+    points[:, :2, 3] = origins[:, 1:]
     straight = np.einsum("ndij,dpvj->ndpvi", roots, points)
     axes = axes[:, :, None, None]
     fixed = (straight * axes).sum(axis=-1, keepdims=True) * axes
@@ -120,73 +240,113 @@ def make_digit_paths(spheres: HandSpheres, posture: Posture) -> DigitPaths:
 
 
 @dataclass(frozen=True, eq=False)
+class Openings(ArrayBatch):
+    """Open hand postures and their gaps between thumb and fingers, in the palm's frame.
+
+    Attributes:
+        posture: n open postures of a hand.
+        center: (n, 3) centers of the gaps (m).
+        axis: (n, 3) unit vectors from the thumb's pad to the fingers' pads.
+        width: (n,) widths of the gaps (m).
+        facing: (n,) cosines of the angles between the direction of the fingers' pads and the thumb.
+    """
+
+    posture: Posture
+    center: Array
+    axis: Array
+    width: Array
+    facing: Array
+
+
+def _measure_openings(model: HandGeometry, posture: Posture) -> Openings:
+    """Return the gaps between thumb and fingers in n postures of a hand."""
+    dof = np.concatenate([np.zeros((len(posture), 6)), posture.compute_joint_angles()], axis=1)
+    dof[:, :3] = -model.palm_offset
+    positions, rotations = model.compute_link_poses(dof)
+    # The last phalanges of index finger, middle finger and thumb; links begin with the palm.
+    last = np.array([2, 5, 14])
+    ends = positions[:, last + 1] + np.einsum("nlij,lj->nli", rotations[:, last + 1], model.tips[last])
+    thumb, fingers = ends[:, 2], (ends[:, 0] + ends[:, 1]) / 2
+    distance = np.linalg.norm(fingers - thumb, axis=1)
+    axis = (fingers - thumb) / distance[:, None]
+    width = distance - model.radii[14, 1] - model.radii[2, 1]
+    facing = np.einsum("ni,ni->n", (rotations[:, 3, :, 1] + rotations[:, 6, :, 1]) / 2, axis)
+    return Openings(posture, (thumb + fingers) / 2, axis, width, facing)
+
+
+@lru_cache(maxsize=2)
+def _sample_openings(count: int) -> Openings:
+    """Sample up to `count` open postures of the reference hand whose gaps have evenly spread widths."""
+    random, n, hand = RandomStream(_SEED), _N_DRAWS, scale_hand(REFERENCE_SIZE, "right")
+    weights = -np.log(random.uniforms(n, 3))
+    root, middle = 0.05 + (1.15 - 0.05) * random.uniforms(n), 0.08 + (1.0 - 0.08) * random.uniforms(n)
+    one_finger = np.stack([root, middle, 0.5 * middle], axis=1)
+    fingers = one_finger[:, None] + 0.04 * random.normals(n, 4, 1) * [1.0, 1.0, 0.5]
+    thumb = np.column_stack([np.zeros(n), 0.4 * random.uniforms(n), 0.5 * random.uniforms(n)])
+    bends = np.maximum(np.concatenate([fingers, thumb[:, None]], axis=1), 0.0)
+    spread = (-0.05 + (0.12 + 0.05) * random.uniforms(n, 1)) * np.array([1.0, 0.1, -2.0, -0.9])
+    direction = normalize(weights @ _THUMB_DIRECTIONS)
+    aim = _THUMB_TARGET - hand.joint_origins[12] + 0.015 * random.normals(n, 3)
+    roots = compute_shortest_rotations(normalize(hand.tips[12]), direction)
+    openings = _measure_openings(hand, Posture(bends, spread, roots, normalize(np.cross(direction, aim))))
+    openings = openings[(openings.facing > _MIN_FACING) & (openings.width > _MIN_WIDTH)]
+    goals = np.linspace(openings.width.min(), np.quantile(openings.width, 0.999), count)
+    nearest = np.abs(openings.width[:, None] - goals).argmin(axis=0)
+    return openings[np.unique(nearest)]
+
+
+def compute_shortest_rotations(source: Array, goal: Array) -> Array:
+    """Return the smallest rotations (n, 3, 3) from unit vectors `source` to `goal`."""
+    source = np.broadcast_to(source, goal.shape)
+    axis = np.cross(source, goal)
+    sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("ni,ni->n", source, goal)
+    # Exactly opposite vectors, whose axis is undefined, do not occur in random samples.
+    scaled = axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12))[:, None]
+    return np.asarray(Rotation.from_rotvec(scaled).as_matrix())
+
+
+@dataclass(frozen=True, eq=False)
 class HandTemplates:
     """Open postures of a right hand, sorted by the width of their gap.
 
     Attributes:
         model: Geometry of the hand.
-        spheres: Spheres that approximate the hand.
+        palm: Spheres of the palm, in its frame.
+        forearm: Spheres of the end of the forearm, in the palm's frame.
         openings: K open postures with their gaps.
         bends: (K, S, 5, 3) flexion of the digits' joints in S steps of closing without an object (rad).
         digits: Paths of the K postures' digits under flexion.
-        path: (K, S, 5, 9, 3) centers of the phalanges' spheres in these steps, in the palm's frame (m).
+        path: (K, S, 5, 9, 3) float32 centers of the phalanges' spheres in these steps, in the palm's frame (m).
         radii: (5, 9) radii of these spheres (m).
     """
 
     model: HandGeometry
-    spheres: HandSpheres
+    palm: Spheres
+    forearm: Spheres
     openings: Openings
     bends: Array
     digits: DigitPaths
     path: npt.NDArray[np.float32]
     radii: Array
 
-    def get_path(self, rows: npt.NDArray[np.int64]) -> Array:
-        """Return the spheres' centers (n, S, 5, 9, 3) while n postures close, in the palm's frame (m)."""
-        return self.path[rows].astype(np.float64)
-
-    def get_open_hands(self, rows: npt.NDArray[np.int64]) -> Array:
-        """Return the spheres' centers (n, 5, 9, 3) of some open postures, in the palm's frame (m)."""
-        return np.asarray(self.path[rows, 0], dtype=np.float64)
-
-    def get_open_spheres(
-        self, rows: npt.NDArray[np.int64], digits: npt.NDArray[np.int64], spheres: npt.NDArray[np.int64]
-    ) -> Array:
-        """Return the centers (n, k, 3) of k spheres, given by digit and number, of n open postures (m)."""
-        return np.asarray(self.path[rows[:, None], 0, digits, spheres], dtype=np.float64)
-
-
-@lru_cache(maxsize=2)
-def _sample_openings(count: int) -> Openings:
-    """Sample up to `count` open postures of the reference hand whose gaps have evenly spread widths."""
-    random, n = RandomStream(_SEED), _N_DRAWS
-    weights = -np.log(random.uniforms(n, 3))
-    openings = make_reference_openings(
-        OpeningDraws(
-            root=random.uniforms(n),
-            middle=random.uniforms(n),
-            fingers=random.normals(n, 4, 1),
-            thumb_middle=random.uniforms(n),
-            thumb_end=random.uniforms(n),
-            spread=random.uniforms(n, 1),
-            thumb_direction=weights / weights.sum(axis=1, keepdims=True),
-            thumb_target=random.normals(n, 3),
-        )
-    )
-    goals = np.linspace(openings.width.min(), np.quantile(openings.width, 0.999), count)
-    nearest = np.abs(openings.width[:, None] - goals).argmin(axis=0)
-    return openings[np.unique(nearest)]
-
 
 @lru_cache(maxsize=64)
 def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTemplates:
     """Return up to `count` open postures of a right hand of some size and their closing; cached."""
     model = scale_hand(size, "right")
-    spheres = HandSpheres(model)
-    openings = measure_openings(model, _sample_openings(count).posture)
+    openings = _measure_openings(model, _sample_openings(count).posture)
     openings = openings[np.argsort(openings.width, kind="stable")]
-    steps = np.arange(N_STEPS)[:, None, None] * STEP_ANGLES
-    bends = np.maximum(np.minimum(openings.posture.bends[:, None] + steps, LIMITS), openings.posture.bends[:, None])
-    digits = make_digit_paths(spheres, openings.posture)
-    path = digits.place(bends).astype(np.float32)
-    return HandTemplates(model, spheres, openings, bends, digits, path, spheres.radii.reshape(5, 9))
+    start = openings.posture.bends[:, None]
+    bends = np.maximum(np.minimum(start + np.arange(N_STEPS)[:, None, None] * STEP_ANGLES, LIMITS), start)
+    digits = make_digit_paths(model, openings.posture)
+    first, last = model.radii[:, :1], model.radii[:, 1:]
+    return HandTemplates(
+        model=model,
+        palm=_spheres_from_capsules(make_palm_capsules(model), 6),
+        forearm=_spheres_from_capsules(make_forearm_capsules(model), 4),
+        openings=openings,
+        bends=bends,
+        digits=digits,
+        path=digits.place(bends).astype(np.float32),
+        radii=(first + (last - first) * np.array([1.0, 2.0, 3.0]) / 3.0).reshape(5, 9),
+    )

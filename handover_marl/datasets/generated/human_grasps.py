@@ -13,16 +13,19 @@ from scipy.special import ndtri
 
 from handover_marl.assets.anthropometry import HandSize
 from handover_marl.assets.hand_model import Side
-from handover_marl.assets.hand_postures import ArrayBatch, Palms, Posture, compute_shortest_rotations, normalize
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.datasets.generated.hands import (
     LIMITS,
     N_STEPS,
     STEP_ANGLES,
+    ArrayBatch,
     HandTemplates,
+    Palms,
+    Posture,
+    compute_shortest_rotations,
     make_hand_templates,
 )
-from handover_marl.datasets.generated.shapes import GraspableSolid
+from handover_marl.datasets.generated.shapes import Solid, normalize
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 Array = npt.NDArray[np.float64]
@@ -33,55 +36,49 @@ Flags = npt.NDArray[np.bool_]
 _PROBED_SPHERES: Final = (np.array([4, 0, 0, 4, 4, 0]), np.array([4, 3, 7, 8, 1, 1]))
 
 
+#: Largest penetration of the object into the fingers, and into the palm (m).
+SKIN_YIELD, _PALM_YIELD = 0.002, 0.003
+# Largest distance of opposite points, and range of the difference between the gap of the hand and the object (m).
+_MAX_WIDTH, _SPARE_WIDTH = 0.1, (0.003, 0.045)
+# Smallest distance of the forearm to the object, and of the centers of the open hand's spheres to a table (m).
+_FOREARM_CLEARANCE, _TABLE_CLEARANCE = 0.002, 0.02
+# Largest distance of a digit in contact (m).
+_TOUCH_DISTANCE = 0.003
+# Number of steps in which end joints close on after a root joint has stopped, and step of closing at which a digit that
+# misses the object stays.
+_N_DISTAL_STEPS, _RELAXED_STEP = 10, 5
+
+
 @dataclass(frozen=True)
 class HumanGraspConfig:
-    """Parameters of the search for human grasps.
+    """Effort of the search for human grasps.
 
     Attributes:
         n_pairs: Number of surface points from which grasps are tried in one round.
         n_closed: Largest number of hands whose fingers are closed in one round.
         n_grasps: Number of grasps at which the search ends.
         n_rounds: Largest number of rounds.
-        max_width: Largest distance of opposite points (m).
-        spare_width: Smallest and largest difference between the gap of the hand and the object (m).
-        skin_yield: Largest penetration of the object into the fingers (m).
-        palm_yield: Largest penetration of the object into the palm (m).
-        forearm_clearance: Smallest distance of the forearm to the object (m).
-        touch_distance: Largest distance of a digit in contact (m).
-        table_clearance: Smallest distance of the open hand's spheres' centers to a table on which the object lies (m).
-        n_distal_steps: Number of steps in which end joints close on after a root joint has stopped.
-        relaxed_step: Step of closing at which a digit that misses the object stays.
     """
 
     n_pairs: int = 320
     n_closed: int = 10
     n_grasps: int = 3
     n_rounds: int = 5
-    max_width: float = 0.1
-    spare_width: tuple[float, float] = (0.003, 0.045)
-    skin_yield: float = 0.002
-    palm_yield: float = 0.003
-    forearm_clearance: float = 0.002
-    touch_distance: float = 0.003
-    table_clearance: float = 0.02
-    n_distal_steps: int = 10
-    relaxed_step: int = 5
 
 
 def draw_human_grasps(
     random: RandomStream,
-    solid: GraspableSolid,
+    solid: Solid,
     up_axes: tuple[float, ...],
     size: HandSize,
     side: Side,
-    config: HumanGraspConfig | None = None,
+    config: HumanGraspConfig = HumanGraspConfig(),
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
     In every grasp the hand is clear of the table for one of the axes that point up on a table: `up_axes` are the
     weights of +x, -x, +y, -y, +z, -z.
     """
-    config = config or HumanGraspConfig()
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
     axes = np.array(up_axes)[[1, 0, 2, 3, 4, 5]] if side == "left" else np.array(up_axes)
@@ -89,13 +86,13 @@ def draw_human_grasps(
     floors = (target.corners @ directions.T).min(axis=0)
     found: list[tuple[Palms, Ints, ClosedHands]] = []
     for _ in range(config.n_rounds):
-        palms, rows = _sample_open_hands(random, target, templates, config)
+        palms, rows = _sample_open_hands(random, target, templates, config.n_pairs)
         heights = _find_lowest_points(templates, palms, rows, directions) - floors
-        lifted = np.flatnonzero((heights > config.table_clearance).any(axis=1))[: config.n_closed]
+        lifted = np.flatnonzero((heights > _TABLE_CLEARANCE).any(axis=1))[: config.n_closed]
         palms, rows = palms[lifted], rows[lifted]
         if len(rows):
-            closed = close_fingers(target, templates, palms, rows, config)
-            good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed, config))
+            closed = close_fingers(target, templates, palms, rows)
+            good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed))
             found.append((palms[good], rows[good], closed[good]))
         if sum(len(rows) for _, rows, _ in found) >= config.n_grasps:
             break
@@ -124,16 +121,16 @@ class ClosedHands(ArrayBatch):
 
 
 def _sample_open_hands(
-    random: RandomStream, solid: GraspableSolid, templates: HandTemplates, config: HumanGraspConfig
+    random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
     """Sample palm poses (m) of open hands around the object, free of contact, and their templates (m,)."""
-    thumb_side, finger_side, cosines = solid.sample_opposite_points(random, config.n_pairs, config.max_width, 0.18)
-    noise, draws = random.uniforms(config.n_pairs, 6), random.uniforms(config.n_pairs, 4)
+    thumb_side, finger_side, cosines = solid.sample_opposite_points(random, n_pairs, _MAX_WIDTH, 0.18)
+    noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
     width = np.linalg.norm(across, axis=1)
     openings = templates.openings
-    first = np.searchsorted(openings.width, width + config.spare_width[0])
-    last = np.searchsorted(openings.width, width + config.spare_width[1])
+    first = np.searchsorted(openings.width, width + _SPARE_WIDTH[0])
+    last = np.searchsorted(openings.width, width + _SPARE_WIDTH[1])
     fits = np.flatnonzero((last > first) & (cosines > 0.6))
     noise, draws = ndtri(noise[fits]), draws[fits]
     rows = (first[fits] + draws[:, 0] * (last - first)[fits]).astype(np.int64)
@@ -145,7 +142,7 @@ def _sample_open_hands(
     grip = openings.center[rows] + np.column_stack([depth, 0.35 * depth, np.zeros_like(depth)])
     middle = 0.5 * (thumb_side + finger_side)[fits] + 0.004 * noise[:, 3:]
     palms = Palms(middle - np.einsum("nij,nj->ni", rotation, grip), rotation)
-    free = find_free_hands(solid, templates, palms, rows, config)
+    free = find_free_hands(solid, templates, palms, rows)
     return palms[free], rows[free]
 
 
@@ -153,70 +150,65 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
     """Return the lowest coordinates (n, k) (m) of open hands along k directions (k, 3)."""
     if not len(rows):
         return np.zeros((0, len(directions)))
-    palm = np.broadcast_to(templates.spheres.palm[0], (len(rows), *templates.spheres.palm[0].shape))
-    centers = np.concatenate([palm, templates.get_open_hands(rows).reshape(len(rows), -1, 3)], axis=1)
+    palm = np.broadcast_to(templates.palm[0], (len(rows), *templates.palm[0].shape))
+    centers = np.concatenate([palm, templates.path[rows, 0].reshape(len(rows), -1, 3)], axis=1)
     return np.asarray((palms.transform(centers) @ directions.T).min(axis=1))
 
 
-def find_free_hands(
-    solid: GraspableSolid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
-) -> Ints:
+def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
     """Return the indices of the open hands that are outside of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
-    points = palms.transform(templates.get_open_spheres(rows, digits, spheres))
+    points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
     gaps = solid.compute_distances(points) - templates.radii[digits, spheres]
-    kept = np.flatnonzero(gaps.min(axis=1) > -0.5 * config.skin_yield)
+    kept = np.flatnonzero(gaps.min(axis=1) > -0.5 * SKIN_YIELD)
     palms, rows = palms[kept], rows[kept]
-    bodies = [templates.spheres.palm, templates.spheres.forearm]
+    bodies = [templates.palm, templates.forearm]
     fixed = [np.broadcast_to(centers, (len(kept), *centers.shape)) for centers, _ in bodies]
-    open_digits = templates.get_open_hands(rows).reshape(len(kept), templates.radii.size, 3)
+    open_digits = templates.path[rows, 0].reshape(len(kept), templates.radii.size, 3)
     distances = solid.compute_distances(palms.transform(np.concatenate([*fixed, open_digits], axis=1)))
     radii = [*(radii for _, radii in bodies), templates.radii.ravel()]
-    least = (-config.skin_yield, config.forearm_clearance, -0.5 * config.skin_yield)
+    least = (-SKIN_YIELD, _FOREARM_CLEARANCE, -0.5 * SKIN_YIELD)
     limits = np.repeat(least, [len(part) for part in radii])
     return kept[(distances - np.concatenate(radii) > limits).all(axis=1)]
 
 
-def _measure_body(solid: GraspableSolid, palms: Palms, centers: Array, radii: Array) -> Array:
+def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
     """Return the smallest distance (n,) (m) between spheres of the hand's body and the object."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
 
-def close_fingers(
-    solid: GraspableSolid, templates: HandTemplates, palms: Palms, rows: Ints, config: HumanGraspConfig
-) -> ClosedHands:
+def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> ClosedHands:
     """Close the digits of n hands: all joints until contact, then the joints beyond the contact."""
     n = len(rows)
-    points = palms.transform(templates.get_path(rows))
+    points = palms.transform(templates.path[rows])
     gaps = (solid.compute_distances(points) - templates.radii).reshape(n, N_STEPS, 5, 3, 3).min(axis=4)
     steps, bends = templates.bends[rows], np.empty((n, 5, 3))
-    shares, touches = _find_contacts(gaps.min(axis=3), config.skin_yield)
+    shares, touches = _find_contacts(gaps.min(axis=3), SKIN_YIELD)
     below = np.floor(shares).astype(np.int64)
     above = np.minimum(below + 1, N_STEPS - 1)
     hand, digit = np.arange(n)[:, None], np.arange(5)
     part = (shares - below)[..., None]
     bends = (1.0 - part) * steps[hand, below, digit] + part * steps[hand, above, digit]
     phalanx = np.where(touches, gaps[hand, above, digit].argmin(axis=2), 2)
-    bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx, config)
-    relaxed = steps[:, config.relaxed_step]
+    bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx)
+    relaxed = steps[:, _RELAXED_STEP]
     posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
     centers = palms.transform(templates.digits[rows].place(posture.bends[:, None])[:, 0])
     return ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
 
 
 def _close_end_joints(
-    solid: GraspableSolid,
+    solid: Solid,
     templates: HandTemplates,
     palms: Palms,
     rows: Ints,
     bends: Array,
     phalanx: Ints,
-    config: HumanGraspConfig,
 ) -> Array:
     """Return flexions (n, 5, 3) with the joints beyond the touching phalanges (n, 5) closed further."""
-    n, count = len(rows), config.n_distal_steps
+    n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
     if not beyond.any():
         return bends
@@ -224,7 +216,7 @@ def _close_end_joints(
     trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
     centers = templates.digits[rows].place(trial)
     gaps = (solid.compute_distances(palms.transform(centers)) - templates.radii).reshape(n, count, 5, 3, 3).min(axis=4)
-    shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), config.skin_yield)
+    shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), SKIN_YIELD)
     part = shares[..., None] * 1.6 * STEP_ANGLES * beyond
     return np.asarray(np.minimum(bends + part, np.maximum(LIMITS, bends)))
 
@@ -243,26 +235,24 @@ def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
     return np.asarray(np.where(touches, before + share, gaps.shape[1] - 1.0)), touches
 
 
-def _find_firm_grasps(
-    solid: GraspableSolid, templates: HandTemplates, palms: Palms, closed: ClosedHands, config: HumanGraspConfig
-) -> Flags:
+def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, closed: ClosedHands) -> Flags:
     """Return a mask (n,) of the hands whose thumb and two fingers press on opposite sides of the object."""
     n = len(palms)
     nearest = closed.gaps.argmin(axis=2)
-    touching = closed.gaps.min(axis=2) < config.touch_distance
+    touching = closed.gaps.min(axis=2) < _TOUCH_DISTANCE
     points = closed.centers[np.arange(n)[:, None], np.arange(5), nearest]
     normals = solid.compute_normals(points)
     facing = np.where(touching[:, :4], np.einsum("ndi,ni->nd", normals[:, :4], normals[:, 4]), 0.0)
     count = touching[:, :4].sum(axis=1)
     opposed = (facing.sum(axis=1) < -0.2 * count) & (facing.min(axis=1) < -0.4)
     holds = touching[:, 4] & (count >= 2) & touching[:, :2].any(axis=1)
-    body = _measure_body(solid, palms, *templates.spheres.palm)
+    body = measure_body(solid, palms, *templates.palm)
     # Rounding of the steps can press a finger deeper than the skin yields.
-    shallow = closed.gaps.min(axis=(1, 2)) > -2.0 * config.skin_yield
+    shallow = closed.gaps.min(axis=(1, 2)) > -2.0 * SKIN_YIELD
     thumb, fingers = closed.centers[:, 4].reshape(n, -1, 1, 3), closed.centers[:, :4].reshape(n, 1, -1, 3)
     apart = np.linalg.norm(thumb - fingers, axis=-1) - templates.radii[4][:, None] - templates.radii[:4].ravel()
     crossing = -apart.min(axis=(1, 2))
-    return np.asarray(holds & opposed & shallow & (body > -config.palm_yield) & (crossing < 0.005))
+    return np.asarray(holds & opposed & shallow & (body > -_PALM_YIELD) & (crossing < 0.005))
 
 
 def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:
@@ -277,7 +267,7 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
         finger_angles=closed.posture.compute_joint_angles() * np.tile(turned, 15),
         open_angles=templates.openings.posture[rows].compute_joint_angles() * np.tile(turned, 15),
         wrist_distance=np.linalg.norm(palms.position, axis=1),
-        touching=gaps < 0.003,
+        touching=gaps < _TOUCH_DISTANCE,
         overlap=np.maximum(0.0, -gaps.min(axis=1)),
         side=side,
     )

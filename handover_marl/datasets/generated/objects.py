@@ -4,15 +4,14 @@ The origin of an object is the center of its bounding box. Every object has a pl
 gripper, which opens to 80 mm, can span.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.generated.config import OBJECT_KINDS
-from handover_marl.datasets.generated.shapes import Part
+from handover_marl.datasets.generated.shapes import Part, make_surface
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 _COLORS = ("black", "blue", "brown", "cream", "navy", "olive", "orange", "red", "steel", "white", "wood", "yellow")
@@ -57,7 +56,7 @@ def _draw_cylinder(random: RandomStream) -> tuple[list[Part], tuple[float, ...]]
     else:
         radius, height = _length(random, 0.010, 0.036), _length(random, 0.06, 0.22)
     taper = _length(random, 0.8, 1.0)
-    size = (_round(radius * taper), radius, 0.5 * height)
+    size = (round(radius * taper, 4), radius, 0.5 * height)
     cylinder = Part("cone", size, _color(random, _COLORS), rounding=_length(random, 0.001, 0.003))
     stands = 1.0 if radius > 0.2 * height else 0.0
     lies = 0.1 if radius > 0.6 * height else 0.25
@@ -72,11 +71,11 @@ def _draw_bottle(random: RandomStream) -> tuple[list[Part], tuple[float, ...]]:
     if random.uniform() < 0.35:
         # Flat bottles, as of shampoo.
         wide = _length(random, radius, 0.05)
-        body = Part("superellipsoid", (_round(radius), wide, 0.5 * height), color, exponents=(0.25, 0.7))
+        body = Part("superellipsoid", (round(radius, 4), wide, 0.5 * height), color, exponents=(0.25, 0.7))
         shoulder_radius = radius
     else:
         body = Part("cone", (radius, radius, 0.5 * height), color, rounding=0.002)
-        shoulder_radius = _round(radius - 0.002)
+        shoulder_radius = round(radius - 0.002, 4)
     cone = Part("cone", (shoulder_radius, neck, 0.5 * shoulder), color).move([0.0, 0.0, 0.5 * (height + shoulder)])
     top = Part("cone", (neck, neck, 0.5 * cap), other, rounding=0.001)
     parts = [body, cone, top.move([0.0, 0.0, 0.5 * height + shoulder + 0.5 * cap])]
@@ -86,7 +85,7 @@ def _draw_bottle(random: RandomStream) -> tuple[list[Part], tuple[float, ...]]:
 def _draw_tool(random: RandomStream) -> tuple[list[Part], tuple[float, ...]]:
     length, thick = _length(random, 0.09, 0.17), _length(random, 0.009, 0.017)
     color, other = _color(random, _COLORS), _color(random, _COLORS)
-    taper = _round(thick * random.uniform(0.75, 1.0))
+    taper = round(thick * random.uniform(0.75, 1.0), 4)
     handle = Part("cone", (thick, taper, 0.5 * length), color, rounding=0.002, axis=0)
     form = random.integer(4)
     # Heads begin 5 mm inside of the handle's end.
@@ -114,31 +113,25 @@ def _draw_superquadric(random: RandomStream) -> tuple[list[Part], tuple[float, .
     return [solid], weights
 
 
-_DRAWERS: MappingProxyType[str, Callable[[RandomStream], tuple[list[Part], tuple[float, ...]]]] = MappingProxyType(
-    {
-        "boxes": _draw_box,
-        "cylinders": _draw_cylinder,
-        "bottles": _draw_bottle,
-        "tools": _draw_tool,
-        "superquadrics": _draw_superquadric,
-    }
-)
+_DRAWERS: Final = {
+    "boxes": _draw_box,
+    "cylinders": _draw_cylinder,
+    "bottles": _draw_bottle,
+    "tools": _draw_tool,
+    "superquadrics": _draw_superquadric,
+}
 
 
 def _center(parts: list[Part]) -> tuple[Part, ...]:
     """Return the parts moved so that the bounding box is centered at the origin, to 0.1 mm."""
-    corners = np.concatenate([part.compute_vertices() for part in parts])
+    corners = np.concatenate([make_surface(part).vertices for part in parts])
     middle: npt.NDArray[np.float64] = np.round(0.5 * (corners.min(axis=0) + corners.max(axis=0)), 4)
     return tuple(part.move(-middle) for part in parts)
 
 
 def _length(random: RandomStream, low: float, high: float, digits: int = 4) -> float:
     """Draw a length (m) to 0.1 mm, or another number to some digits."""
-    return _round(random.uniform(low, high), digits)
-
-
-def _round(value: float, digits: int = 4) -> float:
-    return round(value, digits)
+    return round(random.uniform(low, high), digits)
 
 
 def _color(random: RandomStream, names: tuple[str, ...]) -> str:

@@ -11,8 +11,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_postures import normalize
-from handover_marl.datasets.generated.shapes import GraspableSolid
+from handover_marl.datasets.generated.shapes import Solid, normalize
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.poses import compute_cross_products
 
@@ -40,32 +39,30 @@ def compute_farthest_point_order(grasps: Array) -> npt.NDArray[np.intp]:
 
 # Rows of the points between the fingers at the palm.
 _PALM_MIDDLE = slice(60, 63)
+# Largest distance of the finger contacts (m); the Panda opens to 0.08.
+_MAX_WIDTH = 0.074
+# Standard deviation of the components by which the closing direction deviates from the surface normal, and largest
+# angle between it and the surface normals (rad).
+_TILT, _MAX_CONE_ANGLE = 0.08, 0.26
+# Distance of the contacts from the gripper's origin along its approach (m). The finger pads end at 0.112, the palm at
+# 0.066.
+_DEPTH_RANGE = (0.084, 0.106)
+# Smallest distance of the open gripper's points to the object (m).
+_CLEARANCE = 0.002
 
 
 @dataclass(frozen=True)
 class RobotGraspConfig:
-    """Parameters of robot grasps.
+    """Number of robot grasps.
 
     Attributes:
         n_points: Number of surface points from which grasps are tried.
         n_grasps: Largest number of grasps.
-        max_width: Largest distance of the finger contacts (m); the Panda opens to 0.08.
-        tilt: Standard deviation of the components (rad) by which the closing direction deviates from the
-            surface normal.
-        max_cone_angle: Largest angle between closing direction and surface normals (rad).
-        depth_range: Smallest and largest distance of the contacts from the gripper's origin along its
-            approach (m). The finger pads end at 0.112, the palm at 0.066.
-        clearance: Smallest distance of the open gripper's points to the object (m).
         is_varied: Whether grasps are chosen to be far from each other.
     """
 
     n_points: int = 1500
     n_grasps: int = 60
-    max_width: float = 0.074
-    tilt: float = 0.08
-    max_cone_angle: float = 0.26
-    depth_range: tuple[float, float] = (0.084, 0.106)
-    clearance: float = 0.002
     is_varied: bool = True
 
 
@@ -89,20 +86,19 @@ def _make_gripper_points() -> Array:
     return np.concatenate([fingers, palm, *moved])
 
 
-def draw_robot_grasps(random: RandomStream, solid: GraspableSolid, config: RobotGraspConfig | None = None) -> Array:
+def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConfig) -> Array:
     """Draw robot grasps (n, 4, 4) `object_from_gripper` (m) that are likely to hold an object, not tried in simulation.
 
     They are rounded to float32; n can be 0.
     """
-    config = config or RobotGraspConfig()
-    first, second, cosines = solid.sample_opposite_points(random, config.n_points, config.max_width, config.tilt)
+    first, second, cosines = solid.sample_opposite_points(random, config.n_points, _MAX_WIDTH, _TILT)
     noise, draws = random.normals(config.n_points, 3), random.uniforms(config.n_points, 2)
-    good = np.flatnonzero(cosines > np.cos(config.max_cone_angle))
+    good = np.flatnonzero(cosines > np.cos(_MAX_CONE_ANGLE))
     # The gripper is symmetric: swap the fingers at random.
     signs = np.where(draws[good, :1] < 0.5, -1.0, 1.0)
     closing = signs * normalize(second[good] - first[good])
     approach = normalize(compute_cross_products(closing, noise[good]))
-    low, high = config.depth_range
+    low, high = _DEPTH_RANGE
     depth = low + (high - low) * draws[good, 1:]
     grasps = np.tile(np.eye(4), (len(good), 1, 1))
     grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, compute_cross_products(approach, closing), approach
@@ -110,7 +106,7 @@ def draw_robot_grasps(random: RandomStream, solid: GraspableSolid, config: Robot
     # The middle of the palm rejects most of the grasps that are not free.
     for points in (_make_gripper_points()[_PALM_MIDDLE], _make_gripper_points()):
         placed = points @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
-        grasps = grasps[(solid.compute_distances(placed) > config.clearance).all(axis=1)]
+        grasps = grasps[(solid.compute_distances(placed) > _CLEARANCE).all(axis=1)]
     if config.is_varied:
         grasps = grasps[compute_farthest_point_order(grasps)]
     return grasps[: config.n_grasps].astype(np.float32).astype(np.float64)

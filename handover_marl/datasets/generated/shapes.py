@@ -1,29 +1,35 @@
-"""Convex parts of procedural objects, with analytic distances and surfaces.
+"""Objects as unions of convex polyhedra: parts of procedural objects, and convex parts of model files.
 
-Lengths are in metres. A surface is a stack of rings: convex outlines with parallel edges, so that the
-quadrilaterals between two rings are planar and the part is their convex hull.
+Lengths are in metres. The surface of a procedural part is a stack of rings: convex outlines with parallel edges, so
+that the quadrilaterals between two rings are planar and the part is their convex hull.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from typing import Final, Literal, Protocol
+from functools import cache
+from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.assets.object_models import COLLISION_NAME
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.geometry.model_files.meshes import compute_convex_hull
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
-Columns = tuple[Array, Array, Array]
 Faces = npt.NDArray[np.int64]
 PartKind = Literal["box", "cone", "superellipsoid"]
 
 _N_CORNER, _N_CIRCLE, _N_ELLIPSE, _N_LATITUDES = 3, 24, 20, 9
 _SMALL = 1e-9
-# Numbers of rays and points that are computed together. Arrays of less than 128 KiB reuse memory; the C library
-# returns larger ones to the system, which takes longer than to compute with them.
-_N_RAYS, _N_POINTS = 64, 8192
+# Size of arrays that are computed at once. Arrays of less than 128 KiB reuse memory; the C library returns larger ones
+# to the system, which takes longer than to compute with them.
+_N_VALUES = 16_000
+# Smallest length (m) of a ray in the solid, and distance that is beyond a surface and not on it.
+_MIN_WIDTH, _STEP = 0.002, 1e-5
 #: Distance (m) of the points between which normals are computed.
 _NORMAL_STEP: Final = 1e-4
 
@@ -55,27 +61,6 @@ class Part:
         x, y, z = (np.asarray(self.position) + offset).tolist()
         return replace(self, position=(x, y, z))
 
-    def compute_distances(self, points: Array) -> Array:
-        """Return signed distances (...) of points (..., 3) in the object's frame, negative inside (m).
-
-        Distances to a superellipsoid are approximate: exact to first order near the surface, and too
-        small farther outside. Deep inside only their sign is right.
-        """
-        return self.compute_column_distances((points[..., 0], points[..., 1], points[..., 2]))
-
-    def compute_column_distances(self, columns: Columns) -> Array:
-        """Return signed distances (...) of points with coordinates x, y and z (...), as `compute_distances` (m).
-
-        Arrays of one coordinate are several times as fast as one array of points, whose last dimension is short.
-        """
-        order = ((self.axis + 1) % 3, (self.axis + 2) % 3, self.axis)
-        x, y, z = (columns[axis] - self.position[axis] for axis in order)
-        if self.kind == "box":
-            return _box_distances(x, y, z, self.size, self.rounding)
-        if self.kind == "cone":
-            return _cone_distances(np.hypot(x, y), z, self.size, self.rounding)
-        return _superellipsoid_distances(x, y, z, self.size, self.exponents)
-
     def make_rings(self) -> Array:
         """Return the rings (m, n, 3) of the surface in the object's frame, from the lower to the upper end."""
         if self.kind == "box":
@@ -88,20 +73,15 @@ class Part:
         order = ((2 - self.axis) % 3, (3 - self.axis) % 3, (4 - self.axis) % 3)
         return np.asarray(np.take(rings, order, axis=-1) + np.array(self.position))
 
-    def compute_vertices(self) -> Array:
-        """Return the vertices (v, 3) of the surface in the object's frame (m): those of the rings, and both ends."""
-        rings = self.make_rings()
-        return np.concatenate([rings.reshape(-1, 3), rings[[0, -1]].mean(axis=1)])
-
 
 @dataclass(frozen=True, eq=False)
 class ConvexSurface:
-    """Surface of a convex part as polygon mesh.
+    """Surface of a convex polyhedron.
 
     Attributes:
         vertices: (v, 3) vertices (m).
         faces: (f, 3) vertex numbers of triangles, counterclockwise seen from outside.
-        normals: (p, 3) outward unit normals of the planes that bound the part.
+        normals: (p, 3) outward unit normals of the planes that bound the polyhedron.
         offsets: (p,) distances of these planes from the origin along their normals (m).
     """
 
@@ -109,18 +89,6 @@ class ConvexSurface:
     faces: Faces
     normals: Array
     offsets: Array
-
-    def find_exits(self, points: Array, directions: Array) -> tuple[Array, Array]:
-        """Return lengths (k,) in m and normals (k, 3) where rays from points (k, 3) in the part leave it."""
-        lengths, planes = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
-        for start in range(0, len(points), _N_RAYS):
-            rows = slice(start, start + _N_RAYS)
-            slopes = directions[rows] @ self.normals.T
-            gaps = self.offsets - points[rows] @ self.normals.T
-            exits = np.where(slopes > _SMALL, gaps / np.maximum(slopes, _SMALL), np.inf)
-            planes[rows] = exits.argmin(axis=1)
-            lengths[rows] = exits[np.arange(len(exits)), planes[rows]]
-        return lengths, self.normals[planes]
 
 
 def make_surface(part: Part) -> ConvexSurface:
@@ -154,97 +122,60 @@ def _make_polygons(m: int, n: int) -> tuple[Faces, Faces, Faces]:
     return quads, bottom, top
 
 
-@dataclass(frozen=True, eq=False)
-class _Triangles:
-    """Triangles of all parts of a solid.
+def read_solid(urdf: Path) -> "Solid":
+    """Read the convex parts of an object model with HandoverSim's file names.
 
-    Attributes:
-        corners: (k, 3, 3) corners (m).
-        normals: (k, 3) outward normals of length `areas`.
-        areas: (k,) areas times 2 (m^2).
-        owner: (k,) indices of their parts.
+    Raises:
+        DataFormatError: The file of the parts cannot be read.
     """
-
-    corners: Array
-    normals: Array
-    areas: Array
-    owner: Faces
+    mesh = read_obj(urdf.with_name(COLLISION_NAME))
+    return Solid(_make_hull(mesh.vertices[np.unique(faces)]) for faces in mesh.groups)
 
 
-class GraspableSolid(Protocol):
-    """Solid for which grasps are drawn; see `Solid`."""
-
-    @property
-    def corners(self) -> Array:
-        """Vertices (n, 3) of the surface (m)."""
-
-    def compute_distances(self, points: Array) -> Array:
-        """Return signed distances (...) of points (..., 3), negative inside (m)."""
-
-    def compute_normals(self, points: Array) -> Array:
-        """Return outward unit normals (..., 3) at points (..., 3) near the surface."""
-
-    def mirror(self) -> "GraspableSolid":
-        """Return the solid mirrored in x."""
-
-    def sample_opposite_points(
-        self, random: RandomStream, count: int, max_width: float, tilt: float
-    ) -> tuple[Array, Array, Array]:
-        """Sample pairs of opposite surface points."""
+def _make_hull(points: Array) -> ConvexSurface:
+    vertices, faces = compute_convex_hull(points)
+    corners = vertices[faces]
+    normals = normalize(compute_cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    planes = np.column_stack([normals, np.einsum("fi,fi->f", normals, corners[:, 0])])
+    # Many triangles are in one plane.
+    _, rows = np.unique(np.round(planes, 4), axis=0, return_index=True)
+    return ConvexSurface(vertices, faces, planes[rows, :3], planes[rows, 3])
 
 
 class Solid:
-    """Union of convex parts.
+    """Union of convex polyhedra, for which grasps are drawn.
 
     Args:
-        parts: Parts in the object's frame.
+        parts: Surfaces of the polyhedra in the object's frame.
 
     Attributes:
-        parts: Parts, not mirrored.
+        parts: The surfaces.
+        corners: (n, 3) vertices of all parts (m).
     """
 
-    def __init__(self, parts: tuple[Part, ...]) -> None:
-        self.parts = parts
-        self._flip = np.ones(3)
+    def __init__(self, parts: Iterable[ConvexSurface]) -> None:
+        self.parts = tuple(parts)
+        self.corners = np.concatenate([part.vertices for part in self.parts])
+        self._normals = np.concatenate([part.normals for part in self.parts])
+        self._offsets = np.concatenate([part.offsets for part in self.parts])[:, None]
+        self._firsts = np.cumsum([0, *(len(part.offsets) for part in self.parts[:-1])])
 
     def mirror(self) -> "Solid":
         """Return the solid mirrored in x, as it is for the grasps of left hands."""
-        mirrored = Solid(self.parts)
-        # The surfaces do not depend on the side.
-        vars(mirrored).update(surfaces=self.surfaces, _triangles=self._triangles)
-        mirrored._flip = self._flip * [-1.0, 1.0, 1.0]
-        return mirrored
-
-    @cached_property
-    def surfaces(self) -> tuple[ConvexSurface, ...]:
-        """Surfaces of the parts, not mirrored."""
-        return tuple(make_surface(part) for part in self.parts)
-
-    @cached_property
-    def _triangles(self) -> _Triangles:
-        corners = [surface.vertices[surface.faces] for surface in self.surfaces]
-        owner = np.repeat(np.arange(len(corners)), [len(part) for part in corners])
-        joined = np.concatenate(corners)
-        normals = compute_cross_products(joined[:, 1] - joined[:, 0], joined[:, 2] - joined[:, 0])
-        return _Triangles(joined, normals, np.linalg.norm(normals, axis=1), owner)
-
-    @property
-    def corners(self) -> Array:
-        """Vertices (n, 3) of all parts (m)."""
-        return np.concatenate([part.compute_vertices() for part in self.parts]) * self._flip
+        flip = np.array([-1.0, 1.0, 1.0])
+        return Solid(
+            ConvexSurface(part.vertices * flip, part.faces[:, ::-1], part.normals * flip, part.offsets)
+            for part in self.parts
+        )
 
     def compute_distances(self, points: Array) -> Array:
-        """Return signed distances (...) of points (..., 3), negative inside (m)."""
+        """Return signed distances (...) of points (..., 3), negative inside (m).
+
+        They are the distances to the planes, which are too small outside of an edge.
+        """
         flat = points.reshape(-1, 3)
-        distances = np.empty(len(flat))
-        for start in range(0, len(flat), _N_POINTS):
-            rows = slice(start, start + _N_POINTS)
-            x, y, z = self._flip[0] * flat[rows, 0], flat[rows, 1].copy(), flat[rows, 2].copy()
-            found = self.parts[0].compute_column_distances((x, y, z))
-            for part in self.parts[1:]:
-                found = np.minimum(found, part.compute_column_distances((x, y, z)))
-            distances[rows] = found
-        return distances.reshape(points.shape[:-1])
+        distances = [self._measure_parts(rows.T).min(axis=0) for rows in self._split(flat)]
+        return np.concatenate(distances).reshape(points.shape[:-1])
 
     def compute_normals(self, points: Array) -> Array:
         """Return outward unit normals (..., 3) at points (..., 3) near the surface."""
@@ -256,72 +187,56 @@ class Solid:
     def sample_opposite_points(
         self, random: RandomStream, count: int, max_width: float, tilt: float
     ) -> tuple[Array, Array, Array]:
-        """Sample pairs of opposite points on the outer surface, both on one part, from `count` surface points.
+        """Sample pairs of opposite points on the outer surface, from `count` surface points.
 
         Pairs are at most `max_width` apart (m); `tilt` is the standard deviation of the components (rad) by
         which rays deviate from the normal. Returns points (k, 3), opposite points (k, 3) in m, and cosines (k,)
         of the angles between the rays and the normals at the opposite points.
         """
-        draws, noise = random.uniforms(count, 3), random.normals(count, 3)
-        areas = self._triangles.areas
+        draws, noise, choices = random.uniforms(count, 3), random.normals(count, 3), random.uniforms(count)
+        corners = np.concatenate([part.vertices[part.faces] for part in self.parts])
+        normals = compute_cross_products(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.linalg.norm(normals, axis=1)
         chosen = np.searchsorted(np.cumsum(areas), draws[:, 0] * areas.sum()).clip(max=len(areas) - 1)
-        corners, owner = self._triangles.corners[chosen], self._triangles.owner[chosen]
-        outward = self._triangles.normals[chosen] / areas[chosen, None]
         root = np.sqrt(draws[:, 1:2])
         weights = np.concatenate([1.0 - root, root * (1.0 - draws[:, 2:]), root * draws[:, 2:]], axis=1)
-        points = np.einsum("nk,nkc->nc", weights, corners)
-        directions = tilt * noise - outward
+        points = np.einsum("nk,nkc->nc", weights, corners[chosen])
+        directions = tilt * noise - normals[chosen] / areas[chosen, None]
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        lengths, cosines = np.empty(count), np.empty(count)
-        for number, surface in enumerate(self.surfaces):
-            rows = np.flatnonzero(owner == number)
-            lengths[rows], exit_normals = surface.find_exits(points[rows], directions[rows])
-            cosines[rows] = np.einsum("ni,ni->n", exit_normals, directions[rows])
-        opposite = points + lengths[:, None] * directions
-        good = (lengths < max_width) & (lengths > 0.002)
-        for number, part in enumerate(self.parts if len(self.parts) > 1 else ()):
-            others = np.flatnonzero(good & (owner != number))
-            ends = np.stack([points[others], opposite[others]])
-            good[others] = (part.compute_distances(ends) >= 0.0).all(axis=0)
-        return points[good] * self._flip, opposite[good] * self._flip, cosines[good]
+        rays = zip(self._split(points), self._split(directions), self._split(choices), strict=True)
+        found = [self._find_exits(starts, ways, shares, max_width) for starts, ways, shares in rays]
+        lengths, cosines = (np.concatenate(column) for column in zip(*found, strict=True))
+        outside = points + _STEP * normals[chosen] / areas[chosen, None]
+        good = np.flatnonzero((lengths < np.inf) & (self.compute_distances(outside) > 0.0))
+        return points[good], points[good] + lengths[good, None] * directions[good], cosines[good]
 
+    def _find_exits(self, points: Array, directions: Array, choices: Array, max_width: float) -> tuple[Array, Array]:
+        """Return lengths (k,) in m at which rays leave the solid, and cosines (k,) to the normals there.
 
-def _box_distances(x: Array, y: Array, z: Array, size: tuple[float, float, float], rounding: float) -> Array:
-    x, y, z = (np.abs(column) - (half - rounding) for column, half in zip((x, y, z), size, strict=True))
-    inside = np.minimum(np.maximum(np.maximum(x, y), z), 0.0)
-    x, y, z = (np.maximum(column, 0.0) for column in (x, y, z))
-    return np.asarray(np.sqrt(x * x + y * y + z * z) + inside - rounding)
+        A ray through a cup leaves it twice, at its wall and at its far side; one of the places is chosen by a number
+        (k,) from 0 to 1. The length is infinite where there is none up to `max_width` (m).
+        """
+        slopes, row = self._normals @ directions.T, np.arange(len(points))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            steps = (self._offsets - self._normals @ points.T) / slopes
+        starts = np.maximum.reduceat(np.where(slopes < 0.0, steps, -np.inf), self._firsts, axis=0)
+        ends = np.minimum.reduceat(np.where(slopes > 0.0, steps, np.inf), self._firsts, axis=0)
+        is_exit = (starts < ends) & (ends > _MIN_WIDTH) & (ends < max_width)
+        if len(starts) > 1:
+            is_exit &= ~((starts[:, None] < ends + _STEP) & (ends[:, None] > ends + _STEP)).any(axis=0)
+        rank = np.floor(choices * is_exit.sum(axis=0)) + 1.0
+        lengths = ends[(np.cumsum(is_exit, axis=0) == rank).argmax(axis=0), row]
+        plane = ((steps == lengths) & (slopes > 0.0)).argmax(axis=0)
+        return np.where(is_exit.any(axis=0), lengths, np.inf), slopes[plane, row]
 
+    def _split(self, rows: Array) -> list[Array]:
+        """Split an array (n, ...) so that the planes' distances of the points in each part fit into the cache."""
+        step = max(_N_VALUES // len(self._offsets), 1)
+        return [rows[start : start + step] for start in range(0, max(len(rows), 1), step)]
 
-def _cone_distances(radius: Array, z: Array, size: tuple[float, float, float], rounding: float) -> Array:
-    """Return distances to a truncated cone (after Quilez, "Distance functions": capped cone)."""
-    low, high, half = (value - rounding for value in size)
-    cap_r, cap_z = np.maximum(radius - np.where(z < 0.0, low, high), 0.0), np.abs(z) - half
-    side = np.array([high - low, 2.0 * half])
-    share = np.maximum(((high - radius) * side[0] + (half - z) * side[1]) / (side @ side), 0.0)
-    share = np.minimum(share, 1.0)
-    side_r, side_z = radius - high + side[0] * share, z - half + side[1] * share
-    is_inside = (side_r < 0.0) & (cap_z < 0.0)
-    distances = np.sqrt(np.minimum(cap_r * cap_r + cap_z * cap_z, side_r * side_r + side_z * side_z))
-    return np.asarray(np.where(is_inside, -distances, distances) - rounding)
-
-
-def _superellipsoid_distances(
-    x: Array, y: Array, z: Array, size: tuple[float, float, float], exponents: tuple[float, float]
-) -> Array:
-    """Return (gauge - 1) / |gradient of the gauge|, a lower bound of the distance outside."""
-    along, across = exponents
-    x, y, z = (np.maximum(np.abs(column) / half, 1e-6) for column, half in zip((x, y, z), size, strict=True))
-    power_x, power_y, upright = x ** (2.0 / across), y ** (2.0 / across), z ** (2.0 / along)
-    flat = power_x + power_y
-    inner = flat ** (across / along)
-    total = inner + upright
-    gauge = total ** (along / 2.0)
-    # Derivatives of the gauge by the scaled coordinates; it is homogeneous of degree 1.
-    ratio = gauge / total
-    by_flat, by_z = ratio * inner / flat, ratio * upright / z / size[2]
-    by_x, by_y = by_flat * power_x / x / size[0], by_flat * power_y / y / size[1]
-    return np.asarray((gauge - 1.0) / np.sqrt(by_x * by_x + by_y * by_y + by_z * by_z))
+    def _measure_parts(self, points: Array) -> Array:
+        """Return signed distances (k, n) of n points (3, n) to the planes of k parts (m)."""
+        return np.maximum.reduceat(self._normals @ points - self._offsets, self._firsts, axis=0)
 
 
 def _box_rings(size: tuple[float, float, float], rounding: float) -> Array:
@@ -370,3 +285,8 @@ def _superellipsoid_rings(size: tuple[float, float, float], exponents: tuple[flo
 
 def _signed_power(values: Array, exponent: float) -> Array:
     return np.asarray(np.sign(values) * np.maximum(np.abs(values), _SMALL) ** exponent)
+
+
+def normalize(vectors: Array) -> Array:
+    """Return vectors (..., 3) scaled to length 1."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

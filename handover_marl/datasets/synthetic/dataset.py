@@ -1,29 +1,134 @@
-"""Synthetic data set, generated scene by scene on demand."""
+"""Data sets of generated handovers, and the synthetic one, all made scene by scene on demand."""
 
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
-from handover_marl.assets.human_grasps import load_human_grasps
-from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.hand_model import HandGeometry, Side, find_hand_urdf, make_hand_geometry
+from handover_marl.assets.human_grasps import WRIST_DISTANCE_QUANTILES, load_human_grasps
 from handover_marl.assets.shipped import load_object_grasps
 from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
 from handover_marl.datasets.splits import PRESCRIBED_SIDE_TRIALS, SKIPPED_OBJECTS, get_prescribed_side
 from handover_marl.datasets.synthetic.clutter import ClutterItem, draw_clutter, make_ycb_clutter_item
-from handover_marl.datasets.synthetic.handover_motion import draw_motion
+from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion, draw_motion
 from handover_marl.datasets.synthetic.object_placement import (
+    HandoverPositions,
     HeldObject,
     compute_hull_corners,
+    draw_calibrated_positions,
     draw_placement,
     hand_poses_from_grasps,
-    make_ycb_held_object,
+    make_held_object,
 )
-from handover_marl.datasets.synthetic.random_stream import VERSION, RandomStream, open_stream
+from handover_marl.datasets.synthetic.random_stream import UP_AXES, VERSION, RandomStream, Seed, open_stream
 from handover_marl.datasets.synthetic.resampling import compute_trajectories
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedGiver:
+    """Person and object of a generated scene.
+
+    Attributes:
+        class_id: Class number of the handed-over object.
+        held: Object with its grasps.
+        subject: Name of the person.
+        side: Side of the hand.
+        hand: Geometry of the hand.
+        hand_urdf: URDF of the hand.
+    """
+
+    class_id: int
+    held: HeldObject
+    subject: str
+    side: Side
+    hand: HandGeometry
+    hand_urdf: Path
+
+
+@dataclass(frozen=True, eq=False)
+class GeneratedHandover:
+    """Generated scene in the world frame; see `Scene`.
+
+    Attributes:
+        giver: Person and object.
+        class_ids: Class numbers of the objects on the table, the handed-over one first.
+        object_dof: (T, n, 6) float32 motion of the objects.
+        hand_dof: (T, 51) float32 motion of the hand.
+        hand_first: First frame in which the hand is visible; it remains visible to the end.
+    """
+
+    giver: SimulatedGiver
+    class_ids: tuple[int, ...]
+    object_dof: npt.NDArray[np.float32]
+    hand_dof: npt.NDArray[np.float32]
+    hand_first: int
+
+
+def generate_handover(
+    seed: Seed,
+    giver: SimulatedGiver,
+    clutter_counts: range,
+    draw_item: Callable[[RandomStream], ClutterItem],
+    draw_positions: Callable[[RandomStream], HandoverPositions] = draw_calibrated_positions,
+    extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
+) -> GeneratedHandover:
+    """Generate the handover of a person: poses, motion and other objects.
+
+    Args:
+        seed: Seed of the scene.
+        giver: Person and object.
+        clutter_counts: Numbers of other objects, all equally likely.
+        draw_item: Function that draws another object.
+        draw_positions: Function that draws the object's positions.
+        extend_motion: Function that continues a motion, given the number of the grasp; None for none.
+    """
+    placement = draw_placement(open_stream(seed, "placement"), giver.held, draw_positions)
+    # Keyframes at 25 Hz in the table's frame.
+    motion = draw_motion(seed, placement, giver.held, giver.hand)
+    if extend_motion is not None:
+        motion = extend_motion(motion, placement.grasp)
+    random = open_stream(seed, "clutter")
+    clutter = draw_clutter(random, clutter_counts, draw_item, giver.held.corners, motion, giver.hand)
+    ids = (giver.class_id, *(item.class_id for item in clutter))
+    return GeneratedHandover(giver, ids, *compute_trajectories(motion, clutter))
+
+
+class HandoverGenerator(Dataset):
+    """Base class of generated data sets.
+
+    Attributes:
+        scene_format: Format of the scene number in names.
+    """
+
+    scene_format: str
+
+    @abstractmethod
+    def generate(self, scene_id: int) -> GeneratedHandover:
+        """Generate an existing scene."""
+
+    def load_info(self, scene_id: int) -> SceneInfo:
+        """Generate a scene and return its description; raises `SceneError`."""
+        self.check_scene_id(scene_id)
+        handover, names = self.generate(scene_id), self.object_names
+        giver, objects = handover.giver, tuple(names[number] for number in handover.class_ids)
+        name = f"{giver.subject}/scene-{scene_id:{self.scene_format}}"
+        return SceneInfo(scene_id, name, giver.side, handover.class_ids, objects)
+
+    def load_scene(self, scene_id: int) -> Scene:
+        """Generate a scene with its motion in the world frame; raises `SceneError`."""
+        info, handover = self.load_info(scene_id), self.generate(scene_id)
+        assets, span = (
+            self.find_assets(info, handover.giver.hand_urdf),
+            (handover.hand_first, len(handover.hand_dof) - 1),
+        )
+        return self.make_scene(info, assets, handover.object_dof, handover.hand_dof, span)
+
 
 # Numbers of other objects on the table.
 _CLUTTER_COUNTS = range(2, 5)
@@ -32,7 +137,7 @@ _CLUTTER_COUNTS = range(2, 5)
 _N_LEFT_LAST_TRIALS = ((range(2), 19), (range(2, 10), 72))
 
 
-class SyntheticDataset(Dataset):
+class SyntheticDataset(HandoverGenerator):
     """1000 generated handovers with the library's own models; needs no data folder.
 
     Args:
@@ -43,52 +148,20 @@ class SyntheticDataset(Dataset):
     """
 
     name = "synthetic"
+    scene_format = "03d"
 
-    def load_info(self, scene_id: int) -> SceneInfo:
-        """Generate a scene and return its description; raises `SceneError`."""
-        self.check_scene_id(scene_id)
-        return _generate_scene(scene_id)[0]
+    def generate(self, scene_id: int) -> GeneratedHandover:
+        """Generate an existing scene."""
+        return _generate_scene(scene_id)
 
     def find_side(self, scene_id: int) -> str:
         """Return the hand of a scene's giver without generating the scene."""
         self.check_scene_id(scene_id)
         return side_from_scene(scene_id)
 
-    def load_scene(self, scene_id: int) -> Scene:
-        """Generate a scene with its motion in the world frame; raises `SceneError`."""
-        self.check_scene_id(scene_id)
-        info, object_dof, hand_dof, hand_first = _generate_scene(scene_id)
-        hand = find_hand_urdf(subject_from_scene(scene_id), side_from_scene(scene_id))
-        return self.make_scene(
-            info, self.find_assets(info, hand), object_dof, hand_dof, (hand_first, len(hand_dof) - 1)
-        )
-
-    def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of the library's URDF of a YCB class."""
-        return find_object_urdf(object_name)
-
-    def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the library's robot grasps (n, 4, 4) of a YCB class, or None if it has none."""
-        return load_object_grasps(object_name)
-
-    def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Check that the library's object models can be read."""
-        for name in CLASS_NAMES.values():
-            compute_hull_corners(name)
-
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return the version of the scene generator."""
         return f"synthetic-{VERSION}"
-
-
-def subject_from_scene(scene_id: int) -> int:
-    """Return the number, 1 to 10, of the subject in a synthetic scene."""
-    return scene_id // 100 + 1
-
-
-def class_id_from_scene(scene_id: int) -> int:
-    """Return the YCB class number of the object that is handed over in a synthetic scene."""
-    return SCENE_CLASSES[scene_id // 5 % 20]
 
 
 def side_from_scene(scene_id: int) -> Side:
@@ -111,11 +184,18 @@ def _draw_left_handed_trials() -> frozenset[int]:
 
 
 @lru_cache(maxsize=64)
-def load_held_object(class_id: int, subject_id: int, side: Side) -> HeldObject:
-    """Load an object of a YCB class with its robot grasps and the human grasps of one subject."""
-    name = CLASS_NAMES[class_id]
-    grasps = load_human_grasps(name, subject_id, side)
-    return make_ycb_held_object(class_id, name, make_hand_geometry(subject_id, side), grasps, _load_robot_grasps(name))
+def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
+    """Return one of the ten subjects, numbered from 1, with an object of a YCB class."""
+    name, hand = CLASS_NAMES[class_id], make_hand_geometry(subject, side)
+    held = make_held_object(
+        compute_hull_corners(name),
+        UP_AXES[class_id],
+        WRIST_DISTANCE_QUANTILES[name],
+        hand,
+        load_human_grasps(name, subject, side),
+        _load_robot_grasps(name),
+    )
+    return SimulatedGiver(class_id, held, f"synthetic-subject-{subject:02d}", side, hand, find_hand_urdf(subject, side))
 
 
 @cache
@@ -125,22 +205,13 @@ def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
 
 
 @lru_cache(maxsize=4)
-def _generate_scene(scene_id: int) -> tuple[SceneInfo, npt.NDArray[np.float32], npt.NDArray[np.float32], int]:
-    subject_id, side = subject_from_scene(scene_id), side_from_scene(scene_id)
-    class_id = class_id_from_scene(scene_id)
-    model = make_hand_geometry(subject_id, side)
-    held = load_held_object(class_id, subject_id, side)
-    # Keyframes at 25 Hz and other objects, in the table's frame.
-    seed = (VERSION, scene_id)
-    motion = draw_motion(seed, draw_placement(open_stream(seed, "placement"), held), held, model)
+def _generate_scene(scene_id: int) -> GeneratedHandover:
+    # As in DexYCB: 100 scenes of each subject, five of each object.
+    class_id = SCENE_CLASSES[scene_id // 5 % 20]
+    giver = make_subject_giver(class_id, scene_id // 100 + 1, side_from_scene(scene_id))
     others = [number for number in SCENE_CLASSES if number != class_id]
 
     def draw_item(random: RandomStream) -> ClutterItem:
         return make_ycb_clutter_item(others[random.integer(len(others))])
 
-    clutter = draw_clutter(open_stream(seed, "clutter"), _CLUTTER_COUNTS, draw_item, held.corners, motion, model)
-    object_dof, hand_dof, hand_first = compute_trajectories(motion, clutter)
-    ids = (class_id, *(clutter_object.class_id for clutter_object in clutter))
-    name = f"synthetic-subject-{subject_id:02d}/scene-{scene_id:03d}"
-    info = SceneInfo(scene_id, name, side, ids, tuple(CLASS_NAMES[number] for number in ids))
-    return info, object_dof, hand_dof, hand_first
+    return generate_handover((VERSION, scene_id), giver, _CLUTTER_COUNTS, draw_item)

@@ -13,14 +13,13 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
 from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
-from handover_marl.assets.human_grasps import LEVELS, WRIST_DISTANCE_QUANTILES, HumanGrasps
+from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
 from handover_marl.assets.object_models import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.synthetic.random_stream import (
     ELEVATION_ROLL,
     START_HANDOVER_X,
     START_HANDOVER_Y,
-    UP_AXES,
     RandomStream,
 )
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
@@ -108,20 +107,6 @@ class HeldObject:
     keypoints: Array
     robot_grasps: Array | None
     gripper_points: Array | None
-
-
-def make_ycb_held_object(
-    class_id: int, name: str, model: HandGeometry, grasps: HumanGrasps, robot_grasps: Array | None
-) -> HeldObject:
-    """Return an object of a YCB class with the grasps of one subject, and robot grasps (n, 7) or None."""
-    return make_held_object(
-        compute_hull_corners(name),
-        UP_AXES[class_id],
-        WRIST_DISTANCE_QUANTILES[name],
-        model,
-        grasps,
-        robot_grasps,
-    )
 
 
 def make_held_object(

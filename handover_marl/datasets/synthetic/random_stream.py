@@ -19,13 +19,9 @@ from scipy.special import ndtr, ndtri
 
 _STATISTICS = json.loads((files(__package__) / "dexycb_statistics.json").read_text())
 
-#: Levels of the quantile tables.
-LEVELS: tuple[float, ...] = tuple(_STATISTICS["levels"])
-
-#: Quantile tables by name.
-QUANTILES: MappingProxyType[str, tuple[float, ...]] = MappingProxyType(
-    {name: tuple(table["values"]) for name, table in _STATISTICS["quantiles"].items()}
-)
+# Levels of the quantile tables, and the tables by name.
+_LEVELS = np.array(_STATISTICS["levels"])
+_QUANTILES = {name: np.array(table["values"]) for name, table in _STATISTICS["quantiles"].items()}
 
 #: Rank correlations of quantities of the tables.
 START_HANDOVER_X, START_HANDOVER_Y, ELEVATION_ROLL = (
@@ -111,11 +107,11 @@ class RandomStream:
         return order
 
     def draw_quantile(self, name: str) -> float:
-        """Draw a number from the distribution of a table in `QUANTILES`."""
+        """Draw a number from the distribution of a quantile table."""
         return _interpolate_quantile(name, self.uniform())
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:
-        """Draw two numbers from tables in `QUANTILES`, correlated by a Gaussian copula."""
+        """Draw two numbers from quantile tables, correlated by a Gaussian copula."""
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
         return [_interpolate_quantile(first, float(ndtr(one))), _interpolate_quantile(second, float(ndtr(correlated)))]
@@ -124,11 +120,6 @@ class RandomStream:
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
     """Return one of the independent streams (see `PURPOSES`) of the scene that numbers of at least 0 identify."""
     return RandomStream(*seed, PURPOSES.index(purpose))
-
-
-# Arrays, since NumPy would convert tuples for every number.
-_LEVELS: Final = np.array(LEVELS)
-_QUANTILES: Final = {name: np.array(values) for name, values in QUANTILES.items()}
 
 
 def _interpolate_quantile(name: str, level: float) -> float:

@@ -10,8 +10,7 @@ from handover_marl.envs.arguments import RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import resolve_rewards
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.reward_terms import TermWeights
-from handover_marl.envs.rewards import RewardConfig
+from handover_marl.envs.rewards import TermWeights
 from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
@@ -22,9 +21,7 @@ from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.episode.spaces import STATE, get_camera_data_kind
 from handover_marl.episode.wrist_camera_batch import DEVICE_KINDS
 from handover_marl.errors import OptionError
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
 from handover_marl.simulation.camera.renderers import RAYS, resolve_renderer
 from handover_marl.simulation.engines import MUJOCO, WARP, BatchBackend
@@ -174,9 +171,9 @@ def _check_device_camera(template: WrappableEnv) -> None:
         raise OptionError(f"camera_noise must be None {condition}, got {config.camera_noise!r}; use backend='threads'")
     if resolve_renderer(config.renderer, config.physics) != RAYS:
         raise OptionError(f"renderer must be 'rays' {condition}, got {config.renderer!r}; use backend='threads'")
-    if not isinstance(resolve_rewards(config.rewards), (RewardConfig, TermWeights)):
+    if not isinstance(resolve_rewards(config.rewards), TermWeights):
         raise OptionError(
-            f"rewards must be preset rewards or TermWeights with a camera {condition}, got {config.rewards!r}; use "
+            f"rewards must be weights of the library's terms with a camera {condition}, got {config.rewards!r}; use "
             "backend='threads'"
         )
     if isinstance(template, EncodedEnv) and RECEIVER in template.choices:

@@ -1,7 +1,6 @@
 """Rewards of episodes that are simulated together.
 
-Each episode has a reward function of its own; preset rewards of episodes whose arrays are tensors are computed for
-all of them at once.
+Terms of the library are computed for all episodes at once; each episode has a user-defined reward of its own.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,7 +11,7 @@ import numpy as np
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
-from handover_marl.envs.rewards import PresetRewards, RewardConfig, Terms
+from handover_marl.envs.rewards import Terms, TermWeights, WeightedTerms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
@@ -43,10 +42,10 @@ class RewardBatch:
         self._episodes, self._count = episodes, count
         self._arrays = episodes.arrays
         goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)
-        self._preset: PresetRewards | None = None
+        self._terms: WeightedTerms | None = None
         self._sources: list[RewardSource] = []
-        if isinstance(rewards, RewardConfig):
-            self._preset = PresetRewards(rewards, goal, count, self._arrays)
+        if isinstance(rewards, TermWeights):
+            self._terms = WeightedTerms(rewards, goal, count, self._arrays)
         else:
             self._sources = [make_reward_source(rewards, goal) for _ in range(count)]
             self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
@@ -68,9 +67,9 @@ class RewardBatch:
         """
         terms: Mapping[str, Iterable[str]]
         rows = self._arrays.asarray(np.array([row]))
-        if self._preset is not None:
-            self._preset.start(rows, self._read_state(rows))
-            terms = self._preset.names
+        if self._terms is not None:
+            self._terms.start(rows, self._read_state(rows))
+            terms = self._terms.weights
         else:
             (observations,), (infos,) = self._observe(rows), self._make_infos(rows)
             terms = self._sources[row].start(self._recorders[row].start(observations, infos))
@@ -118,11 +117,12 @@ class RewardBatch:
         if not len(rows):
             return
         xp, values = self._arrays.xp, {}
-        if self._preset is not None:
+        if self._terms is not None:
             status = self._episodes.referees.status[rows]
-            for agent, terms in self._preset.compute_terms(rows, status, self._read_state(rows)).items():
+            for agent, terms in self._terms.compute(rows, status, self._read_state(rows)).items():
                 columns = [terms[name] for name in self._names[agent]]
-                values[agent] = xp.stack([sum(columns[1:], columns[0]), *columns], axis=1)
+                total = sum(columns, self._arrays.zeros(len(rows)))
+                values[agent] = xp.stack([total, *columns], axis=1)
         else:
             terms_by_episode = self._compute_terms(rows, actions, terminated, truncated)
             for agent, names in self._names.items():
@@ -170,14 +170,19 @@ class RewardBatch:
         return [{agent: dict(info) for agent in AGENTS} for info in infos]
 
     def _read_state(self, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return the arrays (r, ...) that the preset rewards depend on."""
-        episodes = self._episodes
-        if self._preset is None or not self._preset.needs_state:
+        """Return the arrays (r, ...) that terms of the library depend on."""
+        episodes, terms = self._episodes, self._terms
+        if terms is None or not terms.needs_state:
             return {}
-        return {
-            **{key: episodes.state[key][rows] for key in ("time", "gripper_pose", "object_poses")},
+        state = {
+            **episodes.select_state(rows),
             "deviation": episodes.motion.deviation[rows],
             "holding": episodes.motion.holding[rows, None],
             "released": episodes.released[rows, None],
             "grasped": episodes.are_grasped(rows),
         }
+        if terms.needs_forces:
+            contacts = [episodes.read_contacts(row) for row in rows.tolist()]
+            state["object_force"] = self._arrays.asarray([one.robot_object_force for one in contacts], "float64")
+            state["hand_force"] = self._arrays.asarray([one.robot_hand_force for one in contacts], "float64")
+        return state

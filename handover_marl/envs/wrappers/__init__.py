@@ -1,1 +1,1 @@
-"""Wrappers of the handover environment: freeze, encode, flatten, homogeneous."""
+"""Wrappers of the handover environment: freeze, encode, flatten."""

@@ -23,9 +23,7 @@ from handover_marl.envs.wrappers.wrapper import (
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import make_features
 from handover_marl.learning.schemes import make_scheme, outputs_from_action
 

@@ -8,7 +8,6 @@ import json
 import os
 import re
 import warnings
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +51,7 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
 
     Minari stores it in its own folder, see its variable MINARI_DATASETS_PATH. One step of the data set is one row of
     the demonstrations. `infos` has the physics steps and the giver's actions in effect, and the metadata of an
-    episode has the fields of `EpisodeMetadata`.
+    episode has the keys of `Demonstration.metadata`.
 
     Args:
         folder: Output folder of `demonstrate`.
@@ -87,7 +86,7 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
     # Episode by episode, since all of them may not fit into memory.
     for number, demonstration in enumerate(demonstrations):
         buffer = minari.data_collector.EpisodeBuffer(
-            options={"scene_id": demonstration.metadata.scene_id},
+            options={"scene_id": demonstration.metadata["scene_id"]},
             observations=demonstration.observations,
             actions=demonstration.actions,
             rewards=demonstration.rewards,
@@ -96,7 +95,7 @@ def convert_to_minari(folder: str | os.PathLike[str], name: str) -> Path:
             infos={"steps": demonstration.steps, "giver_actions": demonstration.hold_giver_actions()},
         )
         dataset.update_dataset_from_buffer([buffer])
-        dataset.storage.update_episode_metadata([asdict(demonstration.metadata)], [number])
+        dataset.storage.update_episode_metadata([demonstration.metadata], [number])
     return Path(dataset.storage.data_path)
 
 
@@ -104,7 +103,7 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     """Write demonstrations as a data set of LeRobot, which `LeRobotDataset(name)` loads.
 
     LeRobot stores it in its own folder, see its variable HF_LEROBOT_HOME. The end of an episode has no action and
-    no frame. The file `meta/handover_marl.json` has the `EpisodeMetadata` of every episode.
+    no frame. The file `meta/handover_marl.json` has the metadata of every episode.
 
     Args:
         folder: Output folder of `demonstrate`, recorded with a frame rate (`fps`).
@@ -133,13 +132,16 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     except (OSError, ValueError) as error:
         raise OptionError(f"name must be a new data set of LeRobot, got {name!r} ({shorten_text(error)})") from error
     for demonstration in demonstrations:
-        columns, task = make_columns(demonstration), format_task(demonstration.metadata.object_name)
+        columns = make_columns(demonstration)
+        # Class names such as "003_cracker_box" have a number in front.
+        object_name = re.sub(r"^[0-9]+_", "", demonstration.metadata["object_name"]).replace("_", " ")
+        task = f"Take the {object_name} from the person's hand."
         for row in range(len(demonstration)):
             dataset.add_frame({"task": task, **{name: values[row] for name, values in columns.items()}})
         dataset.save_episode()
     dataset.finalize()
     root = Path(dataset.root)
-    metadata = [asdict(episode) for episode in demonstrations.read_metadata()]
+    metadata = demonstrations.read_metadata()
     (root / "meta" / "handover_marl.json").write_text(json.dumps(metadata, indent=1) + "\n")
     return root
 
@@ -161,7 +163,7 @@ def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
         "giver.action": demonstration.hold_giver_actions()[:-1],
         "next.reward": demonstration.rewards[:, None].astype(np.float32),
         "next.done": is_last,
-        "next.success": is_last & demonstration.metadata.success,
+        "next.success": is_last & (demonstration.metadata["outcome"] == "success"),
     }
 
 
@@ -175,12 +177,3 @@ def describe_features(columns: dict[str, npt.NDArray[Any]]) -> dict[str, dict[st
         }
         for name, values in columns.items()
     }
-
-
-def format_task(object_name: str) -> str:
-    """Return the text of an episode's task.
-
-    Args:
-        object_name: Class name of the object, e.g. "003_cracker_box"; a number in front is left out.
-    """
-    return f"Take the {re.sub(r'^[0-9]+_', '', object_name).replace('_', ' ')} from the person's hand."

@@ -7,7 +7,7 @@ import operator
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,14 @@ from handover_marl.episode.observations import Observation, receiver_observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE, check_obs_mode, receiver_action_space
 from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import ResultMetadata, read_result_metadata
-from handover_marl.evaluation.results.result_folder import (
+from handover_marl.evaluation.metadata import ResultMetadata, read_result_metadata
+from handover_marl.evaluation.results import (
+    DEMONSTRATIONS,
+    DEMONSTRATIONS_METADATA,
+    EpisodeResult,
     check_scalar,
-    find_demonstrations,
-    get_demonstrations_metadata_path,
+    describe_episode,
+    find_numbered,
     read_results,
 )
 from handover_marl.execution.files import shorten_text
@@ -35,7 +37,12 @@ from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.version import __version__
 
 _UNKNOWN = -1
-_NUMBERS = ("scene_id", "release_step")  # that may be unknown
+# Type of each value of the metadata.
+_METADATA_KEYS: dict[str, type] = {
+    **{"scene_id": int, "object_name": str, "subject": str, "side": str, "outcome": str, "status": int, "steps": int},
+    **{"release_step": int, "receiver": str, "giver": str, "physics": str, "dataset": str, "robot": str, "seed": int},
+    **{"models": str, "fingerprint": str, "version": str},
+}
 _OBSERVATION_PREFIX, _METADATA = "observations/", "metadata"
 _MAX_BYTES = 8_000_000_000  # unpacked size of one episode
 _MAX_METADATA_BYTES = 10_000
@@ -49,69 +56,6 @@ _LAYOUT: dict[str, tuple[tuple[int, ...], type]] = {
     "giver_steps": ((), np.int64),
     "giver_actions": ((GIVER_ACTION_SIZE,), np.float32),
 }
-
-
-@dataclass(frozen=True)
-class EpisodeMetadata:
-    """Scene, policies and outcome of a recorded episode.
-
-    Attributes:
-        scene_id: Scene number.
-        object_name: YCB class of the object handed over, e.g. "025_mug".
-        subject: Person recorded in the scene.
-        side: Hand that gives the object, "right" or "left".
-        outcome: "success", or "contact", "drop", "timeout", joined by "+" if they coincide.
-        status: Outcome of the episode as bits of `handover_marl.EpisodeStatus`.
-        steps: Physics steps (1 ms) until the end of the episode.
-        release_step: Physics step whose contacts made the giver release the object; -1 without release.
-        receiver: Label of the robot's policy.
-        giver: Label of the person's policy.
-        physics: Kind of physics.
-        dataset: Dataset of the scene.
-        robot: Robot model, with or without the wrist camera.
-        seed: Seed of policies, camera and initial joint positions.
-        models: Description of the hand model and of other substitutes for HandoverSim's models; empty
-            without substitutes.
-        fingerprint: Hash of the scene's data files.
-        version: Version of this library.
-    """
-
-    scene_id: int
-    object_name: str
-    subject: str
-    side: str
-    outcome: str
-    status: int
-    steps: int
-    release_step: int
-    receiver: str
-    giver: str
-    physics: str
-    dataset: str
-    robot: str
-    seed: int
-    models: str
-    fingerprint: str
-    version: str
-
-    @classmethod
-    def from_result(cls, result: EpisodeResult, config: EvaluationConfig) -> "EpisodeMetadata":
-        """Create the metadata of an episode from its result and configuration.
-
-        Args:
-            result: Outcome of the episode.
-            config: Resolved configuration of its evaluation.
-        """
-        policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
-        values: dict[str, Any] = {**vars(config), **vars(result), **policies, "version": __version__}
-        values |= {"outcome": result.status.label, "status": int(result.status)}
-        unknown = {name: _UNKNOWN if name in _NUMBERS else "" for name, value in values.items() if value is None}
-        return cls(**{field.name: (values | unknown)[field.name] for field in fields(cls)})
-
-    @property
-    def success(self) -> bool:
-        """Whether the handover was completed."""
-        return self.outcome == "success"
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +75,11 @@ class Demonstration:
         steps: (T + 1,) int64 physics steps (1 ms) since the start, at every observation.
         giver_steps: (G,) int64 physics steps of the giver's decisions; empty for the replayed giver.
         giver_actions: (G, 8) float32 deviations from the replay, see `handover_marl.episode.spaces`.
-        metadata: Scene, policies and outcome.
+        metadata: Scene, policies and outcome as numbers and texts, by key: `scene_id`, `object_name` (class of the
+            object), `subject` (person), `side` ("right" or "left"), `outcome` ("success", or "contact", "drop",
+            "timeout", joined by "+" if they coincide), `status` (the same as bits of `handover_marl.EpisodeStatus`),
+            `steps`, `release_step` (-1 without release), `receiver`, `giver`, `physics`, `dataset`, `robot`, `seed`,
+            `models` (substitutes for HandoverSim's models), `fingerprint` (hash of the scene's files) and `version`.
     """
 
     observations: Observation
@@ -142,7 +90,7 @@ class Demonstration:
     steps: npt.NDArray[np.int64]
     giver_steps: npt.NDArray[np.int64]
     giver_actions: npt.NDArray[np.float32]
-    metadata: EpisodeMetadata
+    metadata: dict[str, Any]
 
     def __len__(self) -> int:
         """Return the number T of the receiver's actions."""
@@ -168,48 +116,38 @@ def hold_actions(
     return np.stack([decisions[number][1] for number in last])
 
 
+def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> dict[str, Any]:
+    """Return the metadata of an episode, see `Demonstration`.
+
+    Args:
+        result: Outcome of the episode.
+        config: Resolved configuration of its evaluation.
+    """
+    policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
+    values = {**vars(config), **describe_episode(result), **policies, "version": __version__}
+    unknown = {key: _UNKNOWN if kind is int else "" for key, kind in _METADATA_KEYS.items() if values[key] is None}
+    return {key: (values | unknown)[key] for key in _METADATA_KEYS}
+
+
 def encode_demonstration(demonstration: Demonstration) -> bytes:
     """Return the content of the episode's `.npz` file; equal episodes have equal content."""
     stream = io.BytesIO()
     observations = sorted(demonstration.observations.items())
     arrays: dict[str, Any] = {_OBSERVATION_PREFIX + name: array for name, array in observations}
     arrays |= {name: getattr(demonstration, name) for name in _LAYOUT}
-    arrays[_METADATA] = np.array(json.dumps(asdict(demonstration.metadata)))
+    arrays[_METADATA] = np.array(json.dumps(demonstration.metadata))
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
 
-def read_episode_metadata(path: Path) -> EpisodeMetadata:
+def read_episode_metadata(path: Path) -> dict[str, Any]:
     """Read the metadata of an episode from its `.npz` file.
 
     Raises:
         Exception: The file is damaged; NumPy and zipfile raise exceptions of many types.
     """
     values = json.loads(read_arrays(path, (_METADATA,), _MAX_BYTES)[_METADATA].item())
-    types = {field.name: int if field.type in (int, "int") else str for field in fields(EpisodeMetadata)}
-    return EpisodeMetadata(**{name: check_scalar(name, values[name], kind) for name, kind in types.items()})
-
-
-def _read_episode_arrays(
-    path: Path, space: spaces.Dict, observations: Iterable[str], names: Iterable[str]
-) -> tuple[Observation, dict[str, npt.NDArray[Any]]]:
-    """Read some observations by key, and some other arrays by name, of an episode in an observation space.
-
-    Raises:
-        Exception: The file is damaged, or an array has another shape or type, or actions or rewards are not finite.
-    """
-    keys = {_OBSERVATION_PREFIX + name: name for name in observations}
-    arrays = read_arrays(path, (*keys, *{"actions", *names}), _MAX_BYTES)
-    for name, array in arrays.items():
-        is_observation = name in keys
-        layout = (space[keys[name]].shape, space[keys[name]].dtype) if is_observation else _LAYOUT[name]
-        rows = len(arrays["giver_steps" if name.startswith("giver") else "actions"])
-        expected = (rows + (name == "steps" or is_observation), *(layout[0] or ())), np.dtype(layout[1])
-        if (array.shape, array.dtype) != expected:
-            raise ValueError(f"{name} must be {expected[1]} {expected[0]}, got {array.dtype} {array.shape}")
-        if name.endswith(("actions", "rewards")) and not np.isfinite(array).all():
-            raise ValueError(f"{name} must be finite")
-    return {name: arrays[key] for key, name in keys.items()}, {name: arrays[name] for name in names}
+    return {name: check_scalar(name, values[name], kind) for name, kind in _METADATA_KEYS.items()}
 
 
 class Demonstrations:
@@ -235,7 +173,7 @@ class Demonstrations:
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = check_path("folder", folder)
-        path = get_demonstrations_metadata_path(self.folder)
+        path = self.folder / DEMONSTRATIONS / DEMONSTRATIONS_METADATA
         if not path.exists():
             raise DataNotFoundError(
                 f"{path} does not exist: the folder has no demonstrations; `handover-marl demonstrate --out` records "
@@ -250,7 +188,7 @@ class Demonstrations:
             self.fps: int | None = None if fps is None else check_scalar("fps", fps, int)
         self.action_space: spaces.Box = receiver_action_space()
         self.evaluation: ResultMetadata = read_result_metadata(self.folder)
-        self._paths = find_demonstrations(self.folder)
+        self._paths = list(find_numbered(path.parent, ".npz").values())
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -264,16 +202,13 @@ class Demonstrations:
             IndexError: The number is out of range.
             DataFormatError: The file of the episode is damaged.
         """
-        path = self._paths[operator.index(number)]
-        with _report_damage(path):
-            observations, arrays = _read_episode_arrays(path, self.observation_space, self.observation_space, _LAYOUT)
-            return Demonstration(observations, **arrays, metadata=read_episode_metadata(path))
+        return self._read(operator.index(number), self.observation_space)
 
     def __iter__(self) -> Iterator[Demonstration]:
         return map(self.__getitem__, range(len(self)))
 
-    def read_metadata(self) -> list[EpisodeMetadata]:
-        """Read the metadata of every episode.
+    def read_metadata(self) -> list[dict[str, Any]]:
+        """Read the metadata of every episode, see `Demonstration`.
 
         Raises:
             DataFormatError: The file of an episode is damaged.
@@ -304,18 +239,37 @@ class Demonstrations:
         names = list(self.observation_space.spaces if names is None else names)
         for name in names:
             check_name("observation", name, self.observation_space.spaces)
-        paths = self._paths if episodes is None else [self._paths[number] for number in episodes]
         space = self.observation_space
         # Arrays without rows give concatenations without episodes their shape and type.
         parts = {name: [np.zeros((0, *(space[name].shape or ())), space[name].dtype)] for name in names}
         actions = [np.zeros((0, PANDA_DOF), np.float32)]
-        for path in paths:
-            with _report_damage(path):
-                observations, arrays = _read_episode_arrays(path, space, names, ("actions",))
-            actions.append(arrays["actions"])
+        for number in range(len(self)) if episodes is None else episodes:
+            demonstration = self._read(number, names)
+            actions.append(demonstration.actions)
             for name in names:
-                parts[name].append(observations[name][:-1])
+                parts[name].append(demonstration.observations[name][:-1])
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}, np.concatenate(actions)
+
+    def _read(self, number: int, names: Iterable[str]) -> Demonstration:
+        """Read an episode with some of its observations.
+
+        Raises:
+            DataFormatError: An array is missing, or has another shape or type; or actions or rewards are not finite.
+        """
+        path, keys = self._paths[number], {_OBSERVATION_PREFIX + name: name for name in names}
+        with _report_damage(path):
+            arrays = read_arrays(path, (*keys, *_LAYOUT), _MAX_BYTES)
+            for name, array in arrays.items():
+                space = self.observation_space[keys[name]] if name in keys else None
+                shape, dtype = _LAYOUT[name] if space is None else (space.shape or (), space.dtype)
+                rows = len(arrays["giver_steps" if name.startswith("giver") else "actions"])
+                expected = (rows + (name == "steps" or name in keys), *shape), np.dtype(dtype)
+                if (array.shape, array.dtype) != expected:
+                    raise ValueError(f"{name} must be {expected[1]} {expected[0]}, got {array.dtype} {array.shape}")
+                if name.endswith(("actions", "rewards")) and not np.isfinite(array).all():
+                    raise ValueError(f"{name} must be finite")
+            observations = {name: arrays.pop(key) for key, name in keys.items()}
+            return Demonstration(observations, **arrays, metadata=read_episode_metadata(path))
 
     def __str__(self) -> str:
         source = self.evaluation
@@ -324,7 +278,7 @@ class Demonstrations:
         return (
             f"{len(self)} episodes of {source.receiver}, giver {source.giver}, {source.dataset}, {source.setup} "
             f"{source.split}, {source.physics} physics; {source.recorded}.\nSimulated: {outcomes.total()} ({counts}). "
-            f"Files: {get_demonstrations_metadata_path(self.folder).parent}"
+            f"Files: {self.folder / DEMONSTRATIONS}"
         )
 
 

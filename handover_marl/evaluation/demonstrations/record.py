@@ -2,7 +2,6 @@
 
 import functools
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.episode.callbacks import PolicyDecision
+from handover_marl.episode.callbacks import EpisodeCallback, PolicyDecision
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
@@ -22,16 +21,18 @@ from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionC
 from handover_marl.evaluation.demonstrations.demonstration import (
     Demonstration,
     Demonstrations,
-    EpisodeMetadata,
+    describe_demonstration,
     encode_demonstration,
     hold_actions,
     read_episode_metadata,
 )
-from handover_marl.evaluation.episode_runner import EpisodeRecorder, EpisodeWriter
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.result_folder import (
-    get_demonstration_path,
-    get_demonstrations_metadata_path,
+from handover_marl.evaluation.results import (
+    DEMONSTRATIONS,
+    DEMONSTRATIONS_METADATA,
+    EpisodeRecorder,
+    EpisodeResult,
+    EpisodeWriter,
+    get_result_path,
     prepare_subfolder,
     read_results,
 )
@@ -45,9 +46,8 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
 _TRAIN = "train"
-_STEPS_PER_SECOND = round(1.0 / TIME_STEP)
 #: Largest frame rate: one frame for each physics step.
-MAX_FPS = _STEPS_PER_SECOND
+MAX_FPS = round(1.0 / TIME_STEP)
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig)
@@ -99,55 +99,31 @@ def demonstrate(
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
     if get_camera_data_kind(obs_mode) is not None:
         resolve_renderer(config.wrist_camera.renderer, config.physics)
-    recording = RecordingConfig(obs_mode, keep == SUCCESS, fps)
-    make_writer = functools.partial(DemonstrationWriter, recording=recording)
-    run_evaluations([("", config)], execution, recording.describe(config), make_writer)
+    camera = config.wrist_camera.describe(obs_mode, config.physics)
+    recorded = ["demonstrations", f"{fps} fps" if fps else "", f"obs_mode {obs_mode}", camera]
+    make_writer = functools.partial(DemonstrationWriter, obs_mode=obs_mode, keep=keep, fps=fps)
+    run_evaluations([("", config)], execution, ", ".join(filter(None, recorded)), make_writer)
     for result in read_results(execution.folder):
         # An earlier run may have recorded it.
-        if not recording.includes(result.status):
-            get_demonstration_path(execution.folder, result.index).unlink(missing_ok=True)
+        if keep == SUCCESS and not result.success:
+            get_result_path(execution.folder / DEMONSTRATIONS, result.index).unlink(missing_ok=True)
     return Demonstrations(execution.folder)
 
 
-@dataclass(frozen=True)
-class RecordingConfig:
-    """Configuration of the recording of demonstrations.
-
-    Attributes:
-        obs_mode: Observation mode of the recorded observations, one of
-            `handover_marl.episode.spaces.OBS_MODES`; independent of the receiver's own mode.
-        successes_only: Whether only successful episodes are recorded.
-        fps: Frames per second; None records the receiver's decisions.
-    """
-
-    obs_mode: str = STATE
-    successes_only: bool = False
-    fps: int | None = None
-
-    def includes(self, status: EpisodeStatus) -> bool:
-        """Return whether an episode with this outcome is recorded."""
-        return status == EpisodeStatus.SUCCESS or not self.successes_only
-
-    def describe(self, config: EvaluationConfig) -> str:
-        """Describe the recording in text that is part of the identity of the result folder."""
-        camera = config.wrist_camera.describe(self.obs_mode, config.physics)
-        parts = ["demonstrations", *([f"{self.fps} fps"] if self.fps else [])]
-        return ", ".join([*parts, f"obs_mode {self.obs_mode}", *([camera] if camera else [])])
-
-
-class DemonstrationRecorder(EpisodeRecorder):
+class DemonstrationRecorder(EpisodeCallback):
     """Recorder of observations and actions at every decision, or at a constant frame rate.
 
     A frame has the observation at the physics step nearest to its time, and the actions that are in effect
     from this step on.
 
     Args:
-        recording: Observation mode, frame rate, and choice of the episodes to record.
         config: Resolved configuration of the evaluation.
+        obs_mode: Observation mode of the recorded observations, independent of the receiver's own mode.
+        fps: Frames per second; None records the receiver's decisions.
     """
 
-    def __init__(self, recording: RecordingConfig, config: EvaluationConfig) -> None:
-        self._recording, self._config = recording, config
+    def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:
+        self._config, self._obs_mode, self._fps = config, obs_mode, fps
         self._observations: list[Observation] = []
         self._steps: list[int] = []
         self._receiver: list[tuple[int, npt.NDArray[np.float32]]] = []
@@ -162,33 +138,30 @@ class DemonstrationRecorder(EpisodeRecorder):
         """Record the actions of a decision, and the receiver's observation unless frames are recorded."""
         if decision.receiver_decided:
             self._receiver.append((episode.steps, decision.receiver_action.copy()))
-            if self._recording.fps is None:
+            if self._fps is None:
                 self._record_observation(episode)
         if decision.giver_decided:
             self._giver.append((episode.steps, decision.giver_action.copy()))
 
     def on_step(self, episode: Episode) -> None:
         """Record an observation if a frame falls on this physics step."""
-        fps = self._recording.fps
-        if fps and not episode.status and episode.steps == compute_frame_step(len(self._steps), fps):
+        fps = self._fps
+        # The physics step nearest to the frame's time; the later one if two steps are equally near.
+        if fps and not episode.status and episode.steps == (2 * len(self._steps) * MAX_FPS + fps) // (2 * fps):
             self._record_observation(episode)
 
     def on_end(self, episode: Episode) -> None:
         """Record the observation at the end of the episode."""
-        if self._recording.includes(episode.status):
-            self._record_observation(episode)
-
-    def encode(self, result: EpisodeResult) -> bytes:
-        """Return the content of the episode's file; empty if it is not to be recorded."""
-        return encode_demonstration(self._build(result)) if self._recording.includes(result.status) else b""
+        self._record_observation(episode)
 
     def _record_observation(self, episode: Episode) -> None:
         state = {name: value.copy() for name, value in episode.observe().items()}
-        obs_mode = self._recording.obs_mode
-        self._observations.append(select_receiver_observation(state, episode.observe_camera(obs_mode), obs_mode))
+        images = episode.observe_camera(self._obs_mode)
+        self._observations.append(select_receiver_observation(state, images, self._obs_mode))
         self._steps.append(episode.steps)
 
-    def _build(self, result: EpisodeResult) -> Demonstration:
+    def build(self, result: EpisodeResult) -> Demonstration:
+        """Build the demonstration of the last episode, given its outcome."""
         steps = np.array(self._steps, dtype=np.int64)
         is_last = np.arange(len(steps) - 1) == len(steps) - 2
         names = self._observations[0]
@@ -204,7 +177,7 @@ class DemonstrationRecorder(EpisodeRecorder):
             giver_actions=np.array([action for _, action in self._giver], dtype=np.float32).reshape(
                 -1, GIVER_ACTION_SIZE
             ),
-            metadata=EpisodeMetadata.from_result(result, self._config),
+            metadata=describe_demonstration(result, self._config),
         )
 
 
@@ -214,44 +187,40 @@ class DemonstrationWriter(EpisodeWriter):
     Args:
         folder: Result folder of the evaluation.
         config: Resolved configuration of the evaluation.
-        recording: Observation mode, frame rate, and choice of the episodes to record.
+        obs_mode: Observation mode of the recorded observations.
+        keep: Episodes to record, "all" or "success".
+        fps: Frames per second; None records the receiver's decisions.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.
     """
 
-    def __init__(self, folder: Path, config: EvaluationConfig, recording: RecordingConfig) -> None:
-        self._folder, self._config, self._recording = folder, config, recording
-        path = get_demonstrations_metadata_path(folder)
-        prepare_subfolder(path.parent)
+    def __init__(self, folder: Path, config: EvaluationConfig, obs_mode: str, keep: str, fps: int | None) -> None:
+        self._folder, self._config, self._keep = folder / DEMONSTRATIONS, config, keep
+        self._obs_mode, self._fps = obs_mode, fps
+        prepare_subfolder(self._folder)
         largest_class = max(config.open_dataset().object_names)
-        description = {"obs_mode": recording.obs_mode, "fps": recording.fps, "largest_class": largest_class}
-        write_atomically(path, json.dumps(description) + "\n")
+        description = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
+        write_atomically(self._folder / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
-        return DemonstrationRecorder(self._recording, config)
+        recorder = DemonstrationRecorder(config, self._obs_mode, self._fps)
+        return recorder, lambda result: encode_demonstration(recorder.build(result)) if self._includes(result) else b""
 
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the episode is recorded already, or is not to be recorded."""
-        if not self._recording.includes(result.status):
+        if not self._includes(result):
             return True
         try:
             stored = read_episode_metadata(self.get_path(result))
         except Exception:  # damaged files raise exceptions of many types; their episodes are simulated again
             return False
-        return stored == EpisodeMetadata.from_result(result, self._config)
+        return stored == describe_demonstration(result, self._config)
+
+    def _includes(self, result: EpisodeResult) -> bool:
+        return result.success or self._keep == ALL
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the file of an episode."""
-        return get_demonstration_path(self._folder, result.index)
-
-
-def compute_frame_step(number: int, fps: int) -> int:
-    """Return the physics step nearest to a frame's time; the later one if two steps are equally near.
-
-    Args:
-        number: Number of the frame in its episode.
-        fps: Frames per second.
-    """
-    return (2 * number * _STEPS_PER_SECOND + fps) // (2 * fps)
+        return get_result_path(self._folder, result.index)

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_paired_difference, estimate_mean
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     COUNTS,
@@ -12,13 +11,16 @@ from handover_marl.evaluation.reports.tables import (
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
+    MeanEstimate,
     ReportTable,
+    compute_paired_difference,
+    estimate_mean,
     format_interval,
     format_percent_difference,
     format_percent_mean,
     format_percent_rate,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results import EpisodeResult
 
 EpisodePair = tuple[EpisodeResult, EpisodeResult]
 
@@ -60,23 +62,6 @@ def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
     return ReportTable(["object name", *(column.title for column in (N_EPISODES, RATES[0], *COUNTS[1:]))], rows)
 
 
-def compute_rate_difference(
-    first: Iterable[EpisodeResult], second: Iterable[EpisodeResult], flag: EpisodeStatus
-) -> tuple[float, float, float]:
-    """Compute the difference of an outcome's rates in two evaluations of the same scenes.
-
-    Args:
-        first: Results whose rate is the minuend.
-        second: Results of the same scenes, whose rate is subtracted.
-        flag: Outcome whose rates are compared, e.g. success.
-
-    Returns:
-        Difference, lower and upper end of its 95 % interval (-1..1).
-    """
-    flags = ([bool(episode.status & flag) for episode in episodes] for episodes in (first, second))
-    return compute_paired_difference(*flags)
-
-
 def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> ReportTable:
     """Build the table of outcome rates and AS of two evaluations and of their differences.
 
@@ -88,7 +73,7 @@ def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> Re
     rows: list[list[object]] = []
     for flag in REPORTED_STATUSES:
         cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
-        difference = compute_rate_difference(sides[0], sides[1], flag)
+        difference = compute_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
         rows.append([flag.label, *cells, format_percent_difference(difference, digits=2), n])
     scores = [[result.speed_score for result in side] for side in sides]
     gains = [first - second for first, second in zip(*scores, strict=True)]
@@ -139,15 +124,6 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
         values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
         means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
     return ReportTable(["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"], _format_rows(means))
-
-
-def format_fluency_row(episodes: Sequence[EpisodeResult]) -> list[str]:
-    """Format a table cell for each fluency metric: its mean, interval and number of episodes."""
-    cells = []
-    for _, mean, interval, n in build_fluency_table(episodes).rows:
-        inside = f"n {n}" if interval == NO_VALUE else f"{interval}; n {n}"
-        cells.append(f"{mean} ({inside})" if n else NO_VALUE)
-    return cells or [NO_VALUE] * len(FLUENCY)
 
 
 def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:

@@ -9,7 +9,7 @@ approach differs between methods and is always reported: after a short wait the 
 from dataclasses import dataclass
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 
 
 @dataclass(frozen=True)

@@ -1,26 +1,34 @@
-"""Report of an evaluation: official metrics with confidence intervals, as text and JSON.
+"""Reports of evaluations: official metrics with 95 % intervals, as text, JSON and web pages, and as files.
 
 The text has a heading, the official table, outcomes by object, further metrics and notes.
 """
 
 import functools
-from dataclasses import asdict, dataclass
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from handover_marl.config import TIME_STEP
+from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.registry import find_dataset_note, format_dataset_title
+from handover_marl.datasets.splits import SETUPS, list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata, read_result_metadata
 from handover_marl.evaluation.reports.episode_tables import (
     FLUENCY_NOTE,
+    SCENE_HEADER,
     build_fluency_table,
     build_object_table,
     build_scene_table,
     count_status,
     estimate_fluency,
+    format_scene_cells,
 )
 from handover_marl.evaluation.reports.published import SOURCES, PublishedResult, find_published_results
-from handover_marl.evaluation.reports.statistics import MeanEstimate, compute_wilson_interval, estimate_mean
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
@@ -29,17 +37,33 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     TIMES,
     WAIT,
+    MeanEstimate,
     ReportTable,
     TabularResult,
+    compute_wilson_interval,
+    estimate_mean,
     format_csv,
     format_interval,
     format_percent_interval,
     format_seconds,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD, ResultMetadata
+from handover_marl.evaluation.results import (
+    REPLAYS,
+    REPORT_FILES,
+    EpisodeResult,
+    describe_episode,
+    find_numbered,
+    read_episode_file,
+    read_results,
+)
+from handover_marl.execution.files import write_atomically
 from handover_marl.geometry.panda import PANDA
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
+from handover_marl.version import __version__
+from handover_marl.visualization.web_page import render_page
 
+# Data sets with the scene numbers of DexYCB.
+_OFFICIAL_SCENES = ("dexycb", "synthetic")
 # Fields of an evaluation with which each row of the CSV file of episodes starts.
 _IDENTITY = ("receiver", "giver", "setup", "split", "dataset", "physics", "seed", "version")
 
@@ -51,34 +75,17 @@ class Report(TabularResult):
     Attributes:
         metadata: Identity of the evaluation: policies, scenes, physics and versions.
         episodes: One result per scene, in the split's order.
-        n_split_scenes: Number of scenes in the whole split; fewer episodes make the report partial.
         n_resumed: Number of episodes that come from an earlier run in the same folder.
     """
 
     metadata: ResultMetadata
     episodes: tuple[EpisodeResult, ...]
-    n_split_scenes: int
     n_resumed: int = 0
 
     @property
     def success_rate(self) -> float:
         """Share of episodes with success and no failure (0..1)."""
         return self.compute_rate(EpisodeStatus.SUCCESS)
-
-    @property
-    def contact_rate(self) -> float:
-        """Share of episodes in which the robot touched the person (0..1)."""
-        return self.compute_rate(EpisodeStatus.HUMAN_CONTACT)
-
-    @property
-    def drop_rate(self) -> float:
-        """Share of episodes in which the object fell (0..1)."""
-        return self.compute_rate(EpisodeStatus.OBJECT_DROP)
-
-    @property
-    def timeout_rate(self) -> float:
-        """Share of episodes that took 13 s without success (0..1)."""
-        return self.compute_rate(EpisodeStatus.TIMEOUT)
 
     @functools.cached_property
     def official_means(self) -> dict[str, MeanEstimate]:
@@ -100,24 +107,9 @@ class Report(TabularResult):
         return self.official_means[AVERAGE_SUCCESS.key].mean or 0.0
 
     @property
-    def time_exec(self) -> float | None:
-        """Mean simulated time to success (s), over successes; None without successes."""
-        return self.official_means["exec_s"].mean
-
-    @property
-    def time_plan(self) -> float | None:
-        """Mean wall-clock time in the policy (s), over successes; None without successes."""
-        return self.official_means["plan_s"].mean
-
-    @property
-    def time_total(self) -> float | None:
-        """Mean sum of both times (s), over successes; None without successes."""
-        return self.official_means["total_s"].mean
-
-    @property
     def is_partial(self) -> bool:
         """Whether only a part of the split's scenes was evaluated."""
-        return len(self.episodes) < self.n_split_scenes
+        return len(self.episodes) < self.metadata.split_size
 
     @property
     def machine_label(self) -> str:
@@ -131,7 +123,9 @@ class Report(TabularResult):
         name = format_dataset_title(self.metadata.dataset)
         counts = sorted({episode.n_objects for episode in self.episodes if episode.n_objects is not None})
         models = sorted({episode.models for episode in self.episodes if episode.models})
-        return ", ".join(filter(None, (name, _describe_object_count(counts), " or ".join(models))))
+        ends = " to ".join(str(count) for count in dict.fromkeys((*counts[:1], *counts[-1:])))
+        objects = f"{ends} object{'' if counts == [1] else 's'} a scene" if counts else ""
+        return ", ".join(filter(None, (name, objects, " or ".join(models))))
 
     def count(self, status: EpisodeStatus) -> int:
         """Count the episodes with a status flag."""
@@ -169,13 +163,8 @@ class Report(TabularResult):
         n = len(self.episodes)
         shard = self.metadata.shard.partition(" ")[0]
         if self.is_partial or shard:
-            return f"{n} of {self.n_split_scenes} scenes (partial{f', shard {shard}' if shard else ''})"
+            return f"{n} of {self.metadata.split_size} scenes (partial{f', shard {shard}' if shard else ''})"
         return f"all {n} scenes"
-
-    @property
-    def wait_label(self) -> str:
-        """Time that the receiver waits (s), or a dash if it is unknown."""
-        return self.metadata.wait_s or NO_VALUE
 
     def format_notes(self) -> str:
         """List the definitions and restrictions needed to read the tables, one per line."""
@@ -213,7 +202,8 @@ class Report(TabularResult):
         score, times = means[AVERAGE_SUCCESS.key], [means[column.key] for column in TIMES]
         counts = [self.count(flag) for flag in REPORTED_STATUSES]
         rates = [f"{100 * count / n:.2f} ({count}/{n})" for count in counts]
-        cells = [f"{100 * self.average_success:.2f}", self.wait_label, *(format_seconds(each.mean) for each in times)]
+        wait = self.metadata.wait_s or NO_VALUE
+        cells = [f"{100 * self.average_success:.2f}", wait, *(format_seconds(each.mean) for each in times)]
         rate_intervals = [format_percent_interval(count, n) for count in counts]
         # The interval of the total would not fit into the width.
         time_intervals = [*(format_interval(each.interval_95, ".3f", 1.0) for each in times[:-1]), NO_VALUE]
@@ -245,7 +235,7 @@ class Report(TabularResult):
             "machine": self.machine_label,
             "n_episodes": n,
             "n_resumed": self.n_resumed,
-            "n_split_scenes": self.n_split_scenes,
+            "n_split_scenes": self.metadata.split_size,
             "rates": {
                 flag.label: {
                     "rate": self.compute_rate(flag),
@@ -275,19 +265,161 @@ class Report(TabularResult):
         return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
 
-def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
-    """Return the values of an episode as JSON types, by key; metrics are in the dictionary `fluency`."""
-    return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
-
-
 def _format_published_row(row: PublishedResult) -> list[object]:
     rates = [f"{rate:.2f}" for rate in (row.success, row.contact, row.drop, row.timeout)]
     times = [format_seconds(value) for value in (row.time_exec, row.time_plan, row.time_total)]
     return [f"published: {row.method}", *rates, f"{row.average_success:.2f}*", f"{row.wait_s:g}", *times]
 
 
-def _describe_object_count(counts: list[int]) -> str:
-    if not counts:
-        return ""
-    ends = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    return f"{ends} object{'' if counts == [1] else 's'} a scene"
+def evaluate(folder: str | os.PathLike[str]) -> Report:
+    """Compute the metrics of an official result folder, of this library or of HandoverSim, or of an episode file.
+
+    Args:
+        folder: Result folder, or a file of `docs/results/data/episodes`; nothing is changed.
+
+    Raises:
+        ResultsError: The path does not exist, or a file is not an official result.
+    """
+    try:
+        path = Path(folder).expanduser()
+        is_file, exists = path.is_file(), path.exists()
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        raise ResultsError(f"{folder!r} is no result folder ({error})") from error
+    if not exists:
+        raise ResultsError(f"result folder {path} does not exist")
+    metadata, results = read_episode_file(path) if is_file else (read_result_metadata(path), read_results(path))
+    setup, split = metadata.setup, metadata.split
+    size = metadata.split_size
+    if results[-1].index >= size:
+        raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
+    # HandoverSim's code may count the step in which the time is up.
+    longest = OFFICIAL_CONFIG.protocol.horizon_steps + 1
+    for result in results if metadata.world == OFFICIAL_WORLD else ():
+        if result.steps > longest:
+            raise ResultsError(
+                f"{path}: {result.index:03d}.npz must have at most {longest} steps by the official rules, got "
+                f"{result.steps}; delete it and run the scene again"
+            )
+    return Report(metadata, tuple(_add_scene_info(path, metadata, results)))
+
+
+def format_report_files(folder: Path, report: Report) -> dict[str, str]:
+    """Return the contents of a report's files, by file name: JSON, Markdown, web page and CSV of the episodes.
+
+    Args:
+        folder: Result folder; the web page links to the replay pages in it.
+        report: Report to format.
+    """
+    contents = (
+        json.dumps(report.to_json(), indent=2, allow_nan=False) + "\n",
+        report.to_markdown(),
+        render_report_page(report, find_replay_links(folder, folder)),
+        report.format_episodes_csv(),
+    )
+    return dict(zip(REPORT_FILES, contents, strict=True))
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write a report's files into a result folder.
+
+    Raises:
+        ResultsError: The folder cannot be written.
+    """
+    for name, content in format_report_files(folder, report).items():
+        write_atomically(folder / name, content)
+
+
+def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[EpisodeResult]) -> Iterator[EpisodeResult]:
+    """Add scene, object and subject to results of HandoverSim, if their index determines them.
+
+    Raises:
+        ResultsError: A result states another scene than its index.
+    """
+    # In s2 the index of a scene depends on the hand used; scenes of other data only their data set knows.
+    if metadata.setup not in SETUPS or metadata.setup == "s2" or metadata.dataset not in _OFFICIAL_SCENES:
+        yield from results
+        return
+    scenes = list_split_scenes(metadata.setup, metadata.split, lambda _: "")
+    for result in results:
+        scene_id = scenes[result.index]
+        if result.scene_id is None:
+            name, subject = CLASS_NAMES[SCENE_CLASSES[scene_id // 5 % 20]], SUBJECTS[scene_id // 100]
+            yield replace(result, scene_id=scene_id, object_name=name, subject=subject)
+        elif result.scene_id == scene_id:
+            yield result
+        else:
+            raise ResultsError(
+                f"{path}: {result.index:03d}.npz must be of scene {scene_id}, got scene {result.scene_id}; delete it, "
+                "or give it its name back"
+            )
+
+
+def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
+    """Render a report as a self-contained web page.
+
+    Args:
+        report: Report to render.
+        replays: Links to replay pages by scene number, relative to the page.
+    """
+    links = dict(replays or {})
+    metadata = report.metadata
+    official, objects, fluency = report.build_tables()
+    return render_page(
+        "report.html",
+        version=__version__,
+        title=f"{metadata.receiver} on {metadata.setup} {metadata.split}",
+        heading=report.heading,
+        kinds=[_group_episodes(report, flag) for flag in REPORTED_STATUSES],
+        n_episodes=len(report.episodes),
+        n_replays=sum(episode.scene_id in links for episode in report.episodes),
+        official=official,
+        notes=report.format_notes().splitlines(),
+        settings=_list_settings(report),
+        objects=objects,
+        fluency=fluency,
+        fluency_note=FLUENCY_NOTE,
+        scene_header=SCENE_HEADER,
+        outcome_column=SCENE_HEADER.index("outcome"),
+        replays=links,
+    )
+
+
+def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
+    """Find the replay pages of a result folder, as links relative to a page.
+
+    Args:
+        results: Result folder whose replay pages are searched.
+        page_folder: Folder of the page that links to them.
+
+    Returns:
+        Relative links by scene number.
+    """
+    relative = os.path.relpath(results.resolve(), page_folder.resolve())
+    replays = find_numbered(results / REPLAYS, ".html").items()
+    return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}
+
+
+def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
+    """Return count, rate (%) and episodes with a status flag, for the page's template."""
+    n, count = len(report.episodes), report.count(flag)
+    interval = compute_wilson_interval(count, n)
+    low, high = (100 * end for end in interval)
+    return {
+        "label": flag.label,
+        "count": count,
+        "percent": f"{100 * count / n:.1f}",
+        "interval": format_interval(interval),
+        "low": f"{low:.2f}",
+        "width": f"{high - low:.2f}",
+        "episodes": [(each, format_scene_cells(each)) for each in report.episodes if each.status & flag],
+    }
+
+
+def _list_settings(report: Report) -> list[tuple[str, str]]:
+    stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
+    computed = {
+        "data": report.data_label,
+        "n episodes": report.extent,
+        "machine": report.machine_label,
+    }
+    return list({**stored, **computed}.items())

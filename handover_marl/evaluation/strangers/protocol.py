@@ -1,36 +1,53 @@
-"""Protocol of the evaluation with partners that a policy has not met, and its output folder.
+"""Protocol of the evaluation with partners that a policy has not met, its leaderboard, and its reference scores."""
 
-In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
-"""
-
-import json
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.datasets import open_dataset
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
-from handover_marl.evaluation.crossplay import crossplay, format_pair_folder, resolve_policies
-from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.report_files import evaluate
-from handover_marl.evaluation.results.metadata import OFFICIAL_WORLD
-from handover_marl.evaluation.strangers.references import Condition, load_population_references
-from handover_marl.evaluation.strangers.report import OTHER_AGENT, StrangersReport
-from handover_marl.execution.files import shorten_text, write_atomically
-from handover_marl.execution.options import check_path, forward_signature
-from handover_marl.execution.reading import read_plain_file
-from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, load_population
-from handover_marl.policies.reference import PolicyLike
+from handover_marl.evaluation.crossplay import crossplay, resolve_policies
+from handover_marl.evaluation.metadata import CONFIG_FILE, OFFICIAL_WORLD
+from handover_marl.evaluation.reports.report import Report, evaluate
+from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
+from handover_marl.evaluation.strangers.report import (
+    ENTRY_FILE,
+    NO_REFERENCES_NOTE,
+    NOTE,
+    OTHER_AGENT,
+    PROXIMITY_NOTE,
+    StrangersReport,
+    check_code,
+    format_estimate,
+    read_entry,
+    read_report,
+)
+from handover_marl.evaluation.strangers.scores import Statistic, compute_mean, compute_proximity, estimate_difference
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path, forward_signature, require_modules
+from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.policies.reference import PolicyLike, parse_policy
 
-ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
-_MAX_BYTES = 10_000_000
+_COLUMNS = {
+    "success": "success %",
+    "contact": "contact %",
+    AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
+    "br_prox": "BR-Prox %",
+    "worst_partner_success": "worst success %",
+    "largest_partner_contact": "largest contact %",
+}
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -89,7 +106,7 @@ def strangers(
     if config.scenes is None:
         scenes = dataset.list_scenes(dataset.resolve_setup(config.setup), config.split)
         config = replace(config, scenes=select_scenes_evenly(scenes, n_scenes))
-    table = load_population_references(found, None if references is None else check_path("references", references))
+    table = load_references(found, references)
     folder = execution.folder
     if folder is not None and not execution.fresh and (folder / ENTRY_FILE).is_file():
         entry = read_entry(folder)
@@ -115,103 +132,307 @@ def strangers(
     report = StrangersReport(found.label, partners, agent, names, chosen, reports)
     report = replace(report, references=table.find_all(report.condition, [each.name for each in chosen]))
     if folder is not None:
-        _write_entry(folder, report)
+        report.write(folder)
     return report
 
 
-def _write_entry(folder: Path, report: StrangersReport) -> None:
-    """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
-    folders: dict[str, dict[str, str]] = {policy: {} for policy in report.policies}
-    for (policy, partner), pair in report.reports.items():
-        folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
-    content = {
-        "population": report.population,
-        "partner_split": report.partner_split,
-        "agent": report.agent,
-        "policies": report.policies,
-        "partners": [asdict(partner) for partner in report.partners],
-        "folders": folders,
-        **report.to_json(),
+def update_references(
+    folders: Iterable[str | os.PathLike[str]],
+    population: str | os.PathLike[str] = DEFAULT_POPULATION,
+    out: str | os.PathLike[str] | None = None,
+    trust: bool = False,
+) -> ReferenceTable:
+    """Update the references of a population from result folders and write them.
+
+    Args:
+        folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
+            without a partner of the population are ignored. In a folder of `strangers`, only the evaluated
+            policy can become a reference; in other folders, giver and receiver can.
+        population: Name of a shipped population, or path of a file.
+        out: File of references to update; default: that of the population.
+        trust: Whether modules that the population names may be imported, and code in policy files may run.
+
+    Raises:
+        ResultsError: A folder has no result, or the file cannot be written.
+        HandoverError: The population or its references cannot be read.
+    """
+    found = load_population(population, trust)
+    path = found.references_path if out is None else check_path("out", out)
+    table = load_references(found, out, is_new=True)
+    labels = {
+        "giver": list_labels(found, "giver", found.givers, trust),
+        "receiver": list_labels(found, "receiver", found.receivers, trust),
     }
-    write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
-    write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{report}\n")
+    for report, agents in _read_reports(folders):
+        for agent in agents:
+            other = OTHER_AGENT[agent]
+            partner = labels[other].get(getattr(report.metadata, other))
+            if partner is not None and report.metadata.world == OFFICIAL_WORLD:
+                condition, reference = _make_reference(agent, report, partner.policy)
+                table = table.update(condition, partner.name, reference)
+    write_atomically(path, table.to_json())
+    return table
 
 
-def read_entry(folder: Path) -> dict[str, Any]:
-    """Read the content of `strangers.json`, which identifies an evaluation.
+def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[Report, tuple[str, ...]]]:
+    """Yield every report, and the agents whose policies may become references.
 
-    Returns:
-        Texts `population`, `partner_split` and `agent`, labels of `policies`, `partners` of the class `Partner`, and
-        `folders`, names of result folders by policy and partner.
+    A result folder of `strangers` has one evaluated agent; in other result folders both agents count.
+    """
+    for folder in folders:
+        path = check_path("folder", folder)
+        results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
+        if not results:
+            raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
+        for result in results:
+            is_entry = (result.parent / ENTRY_FILE).is_file()
+            yield evaluate(result), (read_entry(result.parent)["agent"],) if is_entry else tuple(OTHER_AGENT)
+
+
+def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:
+    """Return the condition of a report, and the agent's policy with its scores and the command of the evaluation."""
+    metadata = report.metadata
+    policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
+    policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
+    options = {**policies, **{name: getattr(metadata, name) for name in names}}
+    options["scenes"] = ",".join(str(episode.scene_id) for episode in report.episodes)
+    reference = Reference(
+        policy,
+        version=f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip(),
+        command=f"handover-marl pair {' '.join(f'--{name} {value}' for name, value in options.items())}",
+        scores=tuple(episode.speed_score for episode in report.episodes),
+    )
+    return Condition.from_report(agent, report), reference
+
+
+def list_labels(
+    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
+) -> dict[str, Partner]:
+    """Return partners by the label that they have in result folders.
+
+    Partners that cannot be made here, for example for lack of an optional package, are left out.
+
+    Args:
+        population: Population.
+        agent: Agent of the partners, "giver" or "receiver".
+        partners: Partners of this agent.
+        trust: Whether code in policy files may run.
+    """
+    # Labels do not depend on the data set.
+    dataset = open_dataset("synthetic")
+    labels: dict[str, Partner] = {}
+    for partner in partners:
+        try:
+            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
+        except OptionError:
+            continue
+        labels[reference.label] = partner
+    return labels
+
+
+@dataclass(frozen=True, eq=False)
+class Leaderboard(TabularResult):
+    """Evaluations of several methods with the same partners. `str` returns Markdown tables.
+
+    Attributes:
+        reports: Reports, the methods with the largest AS first, and the splits of a method one after the other. All
+            reports of a split have the same scenes.
+        names: Name of the method of every report.
+    """
+
+    reports: tuple[StrangersReport, ...]
+    names: tuple[str, ...]
+
+    @property
+    def splits(self) -> dict[str, list[int]]:
+        """Indices of the reports of every split of scenes."""
+        found: dict[str, list[int]] = {}
+        for number, report in enumerate(self.reports):
+            found.setdefault(report.condition.split, []).append(number)
+        return found
+
+    @property
+    def titles(self) -> list[str]:
+        """Name and split of every report."""
+        return [f"{name}, {report.condition.split}" for name, report in zip(self.names, self.reports, strict=True)]
+
+    def write_heat_map(self, path: Path) -> None:
+        """Write a heat map of the success rates by partner and method as PNG; requires the extra `plot`.
+
+        Raises:
+            OptionError: matplotlib is missing.
+            ResultsError: The file cannot be written.
+        """
+        require_modules("the heat map", "plot", "matplotlib")
+        from handover_marl.visualization.figures import draw_heat_map
+
+        first = self.reports[0]
+        rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
+        partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
+        other = OTHER_AGENT[first.agent]
+        title = f"{first.population}\n{self._describe_conditions()}"
+        write_atomically(path, draw_heat_map(rates, partners, self.titles, title, (other, first.agent)))
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of scores, of differences to the first method, and of success by family."""
+        return [self._build_scores(), self._build_differences(), self._build_families()]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables and notes."""
+        first = self.reports[0]
+        heading = (
+            f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
+            f"{self._describe_conditions()}."
+        )
+        notes = [NOTE, "Differences are paired by partner and scene."]
+        known = [report.references is not None for report in self.reports]
+        notes += [PROXIMITY_NOTE] if any(known) else []
+        notes += [] if all(known) else [NO_REFERENCES_NOTE]
+        return [heading, *self.build_tables(), " ".join(notes)]
+
+    def _describe_conditions(self) -> str:
+        condition, report = self.reports[0].condition, next(iter(self.reports[0].reports.values()))
+        scenes = [
+            f"{len(self.reports[rows[0]].condition.scenes)} scenes of {split}" for split, rows in self.splits.items()
+        ]
+        return (
+            f"{condition.setup}, {' and '.join(scenes)} each, {condition.physics} physics, seed {condition.seed}, "
+            f"data: {report.data_label}, handover_marl {condition.version}"
+        )
+
+    def _build_scores(self) -> ReportTable:
+        rows = []
+        for name, report in zip(self.names, self.reports, strict=True):
+            found, metadata = report.estimate_all(), next(iter(report.reports.values())).metadata
+            cells = [format_estimate(found[key]) if key in found else NO_VALUE for key in _COLUMNS]
+            rows.append([name, metadata.split, len(report.policies), metadata.robot, *cells, report.scores.size])
+        header = ["method", "split", "trainings", "robot", *_COLUMNS.values(), N_EPISODES.title]
+        return ReportTable(header, rows, n_keys=2)
+
+    def _build_differences(self) -> ReportTable:
+        rows = []
+        for split, (first, *others) in self.splits.items():
+            for other in others:
+                one, two = self.reports[first], self.reports[other]
+                has_proximity = one.best_scores is not None and not (one.is_reference or two.is_reference)
+                cells = [
+                    _format_difference(compute_mean, one, one.successes, two.successes),
+                    _format_difference(compute_mean, one, one.contacts, two.contacts),
+                    _format_difference(compute_mean, one, one.scores, two.scores),
+                    _format_difference(compute_proximity, one, one.scores, two.scores) if has_proximity else NO_VALUE,
+                ]
+                rows.append([self.names[first], self.names[other], split, *cells])
+        titles = ["success, points", "contact, points", "AS, points", "BR-Prox, points"]
+        return ReportTable(["method", "minus", "split", *titles], rows, n_keys=3)
+
+    def _build_families(self) -> ReportTable:
+        first = self.reports[0]
+        rows = []
+        for family in first.families:
+            chosen = [number for number, partner in enumerate(first.partners) if partner.family == family]
+            rows.append([family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)])
+        return ReportTable(["family", *(f"{title}: success %" for title in self.titles)], rows)
+
+
+def make_leaderboard(
+    folders: Sequence[str | os.PathLike[str]],
+    population: str | os.PathLike[str] = DEFAULT_POPULATION,
+    references: str | os.PathLike[str] | None = None,
+    names: Sequence[str] | None = None,
+    trust: bool = False,
+) -> Leaderboard:
+    """Make the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
+
+    Every value is computed from the result folders of the pairs.
+
+    Args:
+        folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
+            scenes.
+        population: Population of the evaluations.
+        references: File of references; default: that of the population.
+        names: Name of the method of every folder; default: the label of the policy.
+        trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
-        ResultsError: The file is missing or malformed.
+        OptionError: There is no folder, a method has two folders of a split, or the population is another one.
+        ResultsError: A folder is not a finished evaluation, or the evaluations differ in partners, scenes, data, seed
+            or simulation.
+        DataNotFoundError: The file of references does not exist.
     """
-    path = folder / ENTRY_FILE
-    try:
-        content = json.loads(read_plain_file(path, _MAX_BYTES))
-        partners = tuple(Partner(**partner) for partner in content["partners"])
-        entry = {key: content[key] for key in ("population", "partner_split", "agent", "policies", "folders")}
-        names = [entry["folders"][policy][partner.name] for policy in entry["policies"] for partner in partners]
-        if not names or entry["agent"] not in OTHER_AGENT:
-            raise ValueError("it must have an agent, policies and partners")
-        if any(Path(name).name != name for name in names):
-            raise ValueError("folders must be names of folders beside strangers.json")
-        return {**entry, "policies": tuple(entry["policies"]), "partners": partners}
-    except FileNotFoundError as error:
-        raise ResultsError(
-            f"{path} does not exist: the evaluation is not finished; run the same command to resume"
-        ) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
+    if not folders:
+        raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
+    paths = [check_path("folder", folder) for folder in folders]
+    reports = [read_report(path) for path in paths]
+    methods = [", ".join(report.policies) for report in reports] if names is None else names
+    found = load_population(population, trust)
+    for path, report in zip(paths, reports, strict=True):
+        _check_partners(path, report, found, trust)
+    _check_comparable(paths, methods, reports)
+    partners = [partner.name for partner in reports[0].partners]
+    table = load_references(found, references)
+    reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
+    splits = [*dict.fromkeys(report.condition.split for report in reports)]
+    rows = [
+        (splits.index(report.condition.split), -report.scores.mean(), name, report)
+        for name, report in zip(methods, reports, strict=True)
+    ]
+    rows.sort(key=lambda row: row[:2])
+    order = [*dict.fromkeys(row[2] for row in rows)]
+    rows.sort(key=lambda row: order.index(row[2]))
+    return Leaderboard(tuple(row[3] for row in rows), tuple(row[2] for row in rows))
 
 
-def read_report(folder: Path) -> StrangersReport:
-    """Compute the report of a folder from its result folders, without references.
-
-    Every value is computed from the results of the episodes; `strangers.json` only lists them.
-
-    Raises:
-        ResultsError: A result folder is missing or malformed, or does not fit to the others.
-    """
-    entry = read_entry(folder)
-    agent, policies, partners = entry["agent"], entry["policies"], entry["partners"]
-    reports: dict[tuple[str, str], Report] = {}
-    for policy in policies:
-        for partner in partners:
-            path = folder / entry["folders"][policy][partner.name]
-            report = reports[policy, partner.name] = evaluate(path)
-            first, metadata = next(iter(reports.values())), report.metadata
-            if getattr(metadata, agent) != policy:
-                raise ResultsError(f"{path} must have results of {policy!r}, got {getattr(metadata, agent)!r}")
-            if metadata.world != OFFICIAL_WORLD:
-                raise ResultsError(f"{path} must have the official world and rules, got world {metadata.world!r}")
-            differences = Condition.from_report(agent, report).list_differences(Condition.from_report(agent, first))
-            differences += ["robot"] if metadata.robot != first.metadata.robot else []
-            if differences:
-                raise ResultsError(
-                    f"{path} must have the {' and '.join(differences)} of the other pairs; run the same command to "
-                    "resume"
-                )
-    codes = check_code(folder, reports.values())
-    if len({codes[agent, policy] for policy in policies}) < len(policies):
-        raise ResultsError(f"{folder} must have different policies, got two with the same code and weights")
-    return StrangersReport(entry["population"], entry["partner_split"], agent, policies, partners, reports)
+def _check_partners(path: Path, report: StrangersReport, population: Population, trust: bool) -> None:
+    """Check that a report has exactly the partners of its split of the population."""
+    if report.population != population.label:
+        raise OptionError(
+            f"{path} must be of population {population.label}, got {report.population}; pass the population's file"
+        )
+    other = OTHER_AGENT[report.agent]
+    if report.partners != population.select(other, report.partner_split):
+        raise ResultsError(f"{path} must have the partners of {report.partner_split!r}, got others; evaluate again")
+    found = list_labels(population, other, report.partners, trust)
+    labels = {partner.name: label for label, partner in found.items()}
+    for (_, name), pair in report.reports.items():
+        label = getattr(pair.metadata, other)
+        if labels.get(name, label) != label:
+            raise ResultsError(f"{path} must have results of {name!r} of the population, got another policy")
 
 
-def check_code(where: object, reports: Iterable[Report]) -> dict[tuple[str, str], str]:
-    """Return the hashes of code and weights by agent and label, checked so that each label has one.
+def _check_comparable(paths: Sequence[Path], names: Sequence[str], reports: Sequence[StrangersReport]) -> None:
+    """Check that reports have the same partners and simulation, and those of a split the same scenes."""
+    first = reports[0]
+    folders: dict[tuple[str, str], Path] = {}
+    firsts: dict[str, Condition] = {}
+    codes: dict[tuple[str, str, str], str] = {}
+    for path, name, report in zip(paths, names, reports, strict=True):
+        condition = report.condition
+        if (known := folders.setdefault((name, condition.split), path)) is not path:
+            raise OptionError(
+                f"folders must have one evaluation of {name!r} with the split {condition.split}, got {known} and "
+                f"{path}; name the methods, as NAME=DIR"
+            )
+        differences = {*condition.list_differences(first.condition)} - {"split", "scenes", "data"}
+        differences.update(condition.list_differences(firsts.setdefault(condition.split, condition)))
+        if report.partners != first.partners:
+            differences.add("partners")
+        for (agent, label), code in check_code(path, report.reports.values()).items():
+            # Two methods may have policies of one label, and the policies of a method and the partners one code.
+            if codes.setdefault((agent, label, name if agent == first.agent else ""), code) != code:
+                differences.add(f"code of {label!r}")
+        if differences:
+            raise ResultsError(
+                f"{path} must have the {' and '.join(sorted(differences))} of the other folders; evaluate with the "
+                "same version, partners, seed, scenes, data and physics"
+            )
 
-    Raises:
-        ResultsError: Two reports have different policies of the same label.
-    """
-    found: dict[tuple[str, str], str] = {}
-    for report in reports:
-        for agent in OTHER_AGENT:
-            label, code = getattr(report.metadata, agent), getattr(report.metadata, f"{agent}_hash")
-            if found.setdefault((agent, label), code) != code:
-                raise ResultsError(
-                    f"{where} must have results of one version of {label!r}, got {found[agent, label]} and {code}; "
-                    "evaluate again in a new folder"
-                )
-    return found
+
+def _format_difference(
+    statistic: Statistic,
+    report: StrangersReport,
+    first: npt.NDArray[np.float64],
+    second: npt.NDArray[np.float64],
+) -> str:
+    references = report.best_scores if statistic is compute_proximity else None
+    found = estimate_difference(statistic, first, second, report.partner_families, references)
+    return format_estimate(found, spec="+.1f")

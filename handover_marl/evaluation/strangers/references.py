@@ -5,16 +5,18 @@ command of the best policy, and its scores by scene.
 """
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult
 from handover_marl.execution.files import shorten_text
+from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Population
 
@@ -90,16 +92,33 @@ class Reference:
 
 
 @dataclass(frozen=True)
-class ReferenceTable:
-    """References of a population.
+class ReferenceTable(TabularResult):
+    """References of a population. `str` returns a Markdown table.
 
     Attributes:
-        population_hash: Hash of the population.
+        population: Population of the partners.
         sections: Best policies by partner, for every condition.
     """
 
-    population_hash: str
+    population: Population
     sections: Mapping[Condition, Mapping[str, Reference]]
+
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build a heading and a table with one row for each partner and condition."""
+        rows = [
+            [
+                partner,
+                f"{condition.dataset} {condition.setup} {condition.split}",
+                condition.physics,
+                reference.policy,
+                f"{100 * reference.mean:.1f}",
+                len(condition.scenes),
+            ]
+            for condition, section in self.sections.items()
+            for partner, reference in section.items()
+        ]
+        table = ReportTable(["partner", "scenes", "physics", "best policy", "AS %", "n"], rows)
+        return [f"Best policies known for the partners of {self.population.label}.", table]
 
     def find(self, condition: Condition, partner: str) -> Reference | None:
         """Return the best reference for a partner, with its scores in the scenes of a condition; None without one."""
@@ -121,9 +140,9 @@ class ReferenceTable:
         known = section.get(partner)
         if known is None or reference.mean > known.mean:
             section[partner] = reference
-        return ReferenceTable(self.population_hash, {**self.sections, condition: dict(sorted(section.items()))})
+        return ReferenceTable(self.population, {**self.sections, condition: dict(sorted(section.items()))})
 
-    def format(self) -> str:
+    def to_json(self) -> str:
         """Return the table as JSON."""
         sections = [
             {
@@ -139,48 +158,44 @@ class ReferenceTable:
             }
             for condition, section in self.sections.items()
         ]
-        return json.dumps({"population_hash": self.population_hash, "sections": sections}, indent=1) + "\n"
+        return json.dumps({"population_hash": self.population.content_hash, "sections": sections}, indent=1) + "\n"
 
 
-def load_references(path: Path, population_hash: str) -> ReferenceTable:
+def load_references(
+    population: Population, path: str | os.PathLike[str] | None = None, is_new: bool = False
+) -> ReferenceTable:
     """Load the references of a population; return an empty table if there is no file.
 
     Args:
-        path: File of references.
-        population_hash: Hash of the population.
-
-    Raises:
-        DataNotFoundError: The file cannot be read.
-        DataFormatError: The file is malformed, or belongs to another population.
-    """
-    if not path.exists():
-        return ReferenceTable(population_hash, {})
-    try:
-        content = json.loads(read_plain_file(path, _MAX_BYTES))
-        sections = dict(_parse_section(section) for section in content["sections"])
-        stored = content["population_hash"]
-    except OSError as error:
-        raise DataNotFoundError(f"references {path} cannot be read ({error.strerror or error})") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataFormatError(f"{path}: not a readable file of references ({shorten_text(error)})") from error
-    if stored != population_hash:
-        raise DataFormatError(
-            f"{path}: references must be of population {population_hash}, got {shorten_text(stored)}; make them again "
-            "with handover-marl strangers-references"
-        )
-    return ReferenceTable(population_hash, sections)
-
-
-def load_population_references(population: Population, path: Path | None = None) -> ReferenceTable:
-    """Load the references of a population from a file, or by default those that are stored beside it.
+        population: Population of the partners.
+        path: File of references; default: the one that is stored beside the population.
+        is_new: Whether a given file need not exist.
 
     Raises:
         DataNotFoundError: The given file does not exist, or cannot be read.
         DataFormatError: The file is malformed, or belongs to another population.
     """
-    if path is not None and not path.is_file():
-        raise DataNotFoundError(f"references must be a file that handover-marl strangers-references wrote, got {path}")
-    return load_references(population.references_path if path is None else path, population.content_hash)
+    chosen = population.references_path if path is None else check_path("references", path)
+    if not chosen.is_file():
+        if path is None or is_new:
+            return ReferenceTable(population, {})
+        raise DataNotFoundError(
+            f"references must be a file that handover-marl strangers-references wrote, got {chosen}"
+        )
+    try:
+        content = json.loads(read_plain_file(chosen, _MAX_BYTES))
+        sections = dict(_parse_section(section) for section in content["sections"])
+        stored = content["population_hash"]
+    except OSError as error:
+        raise DataNotFoundError(f"references {chosen} cannot be read ({error.strerror or error})") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataFormatError(f"{chosen}: not a readable file of references ({shorten_text(error)})") from error
+    if stored != population.content_hash:
+        raise DataFormatError(
+            f"{chosen}: references must be of population {population.content_hash}, got {shorten_text(stored)}; make "
+            "them again with handover-marl strangers-references"
+        )
+    return ReferenceTable(population, sections)
 
 
 def _parse_section(section: Mapping[str, Any]) -> tuple[Condition, dict[str, Reference]]:

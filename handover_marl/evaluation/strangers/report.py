@@ -1,15 +1,24 @@
-"""Report of an evaluation with partners that the evaluated policies have not met."""
+"""Report of an evaluation with partners that the evaluated policies have not met, and its output folder.
+
+In an output folder, `strangers.json` lists the pairs of policies, which have official result folders.
+"""
 
 import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.crossplay import format_pair_folder
+from handover_marl.evaluation.metadata import OFFICIAL_WORLD
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
-from handover_marl.evaluation.reports.report import Report
+from handover_marl.evaluation.reports.report import Report, evaluate
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
     FLUENCY,
@@ -21,7 +30,7 @@ from handover_marl.evaluation.reports.tables import (
     format_percent_mean,
     format_percent_rate,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
+from handover_marl.evaluation.results import EpisodeResult
 from handover_marl.evaluation.strangers.references import Condition, Reference
 from handover_marl.evaluation.strangers.scores import (
     Estimate,
@@ -34,9 +43,13 @@ from handover_marl.evaluation.strangers.scores import (
     estimate,
     estimate_rate,
 )
+from handover_marl.execution.files import shorten_text, write_atomically
+from handover_marl.execution.reading import read_plain_file
 from handover_marl.policies.populations import Partner
 
 Array = npt.NDArray[np.float64]
+ENTRY_FILE, TABLES_FILE = "strangers.json", "strangers.md"
+_MAX_BYTES = 10_000_000
 #: Agent of the partners, by the agent of the evaluated policies.
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
@@ -154,31 +167,21 @@ class StrangersReport(TabularResult):
         notes = f"{NOTE} {NO_REFERENCES_NOTE if self.references is None else PROXIMITY_NOTE}"
         return [self._format_heading(), summary, families, partners, notes]
 
-    def to_json(self) -> dict[str, object]:
-        """Return the summary and the results by partner as JSON types; rates 0..1."""
-        return {
-            "summary": {
-                key: {"value": each.value, "interval_95": each.interval_95} for key, each in self.estimate_all().items()
-            },
-            "worst_partner": self.find_worst_partner().name,
-            "n_policies": len(self.policies),
-            "n_partners": len(self.partners),
-            "n_scenes": self.scores.shape[2],
-            "results": {
-                partner.name: {
-                    "family": partner.family,
-                    "success": float(self.successes[:, number].mean()),
-                    "contact": float(self.contacts[:, number].mean()),
-                    AVERAGE_SUCCESS.key: float(self.scores[:, number].mean()),
-                    "reference_AS": None if self.references is None else self.references[number].mean,
-                }
-                for number, partner in enumerate(self.partners)
-            },
+    def write(self, folder: Path) -> None:
+        """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
+        folders: dict[str, dict[str, str]] = {policy: {} for policy in self.policies}
+        for (policy, partner), pair in self.reports.items():
+            folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
+        content = {
+            "population": self.population,
+            "partner_split": self.partner_split,
+            "agent": self.agent,
+            "policies": self.policies,
+            "partners": [asdict(partner) for partner in self.partners],
+            "folders": folders,
         }
-
-    def collect_episodes(self, partner: Partner) -> list[EpisodeResult]:
-        """Return the episodes of all policies with a partner."""
-        return [episode for policy in self.policies for episode in self.reports[policy, partner.name].episodes]
+        write_atomically(folder / ENTRY_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
+        write_atomically(folder / TABLES_FILE, f"# Strangers\n\n{self}\n")
 
     def _collect(self, measure: Callable[[EpisodeResult], float]) -> Array:
         return np.array(
@@ -227,8 +230,8 @@ class StrangersReport(TabularResult):
     def _build_partner_table(self) -> ReportTable:
         rows = []
         for number, partner in enumerate(self.partners):
-            episodes, means = self.collect_episodes(partner), estimate_fluency(self.collect_episodes(partner))
-            n = len(episodes)
+            episodes = [each for policy in self.policies for each in self.reports[policy, partner.name].episodes]
+            n, means = len(episodes), estimate_fluency(episodes)
             counts = [int(flags[:, number].sum()) for flags in (self.successes, self.contacts)]
             cells = [
                 *(format_percent_rate(count, n) for count in counts),
@@ -252,3 +255,83 @@ class StrangersReport(TabularResult):
 def format_estimate(found: Estimate, spec: str = ".1f") -> str:
     """Format an estimate of a share with its interval in percent."""
     return append_interval(f"{100.0 * found.value:{spec}}", found.interval_95, spec)
+
+
+def read_entry(folder: Path) -> dict[str, Any]:
+    """Read the content of `strangers.json`, which identifies an evaluation.
+
+    Returns:
+        Texts `population`, `partner_split` and `agent`, labels of `policies`, `partners` of the class `Partner`, and
+        `folders`, names of result folders by policy and partner.
+
+    Raises:
+        ResultsError: The file is missing or malformed.
+    """
+    path = folder / ENTRY_FILE
+    try:
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        partners = tuple(Partner(**partner) for partner in content["partners"])
+        entry = {key: content[key] for key in ("population", "partner_split", "agent", "policies", "folders")}
+        names = [entry["folders"][policy][partner.name] for policy in entry["policies"] for partner in partners]
+        if not names or entry["agent"] not in OTHER_AGENT:
+            raise ValueError("it must have an agent, policies and partners")
+        if any(Path(name).name != name for name in names):
+            raise ValueError("folders must be names of folders beside strangers.json")
+        return {**entry, "policies": tuple(entry["policies"]), "partners": partners}
+    except FileNotFoundError as error:
+        raise ResultsError(
+            f"{path} does not exist: the evaluation is not finished; run the same command to resume"
+        ) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ResultsError(f"{path}: not a readable evaluation with strangers ({shorten_text(error)})") from error
+
+
+def read_report(folder: Path) -> StrangersReport:
+    """Compute the report of a folder from its result folders, without references.
+
+    Every value is computed from the results of the episodes; `strangers.json` only lists them.
+
+    Raises:
+        ResultsError: A result folder is missing or malformed, or does not fit to the others.
+    """
+    entry = read_entry(folder)
+    agent, policies, partners = entry["agent"], entry["policies"], entry["partners"]
+    reports: dict[tuple[str, str], Report] = {}
+    for policy in policies:
+        for partner in partners:
+            path = folder / entry["folders"][policy][partner.name]
+            report = reports[policy, partner.name] = evaluate(path)
+            first, metadata = next(iter(reports.values())), report.metadata
+            if getattr(metadata, agent) != policy:
+                raise ResultsError(f"{path} must have results of {policy!r}, got {getattr(metadata, agent)!r}")
+            if metadata.world != OFFICIAL_WORLD:
+                raise ResultsError(f"{path} must have the official world and rules, got world {metadata.world!r}")
+            differences = Condition.from_report(agent, report).list_differences(Condition.from_report(agent, first))
+            differences += ["robot"] if metadata.robot != first.metadata.robot else []
+            if differences:
+                raise ResultsError(
+                    f"{path} must have the {' and '.join(differences)} of the other pairs; run the same command to "
+                    "resume"
+                )
+    codes = check_code(folder, reports.values())
+    if len({codes[agent, policy] for policy in policies}) < len(policies):
+        raise ResultsError(f"{folder} must have different policies, got two with the same code and weights")
+    return StrangersReport(entry["population"], entry["partner_split"], agent, policies, partners, reports)
+
+
+def check_code(where: object, reports: Iterable[Report]) -> dict[tuple[str, str], str]:
+    """Return the hashes of code and weights by agent and label, checked so that each label has one.
+
+    Raises:
+        ResultsError: Two reports have different policies of the same label.
+    """
+    found: dict[tuple[str, str], str] = {}
+    for report in reports:
+        for agent in OTHER_AGENT:
+            label, code = getattr(report.metadata, agent), getattr(report.metadata, f"{agent}_hash")
+            if found.setdefault((agent, label), code) != code:
+                raise ResultsError(
+                    f"{where} must have results of one version of {label!r}, got {found[agent, label]} and {code}; "
+                    "evaluate again in a new folder"
+                )
+    return found

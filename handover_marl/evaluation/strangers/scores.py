@@ -39,11 +39,6 @@ class Estimate:
     interval_95: tuple[float, float] | None
 
 
-def compute_interquartile_mean(values: npt.ArrayLike) -> float:
-    """Compute the mean of the middle half of all values (Agarwal et al., NeurIPS 2021)."""
-    return float(scipy.stats.trim_mean(values, _TRIMMED, axis=None))
-
-
 def compute_proximities(returns: Array, references: Array) -> Array:
     """Compute best-response proximities (policies, partners).
 
@@ -59,8 +54,8 @@ def compute_proximities(returns: Array, references: Array) -> Array:
 
 
 def compute_proximity(returns: Array, references: Array) -> float:
-    """Compute the interquartile mean of the proximities over policies and partners."""
-    return compute_interquartile_mean(compute_proximities(returns, references))
+    """Compute the interquartile mean of the proximities over policies and partners (Agarwal et al., NeurIPS 2021)."""
+    return float(scipy.stats.trim_mean(compute_proximities(returns, references), _TRIMMED, axis=None))
 
 
 def compute_mean(returns: Array, references: Array) -> float:

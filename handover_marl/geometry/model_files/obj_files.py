@@ -3,7 +3,7 @@
 import codecs
 import itertools
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,8 +26,6 @@ _FORMS_WITHOUT_BULLET = {
 }
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
-#: Largest accepted size of a material file (bytes).
-MAX_MATERIAL_BYTES = 10_000_000
 _LINE_END, _CONTINUATION, _COMMENT = (
     re.compile(r"\r\n|\r|\n"),
     re.compile(r"\\[ \t]*(\r\n|\r|\n)"),
@@ -90,10 +88,7 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
         elif kind == "f":
             if len(words) < 4:
                 raise DataFormatError(f"{path}: a face must have at least three corners; the file may be incomplete")
-            # Vertices count from 1, or backwards from -1, the last vertex before the face.
-            numbers = [int(word.partition("/")[0]) for word in words[1:]]
-            corners = [n - 1 if n > 0 else len(vertices) + n if n < 0 else -1 for n in numbers]
-            groups[-1] += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
+            groups[-1] += split_polygon(words[1:], 0, len(vertices))
         elif kind in ("o", "g") and groups[-1]:
             groups.append([])
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
@@ -107,6 +102,16 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
     if not np.isfinite(points).all():
         raise DataFormatError(f"{path}: a vertex is not finite; check the file")
     return ObjMesh(points, found, faces)
+
+
+def split_polygon(words: Sequence[str], part: int, count: int) -> list[tuple[int, int, int]]:
+    """Return the triangles of a face: numbers of vertices (part 0 of the words) or texture coordinates (part 1).
+
+    They count from 1, or backwards from the last of the `count` before the face; a missing number is -1.
+    """
+    numbers = [int((word.split("/")[part : part + 1] or [""])[0] or 0) for word in words]
+    first, *others = [n - 1 if n > 0 else count + n if n < 0 else -1 for n in numbers]
+    return [(first, *pair) for pair in itertools.pairwise(others)]
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:

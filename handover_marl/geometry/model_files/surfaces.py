@@ -5,7 +5,6 @@ all other values of these materials are ignored. The last definition of a materi
 """
 
 import io
-import itertools
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +17,13 @@ from handover_marl.errors import DataFormatError
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.model_files.meshes import group_visual_shapes, read_shape_mesh
-from handover_marl.geometry.model_files.obj_files import MAX_MATERIAL_BYTES, split_obj_lines
+from handover_marl.geometry.model_files.obj_files import split_obj_lines, split_polygon
 from handover_marl.geometry.model_files.urdf import UrdfShape
 
 Array = npt.NDArray[np.float32]
 Texture = npt.NDArray[np.uint8]
 
-_MAX_TEXTURE_BYTES = 100_000_000
+_MAX_MATERIAL_BYTES, _MAX_TEXTURE_BYTES = 10_000_000, 100_000_000
 _WHITE = np.full((1, 1, 3), 255, dtype=np.uint8)
 
 
@@ -96,10 +95,7 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
             if words[0] == "vt":
                 points.append(tuple(map(float, words[1:3])))
             elif words[0] == "f":
-                numbers = [int((word.split("/")[1:2] or [""])[0] or 0) for word in words[1:]]
-                # Coordinates count from 1, or backwards from the last one before the face.
-                first, *others = [n - 1 if n > 0 else len(points) + n if n < 0 else -1 for n in numbers]
-                faces += [(first, *pair) for pair in itertools.pairwise(others)]
+                faces += split_polygon(words[1:], 1, len(points))
         # Coordinates of corners without any, as in PyBullet: in files with coordinates, and in files without.
         points.append((0.0, 0.0) if points else (0.5, 0.5))
         chosen = np.array(faces, dtype=np.int64)
@@ -135,7 +131,7 @@ def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:
 def _read_texture_names(path: Path) -> dict[str, str]:
     """Return the file names of the textures in a material file, by material."""
     names, material = {}, ""
-    for words in map(str.split, read_plain_file(path, MAX_MATERIAL_BYTES).decode(errors="replace").splitlines()):
+    for words in map(str.split, read_plain_file(path, _MAX_MATERIAL_BYTES).decode(errors="replace").splitlines()):
         if words[:1] == ["newmtl"]:
             material = words[1]
         elif words[:1] == ["map_Kd"]:

@@ -2,7 +2,6 @@
 
 import copy
 import functools
-import hashlib
 import os
 import sys
 from collections.abc import Callable
@@ -16,21 +15,13 @@ from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
-from handover_marl.learning.adapters.function_policy import OBSERVATION, Encoding, FunctionPolicy, TorchFunction
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
+from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import list_features
-from handover_marl.learning.policy_files import (
-    check_control_period,
-    load_sb3_file,
-    match_control_period,
-    read_file,
-    read_policy,
-)
-from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork
+from handover_marl.learning.policy_files import complete_spec, read_policy
+from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import list_schemes
-from handover_marl.policies.hashing import hash_object, list_packages
+from handover_marl.policies.hashing import find_package, hash_object
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
 
@@ -128,33 +119,19 @@ def _adapt(
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    if control_period is not None:
-        control_period = check_control_period(control_period)
     _check_choice("features", features, (*list_features(agent), OBSERVATION))
     _check_choice("action scheme", action_scheme, list_schemes(agent))
-    chosen = features, action_scheme
-    function: Callable[[Any], Any]
-    if isinstance(policy, (str, os.PathLike)):
-        stem, function, encoding = _read_file(agent, Path(policy).expanduser(), control_period, chosen, trust)
-    elif is_sb3_model(policy):
-        stem = type(policy).__name__
-        function, encoding = _convert_sb3_model(agent, policy, control_period, chosen)
-    else:
-        stem, function = _wrap_function(policy)
-        takes_vectors = isinstance(function, TorchFunction) and obs_mode == STATE
-        encoding = Encoding(
-            *_complete_pair(agent, chosen, takes_vectors), match_control_period("policy", None, control_period)
-        )
-    encoding = replace(encoding, obs_mode=obs_mode)
-    if encoding.features in list_features(agent) and not has_state(obs_mode):
+    given = {"features": features, "actions": action_scheme, "control_period": control_period}
+    stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
+    spec = replace(spec, obs_mode=obs_mode)
+    if spec.features in list_features(agent) and not has_state(obs_mode):
         raise OptionError(
-            f"obs_mode must include the state that features {encoding.features!r} are computed from, got {obs_mode!r}; "
+            f"obs_mode must include the state that features {spec.features!r} are computed from, got {obs_mode!r}; "
             f"take 'state+{obs_mode}'"
         )
     hashed = function.module if isinstance(function, TorchFunction) else function
-    parts = [hash_object(hashed), *(_describe_choice(part) for part in (encoding.features, encoding.action_scheme))]
-    digest = hashlib.sha256(repr((parts, encoding.control_period, obs_mode)).encode()).hexdigest()[:16]
-    keywords: dict[str, Any] = {"function": function, "encoding": encoding, "name": name or stem, "digest": digest}
+    digest = hash_object((hashed, spec.features, spec.actions, spec.control_period, obs_mode))[:16]
+    keywords: dict[str, Any] = {"function": function, "spec": spec, "name": name or stem, "digest": digest}
     label = name or f"{stem}@{digest[:8]}"
     try:
         pickled = pickle_by_value(functools.partial(FunctionPolicy, **keywords, label=label))
@@ -163,8 +140,9 @@ def _adapt(
             f"{agent} {stem!r} cannot be sent to worker processes ({type(error).__name__}: {shorten_text(error)}); "
             f"write a subclass of handover_marl.{agent}s.{agent.capitalize()}, which makes what it needs itself"
         ) from error
-    packages = () if isinstance(function, DenseNetwork) else list_packages(policy)
-    return PolicyReference(agent, name or stem, pickled, packages=packages)
+    # Modules of PyTorch's own layers do not depend on its build.
+    packages = {"" if isinstance(function, DenseNetwork) else find_package(policy)} - {"", "torch"}
+    return PolicyReference(agent, name or stem, pickled, packages=tuple(packages))
 
 
 def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
@@ -174,46 +152,25 @@ def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
         raise OptionError(f"{kind} must be a name, a class or a function, got {choice!r}")
 
 
-def _describe_choice(choice: object) -> str:
-    return choice if isinstance(choice, str) else hash_object(choice)
+def _read_model(
+    agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
+) -> tuple[str, Callable[[Any], Any], PolicySpec]:
+    """Return name, function and encoding of a model; plain functions get the whole observation by default."""
+    if isinstance(policy, (str, os.PathLike)):
+        path = Path(policy).expanduser()
+        spec, network, _ = read_policy(path, agent, trust, **given)
+        return path.stem, network, spec
+    if is_sb3_model(policy):
+        # Imports Stable-Baselines3, which made the model.
+        from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
 
-
-def _complete_pair(agent: str, chosen: tuple[Any, Any], takes_vectors: bool = True) -> tuple[Any, Any]:
-    """Return features and action scheme, by default the flat or whole observation and the action in physical units."""
+        spec = complete_spec("policy", agent, get_recorded_encoding(policy), given)
+        return type(policy).__name__, dense_network_from_sb3(policy), spec
+    stem, function = _wrap_function(policy)
     features, actions = RAW_ENCODINGS[agent]
-    default = features if takes_vectors else OBSERVATION
-    return (default if chosen[0] is None else chosen[0], actions if chosen[1] is None else chosen[1])
-
-
-def _read_file(
-    agent: str, path: Path, control_period: float | None, chosen: tuple[Any, Any], trust: bool
-) -> tuple[str, DenseNetwork, Encoding]:
-    """Return name, network and encoding of a policy file."""
-    if chosen == (None, None):
-        file = read_policy(path, agent, trust, control_period)
-        return path.stem, file.function, Encoding(file.spec.features, file.spec.actions, file.spec.control_period)
-    if path.suffix != ".zip":
-        raise OptionError(f"{path}: a policy file records features and action scheme; do not pass them")
-    model = load_sb3_file(path, read_file(path), trust)
-    return path.stem, *_convert_sb3_model(agent, model, control_period, chosen)
-
-
-def _convert_sb3_model(
-    agent: str, model: Any, control_period: float | None, chosen: tuple[Any, Any]
-) -> tuple[DenseNetwork, Encoding]:
-    """Return network and encoding of a model of Stable-Baselines3."""
-    # Imports Stable-Baselines3, which made the model.
-    from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
-
-    owner, features, actions, period = get_recorded_encoding(model)
-    if owner not in (None, agent):
-        raise OptionError(f"policy must be a model for the {agent}, got one for the {owner}")
-    if chosen != (None, None):
-        features, actions = _complete_pair(agent, chosen)
-    if features is None or actions is None:
-        raise OptionError("the model does not record its encoding; pass features and action_scheme of its training")
-    encoding = Encoding(features, actions, match_control_period("policy", period, control_period))
-    return dense_network_from_sb3(model), encoding
+    takes_vectors = isinstance(function, TorchFunction) and has_only_state
+    recorded = {"features": features if takes_vectors else OBSERVATION, "actions": actions}
+    return stem, function, complete_spec("policy", agent, recorded, given)
 
 
 def _wrap_function(policy: Any) -> tuple[str, Callable[[Any], Any]]:

@@ -1,18 +1,25 @@
-"""Export of trained networks to policy files."""
+"""Export of trained networks to policy files, and conversion of PyTorch modules of linear layers."""
 
+import itertools
 import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handover_marl.errors import DataFormatError, OptionError, check_name
-from handover_marl.learning.adapters.torch_modules import dense_network_from_module
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.policy_files import match_control_period, write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, InputNormalization, PolicySpec
-from handover_marl.learning.schemes import count_outputs, list_schemes
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.errors import DataFormatError, OptionError
+from handover_marl.geometry.arrays import use_default_torch_settings
+from handover_marl.learning.custom_encodings import is_reference
+from handover_marl.learning.features import count_features
+from handover_marl.learning.policy_files import check_policy_path, complete_spec, write_policy
+from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, dense_network_from_layers
+from handover_marl.learning.schemes import count_outputs
+
+# Number and scale of the random inputs on which a converted network is compared with its module.
+_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
 def export_policy(
@@ -57,27 +64,32 @@ def export_policy(
         DataFormatError: The model contains other layers, or its sizes do not fit the encoding.
         ResultsError: The file cannot be written.
     """
-    file = Path(path).expanduser()
-    if file.suffix != ".npz":
-        raise OptionError(f"path must end in .npz, got {file}")
-    recorded: tuple[str | None, str | None, str | None, float | None] = (None, None, None, None)
+    file, recorded = Path(path).expanduser(), {}
+    check_policy_path(file)
     if is_sb3_model(model):
         # Imports Stable-Baselines3, which made the model.
         from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
 
-        recorded = get_recorded_encoding(model)
-        network = dense_network_from_sb3(model, normalization)
+        recorded, network = get_recorded_encoding(model), dense_network_from_sb3(model, normalization)
     else:
         torch = sys.modules.get("torch")  # a module can exist only if PyTorch was imported
         if torch is None or not isinstance(model, torch.nn.Module):
             raise OptionError(
                 f"model must be a model of Stable-Baselines3 or a PyTorch module, got {type(model).__name__}"
             )
-        if normalization is not None and not isinstance(normalization, InputNormalization):
-            raise OptionError(f"normalization must be an InputNormalization, got {type(normalization).__name__}")
         network = replace(dense_network_from_module(model), normalization=normalization)
-    spec = _make_spec((agent, features, action_scheme, control_period), recorded, origin)
-    _check_sizes(network, spec)
+    given = {"features": features, "actions": action_scheme, "control_period": control_period, "origin": origin}
+    spec = complete_spec("model", agent, recorded, given)
+    for value in (spec.features, spec.actions):
+        if not isinstance(value, str):
+            raise OptionError(f"features and action_scheme must be names or text module:name, got {value!r}")
+    n_inputs = network.n_inputs if is_reference(spec.features) else count_features(spec.agent, spec.features)
+    n_outputs = network.n_outputs if is_reference(spec.actions) else count_outputs(spec.agent, spec.actions)
+    if (network.n_inputs, network.n_outputs) != (n_inputs, n_outputs):
+        raise DataFormatError(
+            f"the model must have {n_inputs} inputs for features {spec.features!r} and {n_outputs} outputs for action "
+            f"scheme {spec.actions!r}, got {network.n_inputs} and {network.n_outputs}"
+        )
     write_policy(file, spec, network)
     return file
 
@@ -89,42 +101,47 @@ def is_sb3_model(model: object) -> bool:
     return module is not None and isinstance(model, module.BaseAlgorithm)
 
 
-def _make_spec(
-    given: tuple[str | None, str | None, str | None, float | None],
-    recorded: tuple[str | None, str | None, str | None, float | None],
-    origin: str,
-) -> PolicySpec:
-    """Combine given and recorded agent, features, action scheme and control period."""
-    names = ("agent", "features", "action_scheme", "control_period")
-    values: dict[str, Any] = {}
-    for name, chosen, trained in zip(names, given, recorded, strict=True):
-        if chosen is not None and trained is not None and chosen != trained:
-            raise OptionError(f"{name} must be {trained!r} as in training, got {chosen!r}; leave it out")
-        values[name] = trained if chosen is None else chosen
-    period = values.pop("control_period")
-    for name, value in values.items():
-        if value is None:
-            raise OptionError(f"{name} must be given, because the model does not record it")
-        if not isinstance(value, str):
-            raise OptionError(f"{name} must be a name or text module:name, got {value!r}; a file contains no code")
-    agent, features, actions = values.values()
-    check_name("agent", agent, ("giver", "receiver"))
-    for kind, value, known in (
-        (f"features of the {agent}", features, list_features(agent)),
-        (f"action scheme of the {agent}", actions, list_schemes(agent)),
-    ):
-        if not is_reference(value):
-            check_name(kind, value, known)
-    return PolicySpec(agent, features, actions, match_control_period("policy", period, None), origin)
+def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
+    """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
+    Outputs for random inputs are compared, which also finds the activation after the last layer.
 
-def _check_sizes(network: DenseNetwork, spec: PolicySpec) -> None:
-    wanted = (
-        network.n_inputs if is_reference(spec.features) else count_features(spec.agent, spec.features),
-        network.n_outputs if is_reference(spec.actions) else count_outputs(spec.agent, spec.actions),
+    Args:
+        module: Module from (n, n_inputs) to (n, n_outputs).
+        activation: Activation between the layers; None finds it too.
+
+    Raises:
+        DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
+            activation, or that with `activation`, has the same outputs.
+    """
+    bare = dense_network_from_layers(module, "identity" if activation is None else activation)
+    inputs, expected = _evaluate(module, bare.n_inputs)
+    candidates = ACTIVATIONS if activation is None else (activation,)
+    # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
+    for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
+        network = replace(bare, activation=between, output=after)
+        found = np.stack([network(row) for row in inputs])
+        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+            return network
+    raise DataFormatError(
+        f"{type(module).__name__} must consist of linear layers with one activation between them "
+        f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
     )
-    if (network.n_inputs, network.n_outputs) != wanted:
+
+
+def _evaluate(module: Any, n_inputs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    torch, was_training = sys.modules["torch"], module.training
+    values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
+    parameter = next(module.parameters())
+    try:
+        with use_default_torch_settings(), torch.no_grad():
+            outputs = module.eval()(torch.from_numpy(values).to(parameter))
+    except Exception as error:  # code of the user
         raise DataFormatError(
-            f"the model must have {wanted[0]} inputs for features {spec.features!r} and {wanted[1]} outputs for action "
-            f"scheme {spec.actions!r}, got {network.n_inputs} and {network.n_outputs}"
-        )
+            f"{type(module).__name__} must accept inputs of shape (n, {n_inputs}) ({type(error).__name__}: {error})"
+        ) from error
+    finally:
+        module.train(was_training)
+    if not isinstance(outputs, torch.Tensor):
+        raise DataFormatError(f"{type(module).__name__} must return a tensor, got {type(outputs).__name__}")
+    return values, outputs.float().cpu().numpy()

@@ -3,7 +3,6 @@
 import inspect
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,52 +12,33 @@ from gymnasium import spaces
 
 import handover_marl.givers
 from handover_marl.episode.observations import Observation, giver_observation_space, receiver_observation_space
-from handover_marl.episode.spaces import STATE, check_vector
-from handover_marl.errors import ActionError, HandoverError, OptionError
+from handover_marl.episode.spaces import check_vector
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.execution.files import shorten_text
-from handover_marl.learning.array_schemes import SingleScheme
-from handover_marl.learning.encodings.custom_features import FeaturesLike
-from handover_marl.learning.encodings.custom_schemes import SchemeLike
 from handover_marl.learning.features import AgentFeatures, make_features
 from handover_marl.learning.policy_files import read_policy
-from handover_marl.learning.policy_spec import DenseNetwork
+from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.policies.policy import Action, Policy, PolicyContext, milliseconds_from_wait
-
-#: Choice of features for functions that take observations as they are.
-OBSERVATION = "observation"
-
-
-@dataclass(frozen=True, eq=False)
-class Encoding:
-    """Encoding of the inputs and outputs of a policy.
-
-    Attributes:
-        features: Features, see `handover_marl.encode`, or `OBSERVATION`.
-        action_scheme: Action scheme, see `handover_marl.encode`.
-        control_period: Time between two decisions (s).
-        obs_mode: Observation mode of a receiver.
-    """
-
-    features: FeaturesLike
-    action_scheme: SchemeLike
-    control_period: float = 0.1
-    obs_mode: str = STATE
 
 
 class FunctionPolicy(Policy):
     """Policy that encodes observations, evaluates a function or a network, and decodes its outputs.
 
     Args:
-        agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
         function: Function from inputs to outputs: a plain function, a `TorchFunction` or a `DenseNetwork`.
-        encoding: Encoding of inputs and outputs.
+        spec: Agent, and encoding of inputs and outputs.
         name: Name of the policy.
         label: Unique label of the policy in result files.
         digest: Hash of function and encoding.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
+
+    Attributes:
+        function: Function from inputs to outputs.
+        spec: Agent, and encoding of inputs and outputs.
+        scheme: Action scheme that decodes the outputs.
 
     Raises:
         OptionError: The function does not fit features or action scheme, or the action scheme has no wait.
@@ -66,45 +46,26 @@ class FunctionPolicy(Policy):
 
     def __init__(
         self,
-        agent: str,
         context: PolicyContext,
         function: Callable[[Any], Any],
-        encoding: Encoding,
+        spec: PolicySpec,
         name: str = "function",
         label: str = "function",
         digest: str = "",
         wait: float | None = None,
     ) -> None:
         self.name = name  # type: ignore[misc]
-        self.obs_mode = encoding.obs_mode
-        self._agent, self._label, self._digest, self._encoding = agent, label, digest, encoding
-        self._function, self._scheme = function, make_scheme(agent, encoding.action_scheme, context)
+        self.obs_mode, self._label, self._digest = spec.obs_mode, label, digest
+        self.function, self.spec, self.scheme = function, spec, make_scheme(spec.agent, spec.actions, context)
         self._features: AgentFeatures | None = None
-        if not (isinstance(encoding.features, str) and encoding.features == OBSERVATION):
-            self._features = make_features(agent, encoding.features, context)
+        if not (isinstance(spec.features, str) and spec.features == OBSERVATION):
+            self._features = make_features(spec.agent, spec.features, context)
         if wait is not None:
-            if not self._scheme.wait:
-                raise OptionError(f"{name}: action scheme {self._scheme.name!r} has no wait; remove wait={wait}")
-            self._scheme.wait = milliseconds_from_wait(wait) / 1000.0
-        if isinstance(function, DenseNetwork):
-            self._check_sizes(function)
-        elif isinstance(function, TorchFunction):
+            if not self.scheme.wait:
+                raise OptionError(f"{name}: action scheme {self.scheme.name!r} has no wait; remove wait={wait}")
+            self.scheme.wait = milliseconds_from_wait(wait) / 1000.0
+        if isinstance(function, (DenseNetwork, TorchFunction)):
             self._try_zeros(context)
-
-    @property
-    def scheme(self) -> SingleScheme:
-        """Action scheme that decodes the outputs."""
-        return self._scheme
-
-    @property
-    def features(self) -> FeaturesLike:
-        """Features that the function receives, or `OBSERVATION` if it receives whole observations."""
-        return self._encoding.features
-
-    @property
-    def function(self) -> Callable[[Any], Any]:
-        """Function from inputs to outputs."""
-        return self._function
 
     @property
     def label(self) -> str:
@@ -119,55 +80,42 @@ class FunctionPolicy(Policy):
     @property
     def wait(self) -> float:
         """Time for which the robot stays at its waiting pose at the start of an episode (s)."""
-        return self._scheme.wait
+        return self.scheme.wait
 
     @property
     def hold_time(self) -> float:
         """Time between two decisions (s), as in training."""
-        return self._encoding.control_period
+        return self.spec.control_period
 
     def reset(self, seed: int | None = None) -> None:
         """Clear the state of the previous episode; a function with a method `reset(seed)` is reset too."""
-        self._scheme.reset()
+        self.scheme.reset()
         if self._features is not None:
             self._features.reset()
-        reset_function(self._function, seed)
+        reset_function(self.function, seed)
 
     def act(self, observation: Observation) -> Action:
         """Return the next action; evaluate the function only if the action scheme requires it."""
-        if self._scheme.needs_outputs(observation):
+        if self.scheme.needs_outputs(observation):
             inputs = observation if self._features is None else self._features(observation)
-            self._scheme.set_outputs(self.evaluate(inputs))
-        return self._scheme.compute_action(observation)
+            self.scheme.set_outputs(self.evaluate(inputs))
+        return self.scheme.compute_action(observation)
 
     def evaluate(self, inputs: Any) -> npt.NDArray[np.float32]:
         """Return the outputs (n_outputs,) of the function for encoded inputs.
 
         Raises:
-            ActionError: The outputs are not `n_outputs` finite real numbers.
+            ActionError: The outputs are not `n_outputs` finite numbers.
         """
-        outputs, what = self._function(inputs), f"outputs of the {self._agent} {self.name!r}"
-        if isinstance(outputs, np.ndarray) and outputs.dtype.kind not in "biuf":
-            raise ActionError(f"{what} must be real numbers, got an array of {outputs.dtype}")
-        if outputs is None:
-            raise ActionError(f"{what} must be numbers, got None; return them")
-        return check_vector(what, outputs, self._scheme.size, "as its action scheme decodes")
-
-    def _check_sizes(self, network: DenseNetwork) -> None:
-        n_inputs = network.n_inputs if self._features is None else self._features.size
-        if (network.n_inputs, network.n_outputs) != (n_inputs, self._scheme.size):
-            raise OptionError(
-                f"{self._label}: the network must have {n_inputs} inputs for features {self.features!r} and "
-                f"{self._scheme.size} outputs for actions {self._scheme.name!r}, got {network.n_inputs} and "
-                f"{network.n_outputs}; pass the encoding of its training"
-            )
+        what = f"outputs of the {self.spec.agent} {self.name!r}"
+        return check_vector(what, self.function(inputs), self.scheme.size, "as its action scheme decodes")
 
     def _try_zeros(self, context: PolicyContext) -> None:
-        """Check the sizes of a module by its outputs for zeros, which need not be finite."""
+        """Check the sizes of a network by its outputs for zeros, which need not be finite."""
         wanted = "the observation" if self._features is None else f"features of shape (1, {self._features.size})"
         try:
             with np.errstate(all="ignore"):
-                outputs = self._function(_make_zeros(self._get_input_space(context)))
+                outputs = self.function(_make_zeros(self._get_input_space(context)))
         except HandoverError:
             raise
         except Exception as error:  # code of the user
@@ -175,17 +123,17 @@ class FunctionPolicy(Policy):
                 f"{self.name!r} must accept {wanted}, got {type(error).__name__}: {shorten_text(error)}; pass the "
                 "features of its training"
             ) from error
-        if not isinstance(outputs, np.ndarray) or outputs.shape != (self._scheme.size,):
+        if not isinstance(outputs, np.ndarray) or outputs.shape != (self.scheme.size,):
             got = f"shape {outputs.shape}" if isinstance(outputs, np.ndarray) else type(outputs).__name__
             raise OptionError(
-                f"{self.name!r} must return outputs of shape (1, {self._scheme.size}) for action scheme "
-                f"{self._scheme.name!r}, got {got}; pass the action scheme of its training"
+                f"{self.name!r} must return outputs of shape (1, {self.scheme.size}) for action scheme "
+                f"{self.scheme.name!r}, got {got}; pass the action scheme of its training"
             )
 
     def _get_input_space(self, context: PolicyContext) -> spaces.Space[Any]:
         if self._features is not None:
             return self._features.space
-        if self._agent == "giver":
+        if self.spec.agent == "giver":
             return giver_observation_space(context.config.giver)
         return receiver_observation_space(self.obs_mode)
 
@@ -299,10 +247,7 @@ class LearnedPolicy(FunctionPolicy):
     ) -> None:
         if path is None and agent != "giver":
             raise OptionError(f"{agent} 'learned' needs a policy file: learned:FILE, see experiments/")
-        found = read_policy(
-            DEFAULT_GIVER_FILE if path is None else Path(path).expanduser(), agent, trust, control_period
-        )
-        encoding = Encoding(found.spec.features, found.spec.actions, found.spec.control_period)
-        # Its name and the name and hash of the file.
-        label = self.name if path is None else f"{self.name}:{found.label}"
-        super().__init__(agent, context, found.function, encoding, self.name, label, wait=wait)
+        file = DEFAULT_GIVER_FILE if path is None else Path(path).expanduser()
+        spec, network, file_label = read_policy(file, agent, trust, control_period=control_period)
+        label = self.name if path is None else f"{self.name}:{file_label}"
+        super().__init__(context, network, spec, self.name, label, wait=wait)

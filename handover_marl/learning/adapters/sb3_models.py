@@ -21,8 +21,13 @@ from torch import nn
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.adapters.torch_modules import dense_network_from_layers
-from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
+from handover_marl.learning.policy_spec import (
+    RAW_ENCODINGS,
+    DenseNetwork,
+    InputNormalization,
+    OutputBounds,
+    dense_network_from_layers,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -104,20 +109,18 @@ def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
     raise DataFormatError(f"the model must be of PPO, A2C, SAC, TD3 or DDPG, got {type(model).__name__}")
 
 
-def get_recorded_encoding(model: BaseAlgorithm) -> tuple[str | None, str | None, str | None, float | None]:
-    """Return agent, features, action scheme and control period (s) of the environment of a model's training.
-
-    They are attributes of the action space. Each is None if it is not known.
-    """
+def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
+    """Return the fields of `PolicySpec` that a model records: the environment of its training, in the action space."""
     space: Any = model.action_space
-    names, period = getattr(space, "encoding", None), getattr(space, "control_period", None)
-    if isinstance(names, dict):
-        return names.get("agent"), names.get("features"), names.get("actions"), period
-    for agent, make_space in _SPACES.items():
-        own = make_space()
-        if space.shape == own.shape and np.allclose(space.low, own.low) and np.allclose(space.high, own.high):
-            return (agent, *RAW_ENCODINGS[agent], period)
-    return None, None, None, period
+    recorded = dict(getattr(space, "encoding", {}))
+    if not recorded:
+        for agent, make_space in _SPACES.items():
+            own = make_space()
+            if space.shape == own.shape and np.allclose(space.low, own.low) and np.allclose(space.high, own.high):
+                features, actions = RAW_ENCODINGS[agent]
+                recorded = {"agent": agent, "features": features, "actions": actions}
+    period = getattr(space, "control_period", None)
+    return recorded if period is None else recorded | {"control_period": period}
 
 
 def find_input_normalization(env: VecNormalize) -> InputNormalization | None:

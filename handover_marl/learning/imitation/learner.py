@@ -63,7 +63,9 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         averaged: Network with the averaged weights, for use after training.
     """
 
-    def __init__(self, network: Network, updates: int, device: torch.device, config: LearnerConfig) -> None:
+    def __init__(
+        self, network: Network, updates: int, device: torch.device, config: LearnerConfig = LearnerConfig()
+    ) -> None:
         self._config, self._updates, self._device = config, updates, device
         self._network = network.to(device)
         self.averaged = copy.deepcopy(self._network).eval()

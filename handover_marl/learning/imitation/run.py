@@ -41,7 +41,6 @@ class ImitationArgs(DatasetArgs):
     Attributes:
         out: Folder of the run.
         seed: Seed of all random numbers.
-        rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         updates: Total number of gradient updates.
         batch_size: Number of samples per gradient update.
         val_scenes: Number of validation scenes, evenly chosen.
@@ -53,7 +52,6 @@ class ImitationArgs(DatasetArgs):
 
     out: str = "runs/imitation"
     seed: int = 0
-    rounds: int = 2
     updates: int = 12_000
     batch_size: int = 64
     val_scenes: int = 36
@@ -66,12 +64,6 @@ class ImitationArgs(DatasetArgs):
         for name in ("updates", "batch_size", "threads"):
             if getattr(self, name) < 1:
                 raise OptionError(f"{name} must be at least 1, got {getattr(self, name)}")
-
-    @property
-    def update_counts(self) -> list[int]:
-        """Number of updates at the end of the first round and of each round in which the network acts."""
-        counts: list[int] = np.linspace(0, self.updates, self.rounds + 2).round().astype(int)[1:].tolist()
-        return counts
 
     @property
     def torch_device(self) -> torch.device:
@@ -147,6 +139,7 @@ class ImitationRun:
         make_batches: Callable[[Samples], Batches],
         held_out: Any,
         options: Sequence[Mapping[str, object]] = ({},),
+        rounds: int = 0,
     ) -> Path:
         """Train in all rounds, and evaluate after each; return the path of the best network's weights.
 
@@ -155,9 +148,10 @@ class ImitationRun:
             make_batches: Function from the samples of all rounds so far to batches.
             held_out: Samples on which the learner is evaluated.
             options: Further options of the receiver in each evaluation.
+            rounds: Number of rounds in which the network acts, evenly spread over the training.
         """
         samples: list[Samples] = []
-        for number, end in enumerate(self._args.update_counts):
+        for number, end in enumerate(np.linspace(0, self._args.updates, rounds + 2).round().astype(int)[1:].tolist()):
             samples.append(collect(number))
             if self._learner.done < end:
                 self._update(make_batches(join_samples(samples)), held_out, end)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from handover_marl.errors import DataNotFoundError, ResultsError
 from handover_marl.execution.files import shorten_text, write_arrays
 from handover_marl.execution.options import PoolConfig
+from handover_marl.execution.pool import map_with_progress
 from handover_marl.execution.reading import read_arrays
-from handover_marl.execution.tasks import map_with_progress
 
 _MAX_BYTES = 1_000_000_000
 

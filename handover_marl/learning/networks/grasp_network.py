@@ -19,13 +19,12 @@ from handover_marl.learning.networks.weights import SavedNetwork
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
 _NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
 _N_ROTATION = 6
-# Names of the settings in weight files of earlier versions.
+# Names of the settings in the shipped weight files, which are of an earlier version.
 _OLD_NAMES = {
     "points": "point_width",
     "group": "group_width",
     "whole": "cloud_width",
     "grasp": "head_width",
-    "hand": "uses_hand_points",
     "groups": "group_sizes",
 }
 
@@ -41,16 +40,13 @@ class GraspNetworkConfig:
         group_width: Number of features that the network computes of each group of points.
         cloud_width: Number of features that the network computes of the whole cloud.
         head_width: Width of the layers that predict grasps.
-        uses_hand_points: Whether points of the person's hand are an input.
-        group_sizes: Numbers of points in the groups around each center, from fine to coarse; if empty,
-            predictions use the center's point and the whole cloud only, as in PointNet.
+        group_sizes: Numbers of points in the groups around each center, from fine to coarse.
     """
 
     point_width: int = 128
     group_width: int = 128
     cloud_width: int = 256
     head_width: int = 256
-    uses_hand_points: bool = True
     group_sizes: tuple[int, ...] = (8, 32)
 
 
@@ -133,20 +129,19 @@ class GraspNetwork(SavedNetwork):
     @classmethod
     def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
         """Create an untrained network from its arguments, as returned by `get_settings`."""
-        named = {_OLD_NAMES.get(name, name): value for name, value in settings.items()}
+        named = {_OLD_NAMES.get(name, name): value for name, value in settings.items() if name != "hand"}
         return cls(GraspNetworkConfig(**(named | {"group_sizes": tuple(named["group_sizes"])})))
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
         """Predict grasps and their quality at the centers of clouds."""
         n_object = clouds.object_points.shape[1]
-        hand_mask = clouds.hand_mask if self.config.uses_hand_points else torch.zeros_like(clouds.hand_mask)
         mean = clouds.object_points.mean(dim=1, keepdim=True)
         positions = torch.cat([clouds.object_points, clouds.hand_points], dim=1)
         is_hand = torch.zeros_like(positions[..., :1])
         is_hand[:, n_object:] = 1.0
         local = _NEAR_SCALE * 0.5 * (positions - mean)
         points = self.points(torch.cat([local, _FAR_SCALE * positions, is_hand], dim=-1))
-        mask = torch.cat([torch.ones_like(clouds.object_points[..., 0], dtype=torch.bool), hand_mask], dim=1)
+        mask = torch.cat([torch.ones_like(clouds.object_points[..., 0], dtype=torch.bool), clouds.hand_mask], dim=1)
         whole = self._encode_cloud(points, mask, clouds)
         centers = clouds.get_center_points()
         features = [
@@ -182,8 +177,6 @@ class GraspNetwork(SavedNetwork):
             mask: (B, N + M) valid points.
             centers: (B, C, 3) positions relative to the same mean (m).
         """
-        if not self.config.group_sizes:
-            return []
         with torch.no_grad():
             distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
             near = distances.topk(max(self.config.group_sizes), dim=-1, largest=False).indices

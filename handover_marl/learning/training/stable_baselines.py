@@ -1,65 +1,49 @@
 """Training of one agent with Stable-Baselines3's PPO. The module needs the extra `train`."""
 
-import functools
+import json
 import math
 import sys
 import time
-import zlib
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from handover_marl import givers
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.envs.arguments import AGENTS, GIVER
+from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
-from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX, EpisodeReturns
-from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
-from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig
 from handover_marl.execution.options import count_available_cores
 from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3
-from handover_marl.learning.encodings.choices import is_reference
-from handover_marl.learning.encodings.custom_features import FeatureExtractor
-from handover_marl.learning.features import make_features
+from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.schemes import make_scheme, outputs_from_action
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.run_folder import (
-    CHECKPOINT,
     OUTCOMES,
     POLICY,
     describe_origin,
     open_run_folder,
-    read_checkpoint,
     select_training_scenes,
     summarize_evaluation,
-    write_checkpoint,
 )
 from handover_marl.learning.training.scene_arguments import RlArgs
-from handover_marl.policies.policy import PolicyContext
 from handover_marl.simulation.engines import MUJOCO
 
-# Number of episodes whose first decisions are recorded together.
-_RECORDED_TOGETHER = 64
+_CHECKPOINT = "checkpoint.zip"
 
 
 @dataclass(frozen=True)
@@ -138,10 +122,13 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     args = args.resolve_setup()
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     envs = make_vec_env(args, agent, partner)
+    checkpoint = folder / _CHECKPOINT
     model = make_ppo(args, envs)
-    checkpoint = folder / CHECKPOINT
     if args.resume and checkpoint.exists():
-        load_checkpoint(model, checkpoint)
+        # Without the pickled Python objects in the file, which `PPO.load` reads.
+        model.set_parameters(str(checkpoint), device="cpu")
+        with zipfile.ZipFile(checkpoint) as archive:
+            model.num_timesteps = json.loads(archive.read("data"))["num_timesteps"]
     else:
         prepare(model)
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
@@ -156,44 +143,27 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
 
 
 def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
-    """Make `args.resolved_num_envs` seeded environments of one learning agent.
-
-    With MuJoCo each core simulates a batch of environments, otherwise each environment has a
-    process of its own. Episodes do not depend on this.
+    """Make `args.resolved_num_envs` seeded environments of one learning agent, in a process per core.
 
     Args:
         args: Arguments of the training.
         agent: Agent that learns, "giver" or "receiver".
         partner: Name of the other agent's policy.
     """
-    envs: VecEnv
-    if args.physics == MUJOCO:
-        envs = BatchVecEnv(
-            vector_env(
-                args.resolved_num_envs,
-                agent,
-                partner,
-                features=args.features,
-                schemes=args.actions,
-                wrappers=[EpisodeReturns],
-                autoreset="same_step",
-                processes=count_available_cores(),
-                config=args.make_env_config(),
-            )
-        )
-    else:
-        make = functools.partial(make_frozen_env, args, agent, partner, args.make_env_config())
-        envs = SubprocVecEnv([lambda: SingleAgentEnv(make())] * args.resolved_num_envs)
-    envs = VecMonitor(envs)
-    envs.seed(args.seed)
-    return envs
-
-
-def make_frozen_env(args: PpoArgs, agent: str, partner: str, config: EnvConfig) -> EncodedEnv:
-    """Make one environment of a learning agent, whose infos have the sums of the reward terms."""
-    frozen = freeze(EpisodeReturns(parallel_env(config)), agent, partner)
-    env: EncodedEnv = encode(frozen, args.features, args.actions)
-    return env
+    envs = vector_env(
+        args.resolved_num_envs,
+        agent,
+        partner,
+        features=args.features,
+        schemes=args.actions,
+        wrappers=[EpisodeReturns],
+        autoreset="same_step",
+        processes=min(args.resolved_num_envs, count_available_cores()),
+        config=args.make_env_config(),
+    )
+    monitored = VecMonitor(BatchVecEnv(envs))
+    monitored.seed(args.seed)
+    return monitored
 
 
 def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
@@ -211,27 +181,6 @@ def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
         seed=args.seed,
         device="cpu",
     )
-
-
-def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write a checkpoint of a PPO model, from which training can be resumed."""
-    state = {"parameters": model.get_parameters(), "num_timesteps": model.num_timesteps}
-    write_checkpoint(path, state | {"random": torch.get_rng_state()})
-
-
-def load_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Restore the state of a PPO model from a checkpoint.
-
-    Raises:
-        ResultsError: The file is not a checkpoint of such a model.
-    """
-
-    def restore(state: dict[str, Any]) -> None:
-        model.set_parameters(state["parameters"], exact_match=True)
-        model.num_timesteps = int(state["num_timesteps"])
-        torch.set_rng_state(state["random"])
-
-    read_checkpoint(path, restore)
 
 
 class EvaluationCallback(BaseCallback):
@@ -287,58 +236,6 @@ class EvaluationCallback(BaseCallback):
             self.logger.record(f"evaluation/{name}", getattr(report, f"{name}_rate"))
         self.logger.dump(self.num_timesteps)
         print(summarize_evaluation(report, f"{self.num_timesteps} decisions"), flush=True)
-        save_checkpoint(self.model, self._folder / CHECKPOINT)
-
-
-def record_first_decisions(
-    args: PpoArgs, partner: str, teacher: str, count: int, seed: int, processes: int
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Record a giver's first decision in each of several episodes, as examples for a learning giver.
-
-    Args:
-        args: Arguments of the training.
-        partner: Name of the receiver.
-        teacher: Name of the giver whose decisions are recorded.
-        count: Number of episodes.
-        seed: Seed of the episodes.
-        processes: Number of processes that simulate the episodes; results do not depend on it.
-
-    Returns:
-        Features (count, m), and outputs (count, k) whose action is the nearest to the teacher's.
-    """
-
-    class TeacherFeatures(FeatureExtractor):
-        """Features of the giver, followed by the outputs whose action is the nearest to the teacher's."""
-
-        def __init__(self, context: PolicyContext) -> None:
-            super().__init__(context)
-            self._features = make_features(GIVER, args.features, context)
-            self._scheme = make_scheme(GIVER, args.actions, context)
-            self._teacher = givers.make(teacher, args.open_dataset())
-            self.size = self._features.size + self._scheme.size
-
-        def reset(self) -> None:
-            self._features.reset()
-
-        def __call__(self, observation: Observation) -> npt.NDArray[np.float32]:
-            # Each observation gets a seed of its own, which does not depend on the other environments.
-            self._teacher.reset(zlib.crc32(observation["object_poses"].tobytes()))
-            action = self._teacher.act(observation)
-            outputs = outputs_from_action(self._scheme, action, observation)
-            return np.concatenate([self._features(observation), outputs]).astype(np.float32)
-
-    envs = vector_env(
-        min(count, _RECORDED_TOGETHER),
-        GIVER,
-        partner,
-        features=TeacherFeatures,
-        schemes=args.actions,
-        autoreset="disabled",
-        processes=processes,
-        config=args.make_env_config(),
-    )
-    size = envs.single_action_space.shape[0]
-    seeds = [seed, *[None] * ((count - 1) // envs.num_envs)]
-    found = np.concatenate([envs.reset(seed=one)[0] for one in seeds])[:count]
-    envs.close()
-    return found[:, :-size], found[:, -size:]
+        part = self._folder / f"part_{_CHECKPOINT}"
+        self.model.save(part)
+        part.replace(self._folder / _CHECKPOINT)

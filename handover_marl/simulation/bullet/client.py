@@ -5,7 +5,6 @@ import ctypes
 import functools
 import inspect
 import locale
-import math
 import os
 import sys
 import threading
@@ -55,9 +54,6 @@ CONTACT_BODY_B, CONTACT_LINK_A, CONTACT_POSITION_ON_A, CONTACT_DISTANCE, CONTACT
 # Functions of PyBullet that read model files.
 _FILE_READERS = ("createCollisionShape", "createVisualShape", "loadURDF")
 _locale_lock = threading.Lock()
-
-# Straight up or down PyBullet's window has no upward direction and stays empty (degrees).
-_MAX_PITCH = 89.9
 
 #: Class of all errors that PyBullet raises.
 pybullet_error: type[Exception] = pybullet.error
@@ -135,74 +131,32 @@ def connect(window: bool = False) -> BulletClient:
         _require_screen()
     client = BulletClient(pybullet.GUI)
     client.configureDebugVisualizer(client.COV_ENABLE_GUI, 0)
-    aim_window(client, CameraConfig())
+    # The view of the default overview camera.
+    view = {"cameraDistance": 1.6155494421403513, "cameraYaw": 90.0, "cameraPitch": -21.801409486351815}
+    client.resetDebugVisualizerCamera(**view, cameraTargetPosition=CameraConfig().target)
     return client
 
 
 def _require_screen() -> None:
-    """Check that there is an X server with OpenGL; without one PyBullet ends the whole process.
+    """Check that there is an X server; without one PyBullet ends the whole process.
 
     Raises:
-        SimulationError: There is no such X server.
+        SimulationError: There is no X server.
     """
-    fault = _find_screen_fault()
-    if fault:
+    fault = f"no X server answers at DISPLAY={os.environ.get('DISPLAY')}"
+    try:
+        # The same file that PyBullet opens.
+        x11 = ctypes.CDLL("libX11.so.6")
+        x11.XOpenDisplay.restype, x11.XCloseDisplay.argtypes = ctypes.c_void_p, (ctypes.c_void_p,)
+        display = x11.XOpenDisplay(None)
+    except OSError:
+        display, fault = None, "libX11, the X11 client library, is not installed"
+    if not display:
         raise SimulationError(
             f'render_mode="human" opens a window and needs a screen, but {fault}. '
             'Use render_mode="rgb_array", or start the program under xvfb-run.'
         )
-
-
-def _find_screen_fault() -> str:
-    """Return the reason why PyBullet cannot open a window; an empty string if it can."""
-    name = os.environ.get("DISPLAY")
-    if not name:
-        return "DISPLAY is not set"
-    try:
-        # The same file that PyBullet opens.
-        x11 = ctypes.CDLL("libX11.so.6")
-    except OSError:
-        return "libX11, the X11 client library, is not installed"
-    x11.XOpenDisplay.argtypes, x11.XOpenDisplay.restype = (ctypes.c_char_p,), ctypes.c_void_p
-    x11.XQueryExtension.argtypes = (ctypes.c_void_p, ctypes.c_char_p, *[ctypes.POINTER(ctypes.c_int)] * 3)
-    x11.XCloseDisplay.argtypes = (ctypes.c_void_p,)
-    display = x11.XOpenDisplay(os.fsencode(name))
-    if not display:
-        return f"no X server answers at DISPLAY={name}"
-    codes = [ctypes.c_int() for _ in range(3)]
-    has_opengl = x11.XQueryExtension(display, b"GLX", *map(ctypes.byref, codes))
     x11.XCloseDisplay(display)
-    return "" if has_opengl else f"the X server at DISPLAY={name} has no OpenGL (GLX)"
-
-
-def aim_window(client: BulletClient, camera: CameraConfig) -> None:
-    """Set the viewpoint of PyBullet's window to the pose of a camera; do nothing without a window.
-
-    The window keeps its own size and field of view.
-    """
-    distance, yaw, pitch = _compute_orbit(camera)
-    client.resetDebugVisualizerCamera(distance, yaw, pitch, camera.target)
-
-
-def _compute_orbit(camera: CameraConfig) -> tuple[float, float, float]:
-    """Return distance (m), yaw and pitch (degrees) of a camera for PyBullet's window.
-
-    The angles are those of an orbit around the target: at yaw 0 the camera looks along +y, a
-    positive yaw turns it to the left, a negative pitch downwards.
-    """
-    x, y, z = (target - position for target, position in zip(camera.target, camera.position, strict=True))
-    pitch = math.degrees(math.atan2(z, math.hypot(x, y)))
-    return math.hypot(x, y, z), math.degrees(math.atan2(-x, y)), min(max(pitch, -_MAX_PITCH), _MAX_PITCH)
-
-
-@contextlib.contextmanager
-def pause_window_rendering(client: BulletClient) -> Iterator[None]:
-    """Pause rendering in PyBullet's window while this context is active."""
-    client.configureDebugVisualizer(client.COV_ENABLE_RENDERING, 0)
-    try:
-        yield
-    finally:
-        client.configureDebugVisualizer(client.COV_ENABLE_RENDERING, 1)
 
 
 def load_urdf(client: BulletClient, path: Path | str, **options: object) -> int:

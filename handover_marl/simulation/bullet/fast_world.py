@@ -12,31 +12,26 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.rendering import render_overview
 from handover_marl.simulation.bullet.sleepable_bodies import (
     HandCollisionModel,
     KinematicHand,
-    Sleepable,
     SleepableObject,
-    VisualBodies,
     load_hand_collision_model,
     read_bounding_spheres,
 )
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
-from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion, track_references
 
 _NO_CONTACTS = Contacts()
 # A body with fewer contact-free steps ahead is woken: frequent predictions cost more than its simulation.
 _MIN_FREE_STEPS = 5
-# Period at which the window shows hand and objects (steps).
-_WINDOW_PERIOD = 20
 
 
 class FastWorld(BulletWorld):
@@ -54,9 +49,8 @@ class FastWorld(BulletWorld):
         self._hand_models: dict[Path, HandCollisionModel] = {}
         self._objects: list[SleepableObject] = []
         self._hand: KinematicHand | None = None
-        self._visual_bodies = VisualBodies(self._client) if window else None
-        # Physics steps since the last reset; current row and length of the reference motion.
-        self._n_steps, self._row, self._n_rows = 0, -1, 0
+        # Current row and length of the reference motion.
+        self._row, self._n_rows = -1, 0
         # Sleeping bodies are safe before this row, as long as the robot has this target.
         self._free_until, self._free_target = 0, list[float]()
 
@@ -65,7 +59,10 @@ class FastWorld(BulletWorld):
         assets = scene.assets
         files = (assets.table, assets.panda)
         with self._start_scene(scene):
-            self._remove_scene_bodies()
+            for body in [self._hand, *(item.body for item in self._objects)]:
+                if body is not None:
+                    body.remove()
+            self._objects, self._hand = [], None
             if self._workcell is None or files != self._workcell_files:
                 self._workcell = None
                 self._hand_models.clear()
@@ -81,7 +78,9 @@ class FastWorld(BulletWorld):
             self._reset_broad_phase(panda)
             if assets.hand not in self._hand_models:
                 self._hand_models[assets.hand] = load_hand_collision_model(self._client, assets.hand)
-            self._hand = KinematicHand(self._client, self._hand_models[assets.hand], self._config.hand, start)
+            hand_joints = start.hand[0] if start.hand_present[0] else None
+            model = self._hand_models[assets.hand]
+            self._hand = KinematicHand(self._client, model, self._config.hand, hand_joints)
             masks = compute_object_masks(scene.info.object_ids)
             for urdf, mask, state in zip(assets.objects, masks, start.objects[0], strict=True):
                 self._objects.append(SleepableObject(self._client, urdf, mask, state, self._config.objects))
@@ -91,9 +90,12 @@ class FastWorld(BulletWorld):
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
         self._row, self._n_rows, self._free_until = -1, len(motion.hand), 0
-        self._loaded_hand.set_reference(motion)
+        asleep = []
         for number, item in enumerate(self._objects):
-            item.set_reference(motion.objects[:, number])
+            item.targets = motion.objects[:, number].tolist()
+            if not item.is_awake:
+                asleep.append((item, motion.objects[:, number], None))
+        track_references([(self._loaded_hand, motion.hand, motion.hand_present), *asleep])
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
@@ -104,12 +106,10 @@ class FastWorld(BulletWorld):
             self._wake_reachable_bodies(robot_target)
         self._loaded_workcell.panda.set_motor_targets(robot_target)
         for item in self._objects:
-            item.set_motor_targets(self._row)
+            if item.body is not None:
+                item.body.set_motor_targets(item.targets[self._row])
         self._loaded_hand.move_bodies(self._row)
         self._simulate()
-        self._n_steps += 1
-        if self._visual_bodies is not None and self._n_steps % _WINDOW_PERIOD == 0:
-            self._update_visual_bodies(self._visual_bodies)
 
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of the last step.
@@ -125,22 +125,6 @@ class FastWorld(BulletWorld):
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
         return np.stack([item.read_joints(self._row) for item in self._objects])
-
-    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8."""
-        if self._visual_bodies is not None:
-            self._update_visual_bodies(self._visual_bodies)
-            return render_overview(self._client, camera)
-        return super().render(camera)
-
-    def _remove_scene_bodies(self) -> None:
-        if self._visual_bodies is not None:
-            self._visual_bodies.clear()
-        if self._hand is not None:
-            self._hand.remove()
-        for item in self._objects:
-            item.remove()
-        self._objects, self._hand = [], None
 
     def _reset_broad_phase(self, panda: PandaBody) -> None:
         """Reset Bullet's broad phase to the state of a new client, independent of earlier episodes.
@@ -158,7 +142,7 @@ class FastWorld(BulletWorld):
         """Wake the bodies that the Panda may reach soon; count the contact-free steps of the others."""
         row, panda = self._row, self._loaded_workcell.panda
         self._free_target, self._free_until = robot_target, self._n_rows
-        bodies: list[Sleepable] = [self._loaded_hand, *self._objects]
+        bodies: list[KinematicHand | SleepableObject] = [self._loaded_hand, *self._objects]
         asleep = [body for body in bodies if not body.is_awake]
         if not asleep or self._motion_bounds is None:
             return
@@ -184,19 +168,6 @@ class FastWorld(BulletWorld):
             self._objects[0].body.release()
         self._release_pending = False
 
-    def _update_visual_bodies(self, visual_bodies: VisualBodies) -> None:
-        """Show the hand and the unsimulated objects in PyBullet's window."""
-        for number, item in enumerate(self._objects):
-            if item.is_awake:
-                visual_bodies.hide(number)
-            else:
-                visual_bodies.show(number, item.urdf, item.tree, item.read_joints(self._row))
-        joints, model = self._read_hand_joints(), self._loaded_hand.model
-        if joints is None:
-            visual_bodies.hide("hand")
-        else:
-            visual_bodies.show("hand", model.urdf, model.tree, joints)
-
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
         poses = np.empty((len(self._objects), 7), dtype=np.float32)
         for number, item in enumerate(self._objects):
@@ -205,7 +176,7 @@ class FastWorld(BulletWorld):
 
     def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
         hand = self._loaded_hand
-        return hand.get_joints_float32(self._row) if hand.is_present_after(self._row) else None
+        return hand.get_joints(self._row).astype(np.float32) if hand.is_present_after(self._row) else None
 
     def _read_hand_keypoints(self) -> npt.NDArray[np.float32] | None:
         hand = self._loaded_hand

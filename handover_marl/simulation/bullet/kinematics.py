@@ -140,7 +140,7 @@ class BulletIKSolver(IkSolver):
         if np.linalg.norm(hand - target) >= _POSITION_TOLERANCE:
             return False
         turned = multiply_quaternions(rotation, self._mass_from_hand[3:])
-        return orientation is None or compute_rotation_angles(turned, orientation) < _ANGLE_TOLERANCE
+        return orientation is None or bool(compute_rotation_angles(turned, orientation) < _ANGLE_TOLERANCE)
 
 
 class BulletDistanceQuery(DistanceQuery):

@@ -121,14 +121,15 @@ class SceneRenderer:
     Args:
         scene: Scene to render.
         config: Poses of robot and table.
+        client: Physics client to load the scene into, for example that of a window; None for a new one.
 
     Attributes:
         scene: Scene that is rendered.
     """
 
-    def __init__(self, scene: Scene, config: PhysicsConfig) -> None:
+    def __init__(self, scene: Scene, config: PhysicsConfig, client: BulletClient | None = None) -> None:
         self.scene = scene
-        self._client, self._config = connect(), config
+        self._client, self._config = client or connect(), config
         self._workcell = load_workcell(self._client, scene.assets, config)
         start = InitialState([0.0] * 6)
         self._objects = [
@@ -139,18 +140,19 @@ class SceneRenderer:
 
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render an RGB image (height, width, 3) of the scene at given joint positions."""
-        self._set_joints(snapshot)
+        self.set_joints(snapshot)
         return render_overview(self._client, camera)
 
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render an image of the wrist camera at given joint positions of all bodies."""
-        self._set_joints(snapshot)
+        self.set_joints(snapshot)
         objects = [body.id for body in self._objects]
         hand = None if self._hand is None else self._hand.id
         labels = label_bodies(self._workcell.table_id, self._workcell.panda.id, objects, hand)
         return render_wrist_camera(self._client, self._workcell.panda, labels, color)
 
-    def _set_joints(self, snapshot: JointSnapshot) -> None:
+    def set_joints(self, snapshot: JointSnapshot) -> None:
+        """Set the joint positions of all bodies."""
         self._workcell.panda.reset_joints(snapshot.robot.tolist())
         for body, dof in zip(self._objects, snapshot.objects.tolist(), strict=True):
             body.reset_joints(dof)

@@ -1,19 +1,18 @@
-"""Hand and objects that are added to a PyBullet simulation only while the Panda may touch them, and shapes of models.
+"""Hand and objects that are added to a PyBullet simulation only while the Panda may touch them.
 
 Otherwise they follow their references kinematically. Row k is step k of the current reference
 motion; row -1 is the state before its first step.
 """
 
 import functools
-from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HandConfig, ObjectConfig
+from handover_marl.config import TIME_STEP, HandConfig, ObjectConfig
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
@@ -22,10 +21,10 @@ from handover_marl.simulation.bullet.bodies import HAND_MASK, InitialState, Obje
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf, pybullet_error
 from handover_marl.simulation.reference_tracking import (
     BASE_JOINTS,
-    HandTrajectory,
-    ObjectTrajectory,
-    ReferenceMotion,
-    set_hand_references,
+    BodyTrajectory,
+    list_hand_motors,
+    list_object_motors,
+    select_keypoint_links,
 )
 
 # Bullet tests two bodies for collision if either one's mask admits the other. The Panda's mask admits the hand; an
@@ -66,119 +65,7 @@ def _read_bounding_spheres(urdf: Path, changed: int) -> dict[int, BoundingSphere
     return spheres
 
 
-def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
-    """Create a PyBullet collision shape that several bodies can share, and return its number.
-
-    Raises:
-        SimulationError: PyBullet cannot create the shape.
-    """
-    return _create_shape(client, client.createCollisionShape, shape)
-
-
-def create_visual_shape(client: BulletClient, shape: UrdfShape) -> int:
-    """Create a PyBullet visual shape that several bodies can share, and return its number.
-
-    Raises:
-        SimulationError: PyBullet cannot create the shape.
-    """
-    return _create_shape(client, client.createVisualShape, shape, rgbaColor=shape.color)
-
-
-def _create_shape(client: BulletClient, create: Callable[..., int], shape: UrdfShape, **extra: Any) -> int:
-    options: dict[str, Any]
-    if shape.kind == "mesh":
-        options = {"shapeType": client.GEOM_MESH, "fileName": str(shape.mesh), "meshScale": list(shape.size)}
-    elif shape.kind == "box":
-        options = {"shapeType": client.GEOM_BOX, "halfExtents": (np.array(shape.size) / 2.0).tolist()}
-    else:
-        options = {"shapeType": client.GEOM_SPHERE, "radius": shape.size[0]}
-    try:
-        number = int(create(**options, **extra))
-    except pybullet_error as error:
-        raise SimulationError(f"PyBullet cannot create the shape {options} ({error}); check its file") from error
-    if number < 0:
-        raise SimulationError(f"PyBullet cannot create the shape {options}; check its file")
-    return number
-
-
-@dataclass(frozen=True, eq=False)
-class _VisualModel:
-    shapes: list[UrdfShape]
-    bodies: list[int]
-
-
-class VisualBodies:
-    """Visual bodies without collisions, which show unsimulated models in PyBullet's window."""
-
-    def __init__(self, client: BulletClient) -> None:
-        self._client = client
-        self._models: dict[Hashable, _VisualModel] = {}
-
-    def show(self, name: Hashable, urdf: Path, tree: KinematicTree, dof: npt.NDArray[np.floating]) -> None:
-        """Show a model in the window at joint positions, or move its visual body there.
-
-        Args:
-            name: Name of the visual body.
-            urdf: Model file.
-            tree: Kinematic tree of the model.
-            dof: (d,) joint positions of the model (m, rad).
-        """
-        model = self._models.get(name) or self._create(name, urdf, tree)
-        poses = tree.compute_link_poses(dof[None], [shape.link for shape in model.shapes])[0]
-        for shape, body, pose in zip(model.shapes, model.bodies, poses, strict=True):
-            world_from_shape = compose(pose, shape.link_from_shape).tolist()
-            self._client.resetBasePositionAndOrientation(body, world_from_shape[:3], world_from_shape[3:])
-
-    def hide(self, name: Hashable) -> None:
-        """Remove the visual body with a name from the window, if there is one."""
-        model = self._models.pop(name, None)
-        for body in [] if model is None else model.bodies:
-            self._client.removeBody(body)
-
-    def clear(self) -> None:
-        """Remove all visual bodies from the window."""
-        for name in list(self._models):
-            self.hide(name)
-
-    def _create(self, name: Hashable, urdf: Path, tree: KinematicTree) -> _VisualModel:
-        shapes = [shape for shape in read_urdf_shapes(urdf, tree, "visual") if shape.link >= 0]
-        bodies = [
-            self._client.createMultiBody(
-                baseMass=0.0, baseVisualShapeIndex=create_visual_shape(self._client, shape), useMaximalCoordinates=1
-            )
-            for shape in shapes
-        ]
-        self._models[name] = _VisualModel(shapes, bodies)
-        return self._models[name]
-
-
-class Sleepable(Protocol):
-    """Body that is added to the PyBullet simulation only when it is woken."""
-
-    @property
-    def is_awake(self) -> bool:
-        """Whether the body is in the PyBullet simulation."""
-
-    @property
-    def reach(self) -> float:
-        """Largest distance (m) of any point of the body from its reference point.
-
-        The reference point is the one whose positions `predict_positions` returns.
-        """
-
-    def predict_positions(self, row: int) -> npt.NDArray[np.float64]:
-        """Predict the world positions of the body's reference point after each step from `row` on.
-
-        Returns:
-            (n - row, 3) positions (m), for n steps of the current reference motion; inf while the
-            body is absent.
-        """
-
-    def wake(self, row: int) -> None:
-        """Add the body to the simulation before step `row` of the reference motion."""
-
-
-class SleepableObject:
+class SleepableObject(BodyTrajectory):
     """Scene object that is simulated while it is awake and follows its reference kinematically while it sleeps.
 
     Args:
@@ -189,79 +76,46 @@ class SleepableObject:
         config: Motors of the six joints.
 
     Attributes:
-        urdf: Model file.
-        tree: Kinematic tree of the model.
         body: Body in the simulation; None while the object sleeps.
         reach: Largest distance (m) of any point of the object from its origin.
+        targets: Joint targets of the current reference motion, one row per step.
     """
 
     def __init__(
         self, client: BulletClient, urdf: Path, mask: int, start: npt.NDArray[np.float32], config: ObjectConfig
     ) -> None:
-        self.urdf = urdf
+        super().__init__(list_object_motors(config), start)
         self.body: ObjectBody | None = None
-        self.tree = read_tree(urdf)
-        self.reach = self.tree.compute_reach(len(self.tree.joints) - 1, read_bounding_spheres(urdf))
-        self._client, self._mask, self._config = client, mask, config
-        self._trajectory = ObjectTrajectory(config, start)
-        self._targets: list[list[float]] = []
+        self._tree = read_tree(urdf)
+        self.reach = self._tree.compute_reach(len(self._tree.joints) - 1, read_bounding_spheres(urdf))
+        self.targets: list[list[float]] = []
+        self._client, self._urdf, self._mask, self._config = client, urdf, mask, config
 
     @property
     def is_awake(self) -> bool:
         """Whether the object is in the PyBullet simulation."""
         return self.body is not None
 
-    def set_reference(self, targets: npt.NDArray[np.float32]) -> None:
-        """Set the object's joint targets (n, 6) of n coming steps: xyz (m), angles (rad)."""
-        self._targets = targets.tolist()
-        if self.body is None:
-            self._trajectory.set_reference(targets)
-
-    def predict_positions(self, row: int) -> npt.NDArray[np.float64]:
-        """Predict the world positions of a sleeping object's origin after each step from `row` on.
-
-        Returns:
-            (n - row, 3) positions (m), for n steps of the current reference.
-        """
-        return self._trajectory.predict_positions(row)
-
     def wake(self, row: int) -> None:
         """Add the object to the simulation before step `row` of the reference motion."""
         if self.body is None:
-            joints, velocities = self._trajectory.get_joints(row - 1), self._trajectory.compute_velocities(row - 1)
-            start = InitialState(joints.tolist(), velocities.tolist())
-            self.body = ObjectBody(self._client, self.urdf, self._mask, start, self._config)
-
-    def set_motor_targets(self, row: int) -> None:
-        """Set the motor targets of step `row` of the reference if the object is simulated."""
-        if self.body is not None:
-            self.body.set_motor_targets(self._targets[row])
+            joints, before = self.get_joints(row - 1), self.get_joints(row - 2)
+            start = InitialState(joints.tolist(), ((joints - before) / TIME_STEP).tolist())
+            self.body = ObjectBody(self._client, self._urdf, self._mask, start, self._config)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's joints (6,) after step `row` of the reference, float32 (m, rad).
-
-        Row -1 is the state before the first step.
-        """
+        """Return the object's joints (6,) after step `row` of the reference, float32 (m, rad)."""
         if self.body is not None:
             return self.body.read_joint_positions()
-        return self._trajectory.get_joints(row).astype(np.float32)
+        return self.get_joints(row).astype(np.float32)
 
     def read_pose(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the object's world pose (7,) after step `row` of the reference, float32.
-
-        The pose is xyz (m) and quaternion xyzw. Row -1 is the state before the first step.
-        """
+        """Return the object's world pose (7,) after step `row` of the reference, float32: xyz (m), quaternion xyzw."""
         if self.body is not None:
             return self.body.read_pose()
-        poses = self.tree.compute_link_poses(self._trajectory.get_joints(row)[None], [len(self.tree.joints) - 1])
+        poses = self._tree.compute_link_poses(self.get_joints(row)[None], [len(self._tree.joints) - 1])
         pose: npt.NDArray[np.float32] = poses[0, 0].astype(np.float32)
         return pose
-
-    def remove(self) -> None:
-        """Remove the object from the PyBullet simulation."""
-        if self.body is not None:
-            self.body.remove()
-            self.body = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,14 +123,12 @@ class HandCollisionModel:
     """Kinematic tree and collision shapes of a human hand, loaded into one PyBullet client.
 
     Attributes:
-        urdf: Model file.
         tree: Kinematic tree of the model.
         shapes: Collision shapes of the model.
         shape_ids: PyBullet numbers of the collision shapes in the physics client.
         reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
     """
 
-    urdf: Path
     tree: KinematicTree
     shapes: tuple[UrdfShape, ...]
     shape_ids: tuple[int, ...]
@@ -289,14 +141,35 @@ def load_hand_collision_model(client: BulletClient, urdf: Path) -> HandCollision
     Raises:
         SimulationError: The model or one of its shapes cannot be loaded.
     """
-    spheres = read_bounding_spheres(urdf)
     tree = read_tree(urdf)
     shapes = tuple(read_urdf_shapes(urdf, tree, "collision"))
     ids = tuple(create_collision_shape(client, shape) for shape in shapes)
-    return HandCollisionModel(urdf, tree, shapes, ids, tree.compute_reach(BASE_JOINTS - 1, spheres))
+    return HandCollisionModel(tree, shapes, ids, tree.compute_reach(BASE_JOINTS - 1, read_bounding_spheres(urdf)))
 
 
-class KinematicHand(HandTrajectory):
+def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
+    """Create a PyBullet collision shape that several bodies can share, and return its number.
+
+    Raises:
+        SimulationError: PyBullet cannot create the shape.
+    """
+    options: dict[str, Any]
+    if shape.kind == "mesh":
+        options = {"shapeType": client.GEOM_MESH, "fileName": str(shape.mesh), "meshScale": list(shape.size)}
+    elif shape.kind == "box":
+        options = {"shapeType": client.GEOM_BOX, "halfExtents": (np.array(shape.size) / 2.0).tolist()}
+    else:
+        options = {"shapeType": client.GEOM_SPHERE, "radius": shape.size[0]}
+    try:
+        number = int(client.createCollisionShape(**options))
+    except pybullet_error as error:
+        raise SimulationError(f"PyBullet cannot create the shape {options} ({error}); check its file") from error
+    if number < 0:
+        raise SimulationError(f"PyBullet cannot create the shape {options}; check its file")
+    return number
+
+
+class KinematicHand(BodyTrajectory):
     """Kinematic human hand of one scene.
 
     An awake hand has one static body in the PyBullet simulation for each collision shape.
@@ -305,34 +178,30 @@ class KinematicHand(HandTrajectory):
         client: Physics client.
         model: Model with its collision shapes.
         config: Motors of the simulated hand, which the kinematic hand reproduces.
-        start: Reference motion of one row: the initial state of the hand.
+        start: Initial positions (51,) of the joints (m, rad); None for a hand that is absent at first.
 
     Attributes:
-        model: Model with its collision shapes.
         bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
         is_awake: Whether the hand is in the PyBullet simulation while it is present in the scene.
+        reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
     """
 
     def __init__(
-        self, client: BulletClient, model: HandCollisionModel, config: HandConfig, start: ReferenceMotion
+        self,
+        client: BulletClient,
+        model: HandCollisionModel,
+        config: HandConfig,
+        start: npt.NDArray[np.float32] | None,
     ) -> None:
-        self.model = model
+        super().__init__(list_hand_motors(config), start)
         self.bodies: list[int] = []
-        self.is_awake = False
-        self._client = client
+        self.is_awake, self.reach = False, model.reach
+        self._client, self._model = client, model
         self._bodies_at: npt.NDArray[np.float64] | None = None
-        self._shape_poses: npt.NDArray[np.float64] | None = None
-        super().__init__(model.tree, config, start)
-
-    @property
-    def reach(self) -> float:
-        """Largest distance (m) of any point of the hand from the origin of its wrist joints."""
-        return self.model.reach
-
-    def set_reference(self, motion: ReferenceMotion) -> None:
-        """Compute the hand's joint positions in all steps of a new reference motion."""
-        set_hand_references([self], [motion])
-        self._shape_poses = None
+        # Trajectory for which the poses (n + 2, k, 7) of the k collision shapes were computed.
+        self._shape_poses: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
+        # Observations often read a hand at rest: the joints and keypoints of the last call.
+        self._cached_keypoints: tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]] | None = None
 
     def wake(self, row: int) -> None:
         """Add the hand to the simulation from step `row` of the reference motion on."""
@@ -342,41 +211,46 @@ class KinematicHand(HandTrajectory):
         """Move the hand's bodies to their poses after step `row`, before that step is simulated."""
         if not self.is_awake:
             return
-        if not self._present[row + 1]:
+        if not self.is_present_after(row):
             self.remove()
             return
-        joints = self._joints[row + 1]
+        joints = self.get_joints(row)
         if self._bodies_at is not None and np.abs(joints - self._bodies_at).max() < _REST_TOLERANCE:
             return
         self._bodies_at = joints
-        if self._shape_poses is None:
-            self._shape_poses = self._compute_shape_poses()
-        poses = self._shape_poses[row + 1].tolist()
+        if self._shape_poses is None or self._shape_poses[0] is not self.joints:
+            shapes = self._model.shapes
+            links = self._model.tree.compute_link_poses(self.joints, [shape.link for shape in shapes])
+            poses = [compose(links[:, number], shape.link_from_shape) for number, shape in enumerate(shapes)]
+            self._shape_poses = self.joints, np.stack(poses, axis=1)
+        coming = self._shape_poses[1][row + 2].tolist()
         if not self.bodies:
-            self._create_bodies(poses)
+            self._create_bodies(coming)
             return
-        for body, pose in zip(self.bodies, poses, strict=True):
+        for body, pose in zip(self.bodies, coming, strict=True):
             self._client.resetBasePositionAndOrientation(body, pose[:3], pose[3:])
 
     def remove(self) -> None:
         """Remove the hand's bodies from the PyBullet simulation."""
         for body in self.bodies:
             self._client.removeBody(body)
-        self.bodies = []
-        self._bodies_at = None
+        self.bodies, self._bodies_at = [], None
 
-    def _compute_shape_poses(self) -> npt.NDArray[np.float64]:
-        """Compute the world poses (n + 1, k, 7) of the hand's k collision shapes.
+    def compute_keypoints(self, row: int) -> npt.NDArray[np.float32]:
+        """Return the hand's keypoints (16, 3) after step `row` of the reference, float32 (m).
 
-        The poses are those before the first and after each of n steps.
+        The keypoints are the world positions of the wrist and of 15 finger joints.
         """
-        shapes = self.model.shapes
-        links = self.model.tree.compute_link_poses(self._joints, [shape.link for shape in shapes])
-        poses = [compose(links[:, number], shape.link_from_shape) for number, shape in enumerate(shapes)]
-        return np.stack(poses, axis=1)
+        joints = self.get_joints(row)
+        if self._cached_keypoints is None or not np.array_equal(joints, self._cached_keypoints[0]):
+            origins, _ = self._model.tree.compute_link_frames(joints[None])
+            links = select_keypoint_links(self._model.tree.moving_links)
+            self._cached_keypoints = joints, origins[0, links].astype(np.float32)
+        keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
+        return keypoints
 
     def _create_bodies(self, poses: list[list[float]]) -> None:
-        for shape_id, pose in zip(self.model.shape_ids, poses, strict=True):
+        for shape_id, pose in zip(self._model.shape_ids, poses, strict=True):
             body = self._client.createMultiBody(
                 baseMass=0.0,
                 baseCollisionShapeIndex=shape_id,

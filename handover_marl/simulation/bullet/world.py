@@ -21,15 +21,20 @@ from handover_marl.simulation.bullet.client import (
     BulletClient,
     check_model_files,
     connect,
-    pause_window_rendering,
     pybullet_error,
 )
+from handover_marl.simulation.bullet.rendering import SceneRenderer
 from handover_marl.simulation.contacts import NO_POINTS, Contacts, Points
 from handover_marl.simulation.world import AgentJoints, World, WorldState
+
+# Period at which the window is drawn (steps).
+_WINDOW_PERIOD = 20
 
 
 class BulletWorld(World):
     """Base class of the PyBullet worlds: owns the physics client.
+
+    A window belongs to a client of its own, so that it does not change the simulation.
 
     Args:
         config: Constants of the world.
@@ -38,13 +43,17 @@ class BulletWorld(World):
 
     def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
         super().__init__(config)
-        self._client: BulletClient = connect(window)
+        self._client: BulletClient = connect()
+        self._window: BulletClient | None = connect(window=True) if window else None
+        self._shown: SceneRenderer | None = None
+        # Physics steps since the last reset.
+        self._n_steps = 0
         self._workcell: Workcell | None = None
         self._release_pending = False
 
     @contextmanager
     def _start_scene(self, scene: Scene) -> Iterator[None]:
-        """Check a scene's files, and pause the window while its models are loaded in this context.
+        """Check a scene's files, and show the scene in the window once its models are loaded in this context.
 
         Raises:
             OSError: The URDF file of a model cannot be read.
@@ -54,8 +63,8 @@ class BulletWorld(World):
             check_model_files(urdf, urdf.stat().st_mtime_ns)
         self._scene, self._release_pending = scene, False
         try:
-            with pause_window_rendering(self._client):
-                yield
+            yield
+            self._update_window()
         except pybullet_error as error:
             raise _make_connection_error(error) from error
 
@@ -85,9 +94,11 @@ class BulletWorld(World):
         return self._loaded_workcell.panda.read_joints_float64()
 
     def close(self) -> None:
-        """Disconnect from the PyBullet physics server."""
+        """Disconnect from the PyBullet physics servers."""
         super().close()
         self._client.close()
+        if self._window is not None:
+            self._window.close()
 
     @abstractmethod
     def _read_object_poses(self) -> npt.NDArray[np.float32]:
@@ -107,9 +118,20 @@ class BulletWorld(World):
             raise ResetNeededError("the world has no scene; call reset() first")
         return self._workcell
 
+    def _update_window(self) -> None:
+        """Show the current state in PyBullet's window, if there is one."""
+        if self._window is None or self._scene is None:
+            return
+        if self._shown is None or self._shown.scene is not self._scene:
+            self._shown = SceneRenderer(self._scene, self._config, self._window)
+        self._shown.set_joints(self.read_joint_snapshot())
+
     def _simulate(self) -> None:
         try:
             self._client.stepSimulation()
+            self._n_steps += 1
+            if self._n_steps % _WINDOW_PERIOD == 0:
+                self._update_window()
         except pybullet_error as error:
             raise _make_connection_error(error) from error
 

@@ -15,11 +15,11 @@ from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, 
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
 from handover_marl.simulation.mujoco.sleep import SleepState
 from handover_marl.simulation.reference_tracking import (
-    HandTrajectory,
+    BodyTrajectory,
     ReferenceMotion,
+    list_hand_motors,
     select_keypoint_links,
-    set_hand_references,
-    set_object_references,
+    track_references,
 )
 
 Array = npt.NDArray[np.float64]
@@ -41,7 +41,7 @@ class WorldController:
     Attributes:
         data: Model and state of the world.
         robot: Simulation of the robot alone.
-        hand: Trajectory of the hand, valid once it has tracked the reference; see `track_hand`.
+        hand: Trajectory of the hand, valid once it has tracked the reference; see `track_worlds`.
         sleep: Sleep state of the world; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion; -1 before its first step.
@@ -66,7 +66,7 @@ class WorldController:
         scene = data.scene
         self.data, self.reference, self.row = data, start, -1
         tree = read_tree(hand_urdf)
-        self.hand = HandTrajectory(tree, config.hand, start)
+        self.hand = BodyTrajectory(list_hand_motors(config.hand), start.hand[0] if start.hand_present[0] else None)
         self.robot = simulation.get_robot(scene.robot_only)
         self.sleep: SleepState | None = SleepState(scene, self.robot, config, start)
         self.robot_target: list[float] | None = None
@@ -89,20 +89,20 @@ class WorldController:
         left = len(self.reference.objects) - (self.row + 1)
         return left if self.sleep is None else min(left, self.sleep.count_free_steps(self.row + 1))
 
-    def track_hand(self) -> HandTrajectory:
-        """Return the trajectory of the human hand under the current reference motion."""
-        track_references([self])
-        return self.hand
+    def get_hand_joints(self) -> Array | None:
+        """Return the current joint positions (51,) of the human hand (m, rad), or None without a hand."""
+        track_worlds([self])
+        return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
-    def compute_keypoints(self) -> npt.NDArray[np.float32]:
+    def compute_keypoints(self, joints: Array) -> npt.NDArray[np.float32]:
         """Return the world positions (16, 3) of the human hand's wrist and finger joints (m)."""
-        positions, _ = self._keypoint_kinematics.compute_poses(self.track_hand().get_joints(self.row)[None])
+        positions, _ = self._keypoint_kinematics.compute_poses(joints[None])
         return np.asarray(positions[0], dtype=np.float32)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the reference motion of hand and objects for the coming steps."""
         # Trajectories continue from the end of the last reference.
-        track_references([self])
+        track_worlds([self])
         self.set_state()
         if self.sleep is not None:
             self.sleep.advance_rows(self.row + 1)
@@ -166,7 +166,10 @@ class WorldController:
         self.hand_free_steps = free_steps
         if free_steps >= len(positions):
             return
-        joints, present, changes = self.hand.get_trajectory(self.row + 1)
+        # The first row is the state before the coming steps.
+        joints, present = self.hand.joints[self.row + 2 :], self.hand.present[self.row + 2 :]
+        changes = (joints[1:] != joints[:-1]).any(axis=1) | (present[1:] != present[:-1])
+        joints, present = joints[1:], present[1:]
         # Steps before the hand appears are free of contact, too.
         coming = np.flatnonzero(present[free_steps:])
         self.hand_free_steps = free_steps + (int(coming[0]) if len(coming) else len(present) - free_steps)
@@ -183,19 +186,17 @@ class WorldController:
         positions[steps], quaternions[steps] = poses[0][source], poses[1][source]
 
 
-def track_references(controllers: Sequence[WorldController]) -> None:
+def track_worlds(controllers: Sequence[WorldController]) -> None:
     """Compute the trajectories of hands and sleeping objects under new reference motions."""
     behind = [controller for controller in controllers if not controller.is_tracked]
-    if not behind:
-        return
-    set_hand_references([one.hand for one in behind], [one.reference for one in behind])
-    items = [
-        (item, one.reference.objects[:, number])
+    hands = [(one.hand, one.reference.hand, one.reference.hand_present) for one in behind]
+    objects = [
+        (item, one.reference.objects[:, number], None)
         for one in behind
         if one.sleep is not None
         for number, item in enumerate(one.sleep.objects)
     ]
-    set_object_references([item for item, _ in items], [targets for _, targets in items])
+    track_references([*hands, *objects])
     for controller in behind:
         controller.is_tracked = True
 
@@ -207,7 +208,7 @@ def prepare_controls(controllers: Sequence[WorldController], robot_targets: Sequ
         controllers: Controllers of the worlds.
         robot_targets: Nine joint targets of each robot (rad, m).
     """
-    track_references(controllers)
+    track_worlds(controllers)
     for controller in controllers:
         controller.release_pending_object()
     groups: dict[tuple[int, ...], list[tuple[WorldController, list[float]]]] = {}

@@ -1,7 +1,5 @@
-"""Distances of collision shapes in MuJoCo: robot to human hand, and between robot links."""
+"""Distances of robot and human hand in MuJoCo."""
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,16 +16,9 @@ from handover_marl.simulation.mujoco.models.collision_shapes import (
     compute_bounding_spheres,
     load_link_parts,
 )
-from handover_marl.simulation.mujoco.models.scene_spec import TUNING
+from handover_marl.simulation.mujoco.models.scene_spec import HULL_MARGIN
 
 Array = npt.NDArray[np.float64]
-
-# Smallest gap (m) of links that count as never colliding, with joints beyond their soft limits by
-# so much (rad, m).
-_MIN_GAP, _LIMIT_OVERSHOOT = 0.01, 0.05
-# Largest number of joints between two links, and of poses to try, before the links count as
-# colliding.
-_MAX_JOINTS, _MAX_POSES = 2, 2000
 
 
 class MujocoDistanceQuery(DistanceQuery):
@@ -106,7 +97,7 @@ def _compile_pair(panda_urdf: Path, hand_urdf: Path) -> _PairModel:
     # Geoms are in the order of their bodies; body 0 is the world.
     robot = model.geom_bodyid <= len(robot_links)
     pairs = np.array([(a, b) for a in np.flatnonzero(robot) for b in np.flatnonzero(~robot)])
-    margins = np.where(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH), TUNING.margin, 0.0)
+    margins = np.where(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH), HULL_MARGIN, 0.0)
     return _PairModel(model, mujoco.MjData(model), robot_links, hand_links, pairs, margins[pairs].sum(axis=1))
 
 
@@ -126,94 +117,3 @@ def _compute_link_poses(tree: KinematicTree, joints: list[float], links: list[in
     # Index -1, the base, selects the last frame.
     frames = np.concatenate([poses_from_rotations(origins, rotations), IDENTITY[None]])
     return np.asarray(compose(world_from_base, frames[links]))
-
-
-def find_never_colliding_pairs(model: "mujoco.MjModel") -> list[tuple[int, int]]:
-    """Find the pairs of robot bodies that cannot collide in any pose within the joint limits.
-
-    This is a proof by interval subdivision, not a sample. If two bodies are farther apart in the
-    middle of a box of joint angles than their points can move inside the box, they touch nowhere in
-    the box; else the box is halved.
-
-    Args:
-        model: Model of the robot alone.
-
-    Returns:
-        Pairs of body numbers.
-    """
-    data = mujoco.MjData(model)
-    solid = [body for body in range(1, model.nbody) if model.body_geomnum[body]]
-    return [pair for pair in itertools.combinations(solid, 2) if _LinkPair(model, data, *pair).never_collides()]
-
-
-class _LinkPair:
-    """Two bodies of a robot, and the joints between them that change their relative pose."""
-
-    def __init__(self, model: "mujoco.MjModel", data: "mujoco.MjData", first: int, second: int) -> None:
-        self._model, self._data = model, data
-        chains = [_list_ancestors(model, body) for body in (first, second)]
-        shared = set(chains[0]) & set(chains[1])
-        levers: dict[int, float] = {}
-        for chain in chains:
-            levers.update(_compute_levers(model, [body for body in chain if body not in shared]))
-        self._joints, self._levers = list(levers), np.array(list(levers.values()))
-        self._geoms = list(itertools.product(_list_geoms(model, first), _list_geoms(model, second)))
-
-    def never_collides(self) -> bool:
-        model = self._model
-        if not 0 < len(self._joints) <= _MAX_JOINTS or not model.jnt_limited[self._joints].all():
-            return False
-        low, high = model.jnt_range[self._joints].T
-        boxes = [(low - _LIMIT_OVERSHOOT, high + _LIMIT_OVERSHOOT)]
-        for _ in range(_MAX_POSES):
-            if not boxes:
-                return True
-            low, high = boxes.pop()
-            middle, motion = (low + high) / 2.0, (high - low) / 2.0 * self._levers
-            gap = self._measure_gap(middle) - _MIN_GAP
-            if gap <= 0.0:
-                return False
-            if gap <= motion.sum():
-                axis = int(np.argmax(motion))
-                is_cut = np.eye(len(middle), dtype=bool)[axis]
-                boxes += [(low, np.where(is_cut, middle, high)), (np.where(is_cut, middle, low), high)]
-        return False
-
-    def _measure_gap(self, angles: Array) -> float:
-        """Return the distance of the two bodies (m) at given joint positions."""
-        self._data.qpos[self._model.jnt_qposadr[self._joints]] = angles
-        mujoco.mj_kinematics(self._model, self._data)
-        return float(min(mujoco.mj_geomDistance(self._model, self._data, *pair, 1.0, None) for pair in self._geoms))
-
-
-def _list_ancestors(model: "mujoco.MjModel", body: int) -> list[int]:
-    """Return a body number and those of its ancestors up to the world body."""
-    return [body] if body == 0 else [body, *_list_ancestors(model, int(model.body_parentid[body]))]
-
-
-def _compute_levers(model: "mujoco.MjModel", chain: Sequence[int]) -> dict[int, float]:
-    """Return upper bounds on the motion of a body's points per joint motion (m per rad or m).
-
-    The body is the first of a kinematic chain.
-    """
-    levers: dict[int, float] = {}
-    reach = (
-        max((_compute_geom_reach(model, geom) for geom in _list_geoms(model, chain[0])), default=0.0) if chain else 0.0
-    )
-    for body in chain:
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-            levers[int(joint)] = 1.0 if slides else reach + float(np.linalg.norm(model.jnt_pos[joint]))
-            # Joints farther up rotate the body while this joint is extended.
-            reach += float(np.abs(model.jnt_range[joint]).max()) + _LIMIT_OVERSHOOT if slides else 0.0
-        reach += float(np.linalg.norm(model.body_pos[body]))
-    return levers
-
-
-def _compute_geom_reach(model: "mujoco.MjModel", geom: int) -> float:
-    """Return the largest distance of a geom's points from its body's origin (m)."""
-    return float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
-
-
-def _list_geoms(model: "mujoco.MjModel", body: int) -> range:
-    return range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])

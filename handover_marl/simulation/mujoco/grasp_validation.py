@@ -30,8 +30,6 @@ from handover_marl.simulation.contacts import find_points_in_grasp_region
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.models.scene_spec import (
-    TUNING,
-    MujocoTuning,
     SceneModelBuilder,
     format_object_name,
     format_rotation_reference_name,
@@ -54,14 +52,13 @@ class GripperModelBuilder(SceneModelBuilder):
         object_urdf: Model of the object.
         panda_urdf: Model of the Panda.
         config: Motors of object and fingers.
-        tuning: Engine parameters.
 
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read.
     """
 
-    def __init__(self, object_urdf: Path, panda_urdf: Path, config: PhysicsConfig, tuning: MujocoTuning) -> None:
-        super().__init__(config, tuning, read_object_friction(object_urdf))
+    def __init__(self, object_urdf: Path, panda_urdf: Path, config: PhysicsConfig) -> None:
+        super().__init__(config, read_object_friction(object_urdf))
         self._add_gripper(panda_urdf)
         self._add_object(0, object_urdf)
 
@@ -105,7 +102,7 @@ class GraspValidator:
         self, object_urdf: Path, config: GraspValidationConfig | None = None, panda_urdf: Path = PANDA_URDF
     ) -> None:
         self._config = config or GraspValidationConfig()
-        built = GripperModelBuilder(object_urdf, panda_urdf, OFFICIAL_CONFIG.physics, TUNING)
+        built = GripperModelBuilder(object_urdf, panda_urdf, OFFICIAL_CONFIG.physics)
         self._model = model = built.spec.compile()
         self._data = mujoco.MjData(model)
         self._body = model.body(_OBJECT).id

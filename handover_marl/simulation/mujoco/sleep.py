@@ -19,7 +19,7 @@ from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig
 from handover_marl.simulation.mujoco.engine import check_warnings
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
-from handover_marl.simulation.reference_tracking import HandTrajectory, ObjectTrajectory, ReferenceMotion
+from handover_marl.simulation.reference_tracking import BodyTrajectory, ReferenceMotion, list_object_motors
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +136,7 @@ class SleepState:
     def __init__(
         self, scene: SceneModel, robot: RobotOnlySimulation, config: PhysicsConfig, start: ReferenceMotion
     ) -> None:
-        self.objects = [ObjectTrajectory(config.objects, joints) for joints in start.objects[0]]
+        self.objects = [BodyTrajectory(list_object_motors(config.objects), joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
         self._robot = robot.make_resting_trajectory(config.panda.start_joints)
         # Row of the robot trajectory's first step, number of its steps without a body near it, and
@@ -151,7 +151,7 @@ class SleepState:
         """
         self._first -= rows
 
-    def simulate_robot(self, row: int, target: list[float], hand: HandTrajectory) -> None:
+    def simulate_robot(self, row: int, target: list[float], hand: BodyTrajectory) -> None:
         """Simulate the robot alone from a step on, and store the first step with a body near it.
 
         A body is near if the spheres around it and around the robot's links may touch.
@@ -166,8 +166,7 @@ class SleepState:
         """
         done = row - self._first
         self._first, self._elapsed = row, self._elapsed + done
-        bodies: list[HandTrajectory | ObjectTrajectory] = [hand, *self.objects]
-        centers = np.stack([body.predict_positions(row) for body in bodies], axis=1)
+        centers = np.stack([body.predict_positions(row) for body in [hand, *self.objects]], axis=1)
         self._robot = self._simulation.simulate(self._robot, done, target, len(centers), self._elapsed)
         radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
         near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)

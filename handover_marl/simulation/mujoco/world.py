@@ -190,28 +190,26 @@ class MujocoWorld(World):
         """Return the current state of robot, objects and human hand."""
         self.controller.set_state()
         controller, data, scene = self.controller, self.controller.data, self.controller.data.scene
-        hand, row = controller.track_hand(), controller.row
+        hand = controller.get_hand_joints()
         positions, quaternions = controller.robot.compute_body_poses(data.qpos[scene.robot_qpos])
         # The gripper's pose, then the objects'.
         poses = np.concatenate(
             [positions[scene.gripper], quaternions[scene.gripper], data.qpos[scene.object_qpos]]
         ).reshape(-1, 7)
         poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
-        present = hand.is_present_after(row)
         return WorldState(
             robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
             robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
             gripper_pose=poses[0].astype(np.float32),
             object_poses=poses[1:].astype(np.float32),
-            hand_dof_position=hand.get_joints_float32(row) if present else None,
-            hand_keypoints=controller.compute_keypoints() if present else None,
+            hand_dof_position=None if hand is None else hand.astype(np.float32),
+            hand_keypoints=None if hand is None else controller.compute_keypoints(hand),
         )
 
     def read_agent_joints(self) -> AgentJoints:
         """Return the current joint positions of robot and human hand."""
-        hand, row = self.controller.track_hand(), self.controller.row
-        robot = self.read_joints_float64().astype(np.float32)
-        return AgentJoints(robot, hand.get_joints_float32(row) if hand.is_present_after(row) else None)
+        hand, robot = self.controller.get_hand_joints(), self.read_joints_float64()
+        return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 
     def read_joints_float64(self) -> Array:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""

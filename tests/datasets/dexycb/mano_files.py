@@ -1,5 +1,7 @@
-"""Invented hand model with MANO's array shapes, and its pickles, which are composed of single operations."""
+"""Invented hand model with MANO's array shapes, and its pickles."""
 
+import io
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csc_matrix
 
-from handover_marl.datasets.dexycb.mano import N_FACES, N_JOINTS, N_VERTICES, PARENTS
+from handover_marl.datasets.dexycb.mano import N_FACES, N_JOINTS, N_VERTICES, PARENTS, ManoModel
 
 Array = npt.NDArray[Any]
 Content = dict[str, Any]
@@ -35,85 +37,72 @@ def made_up_hand(seed: int = 0) -> Content:
     }
 
 
-def text(value: str | bytes) -> bytes:
-    """Return the operation for a Python 2 string (SHORT_BINSTRING or BINSTRING)."""
-    data = value.encode() if isinstance(value, str) else value
-    return b"U" + bytes([len(data)]) + data if len(data) < 256 else b"T" + len(data).to_bytes(4, "little") + data
-
-
-def integer(value: int) -> bytes:
-    """Return the operation for a signed integer of 32 bits (BININT)."""
-    return b"J" + value.to_bytes(4, "little", signed=True)
-
-
-def name(module: str, attribute: str) -> bytes:
-    """Return the operation that requests an attribute of a module (GLOBAL)."""
-    return f"c{module}\n{attribute}\n".encode()
-
-
-def sequence(*items: bytes) -> bytes:
-    """Return the operations for a tuple of these items."""
-    return b"(" + b"".join(items) + b"t"
-
-
-def mapping(**entries: bytes) -> bytes:
-    """Return the operations for a dict with these entries."""
-    return b"}(" + b"".join(text(key) + value for key, value in entries.items()) + b"u"
-
-
-def array(value: Array) -> bytes:
-    """Return the operations for an array as NumPy pickled it under Python 2."""
-    order = "<" if value.dtype.byteorder != ">" else ">"
-    minus_one = integer(-1)
-    state = sequence(integer(3), text(order), b"N", b"N", b"N", minus_one, minus_one, integer(0))
-    dtype = name("numpy", "dtype") + sequence(text(value.dtype.str[1:]), integer(0), integer(1)) + b"R" + state + b"b"
-    fortran = value.flags.f_contiguous and not value.flags.c_contiguous
-    made = sequence(name("numpy", "ndarray"), sequence(integer(0)), text("b"))
-    shape = sequence(*map(integer, value.shape))
-    content = text(value.tobytes(order="F" if fortran else "C"))
-    parts = sequence(integer(1), shape, dtype, b"\x88" if fortran else b"\x89", content)
-    return name("numpy.core.multiarray", "_reconstruct") + made + b"R" + parts + b"b"
-
-
-def record(module: str, attribute: str, **state: bytes) -> bytes:
-    """Return the operations for an object of a class with these attributes."""
-    return name(module, attribute) + b")\x81" + mapping(**state) + b"b"
-
-
-def sparse(matrix: csc_matrix, **changes: bytes) -> bytes:
-    """Return the operations for a sparse matrix as SciPy pickled it under Python 2, with changed attributes."""
-    state = {
-        "_shape": sequence(*map(integer, matrix.shape)),
-        "maxprint": integer(50),
-        **{part: array(getattr(matrix, part)) for part in ("indices", "data", "indptr")},
-    }
-    return record("scipy.sparse.csc", "csc_matrix", **{**state, **changes})
-
-
-def selection(wanted: Array) -> bytes:
-    """Return the operations for shape directions as chumpy pickled them: the first ten of twenty directions."""
-    everything = np.concatenate([wanted, np.full_like(wanted, 7.0)], axis=2)
-    picked = np.arange(everything.size).reshape(everything.shape)[:, :, :10].ravel()
-    an_empty_set = name("__builtin__", "set") + b"]\x85R"
-    keeping = {"_dirty_vars": an_empty_set, "_itr": b"N"}
-    return record(
-        "chumpy.reordering",
-        "Select",
-        a=record("chumpy.ch", "Ch", x=array(everything), **keeping),
-        idxs=array(picked),
-        preferred_shape=sequence(*map(integer, wanted.shape)),
-        **keeping,
+def made_up_model(side: str = "right", seed: int = 0) -> ManoModel:
+    """Return the model of a file with the content of `made_up_hand`."""
+    content = made_up_hand(seed)
+    return ManoModel(
+        side=side,
+        v_template=content["v_template"],
+        shapedirs=content["shapedirs"],
+        j_regressor=content["J_regressor"].toarray(),
+        weights=content["weights"],
+        faces=content["f"].astype(np.int64),
+        hands_components=content["hands_components"],
+        hands_mean=content["hands_mean"],
     )
 
 
-def official(content: Content, **changes: bytes) -> bytes:
-    """Return a whole file like the official ones; `changes` replaces the operations of some entries."""
-    entries = {"bs_style": text("lbs"), "J": array(np.zeros((16, 3)))}
-    for key, value in content.items():
-        entries[key] = sparse(value) if isinstance(value, csc_matrix) else array(value)
-    if isinstance(content.get("shapedirs"), np.ndarray):
-        entries["shapedirs"] = selection(content["shapedirs"])
-    return b"\x80\x02" + mapping(**{**entries, **changes}) + b"."
+class Record:
+    """Object that is pickled as an instance of a class that is not installed.
+
+    Args:
+        module: Module of the class.
+        name: Name of the class.
+        state: Attributes of the object.
+    """
+
+    def __init__(self, module: str, name: str, **state: Any) -> None:
+        self.made = (f"{module}\n{name}\n".encode(), state)
+
+
+class _Pickler(pickle._Pickler):  # type: ignore[name-defined,misc]
+    def save(self, obj: Any, save_persistent_id: bool = True) -> None:
+        """Write an object; for a `Record`, the operations GLOBAL, EMPTY_TUPLE, NEWOBJ and BUILD with its state."""
+        if not isinstance(obj, Record):
+            super().save(obj, save_persistent_id)
+            return
+        name, state = obj.made
+        self.write(b"c" + name + b")\x81")
+        super().save(state)
+        self.write(b"b")
+
+
+def sparse(matrix: csc_matrix, **changes: Array) -> Record:
+    """Return a sparse matrix as older versions of SciPy pickled it, with changed attributes."""
+    arrays = {part: getattr(matrix, part) for part in ("indices", "data", "indptr")}
+    return Record("scipy.sparse.csc", "csc_matrix", _shape=matrix.shape, maxprint=50, **{**arrays, **changes})
+
+
+def official(content: Content, **changes: object) -> bytes:
+    """Return a whole file like the official ones; `changes` replaces some entries.
+
+    The shape directions are the first ten of twenty, as chumpy pickles them, with a set that only chumpy needs.
+    """
+    entries = {"bs_style": "lbs", "J": np.zeros((16, 3)), **content}
+    entries["J_regressor"] = sparse(content["J_regressor"])
+    wanted = content["shapedirs"]
+    everything = np.concatenate([wanted, np.full_like(wanted, 7.0)], axis=2)
+    entries["shapedirs"] = Record(
+        "chumpy.reordering",
+        "Select",
+        a=Record("chumpy.ch", "Ch", x=everything, _dirty_vars=set()),
+        idxs=np.arange(everything.size).reshape(everything.shape)[:, :, :10].ravel(),
+        preferred_shape=wanted.shape,
+        _dirty_vars=set(),
+    )
+    stream = io.BytesIO()
+    _Pickler(stream, protocol=2).dump({**entries, **changes})
+    return stream.getvalue()
 
 
 def write(path: Path, data: bytes) -> Path:

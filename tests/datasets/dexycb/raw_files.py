@@ -7,7 +7,6 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official
@@ -51,23 +50,6 @@ def hand_poses(n_keyframes: int = N_KEYS, first: int = 0, last: int | None = Non
     return poses
 
 
-def hand_model(side: str = "right", seed: int = 0) -> ManoModel:
-    """Return a hand model whose arrays have MANO's shapes and arbitrary values."""
-    rng = np.random.default_rng(seed)
-    vertices = rng.normal(scale=0.05, size=(778, 3))
-    regressor = np.where(rng.random((16, 778)) < 0.02, rng.random((16, 778)), 0.0)
-    return ManoModel(
-        side=side,
-        v_template=vertices,
-        shapedirs=rng.normal(scale=0.002, size=(778, 3, 10)),
-        j_regressor=regressor,
-        weights=np.full((778, 16), 1.0 / 16.0),
-        faces=np.zeros((1538, 3), dtype=np.int64),
-        hands_components=rng.normal(scale=0.3, size=(45, 45)),
-        hands_mean=rng.normal(scale=0.1, size=45),
-    )
-
-
 @dataclass
 class RawScene:
     """Content of a recording, which tests may change before they `write` it to the disk."""
@@ -79,7 +61,6 @@ class RawScene:
     meta: dict[str, object] = field(default_factory=dict)
     objects: np.ndarray = field(default_factory=lambda: object_poses(n_objects=2))
     hand: np.ndarray = field(default_factory=hand_poses)
-    extrinsics: str = EXTRINSICS
     mano: str = ""  # name of the hand's calibration; empty: a name made of subject and side
 
     def write(self, raw: Path, scene_id: int = 0) -> SequenceFolder:
@@ -88,9 +69,7 @@ class RawScene:
         mano = self.mano or f"20200709_140042_{subject[9:]}_{self.side}"
         folder = raw / subject / self.name
         meta = {
-            "serials": ["1", "2"],
-            "num_frames": len(self.objects),
-            "extrinsics": self.extrinsics,
+            "extrinsics": EXTRINSICS,
             "ycb_ids": [2, 5],
             "ycb_grasp_ind": 1,
             "mano_sides": [self.side],
@@ -100,15 +79,12 @@ class RawScene:
         write_yaml(folder / "meta.yml", {key: value for key, value in meta.items() if value is not None})
         np.savez(folder / "pose.npz", pose_y=self.objects, pose_m=self.hand[:, None])
         write_yaml(mano_file(raw, mano), {"betas": self.betas})
-        write_yaml(
-            extrinsics_file(raw, self.extrinsics),
-            {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"},
-        )
+        write_yaml(extrinsics_file(raw), {"extrinsics": {"apriltag": tag_pose().ravel().tolist()}, "master": "1"})
         return SequenceFolder(scene_id, f"{subject}/{self.name}", folder)
 
 
-def extrinsics_file(raw: Path, extrinsics: str = EXTRINSICS) -> Path:
-    return raw / "calibration" / f"extrinsics_{extrinsics}" / "extrinsics.yml"
+def extrinsics_file(raw: Path) -> Path:
+    return raw / "calibration" / f"extrinsics_{EXTRINSICS}" / "extrinsics.yml"
 
 
 def mano_file(raw: Path, mano: str = "20200709_140042_subject-01_right") -> Path:

@@ -1,3 +1,4 @@
+import dataclasses
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -5,38 +6,26 @@ import numpy as np
 import pybullet_data
 import pytest
 
+from handover_marl.datasets.dexycb import assets
 from handover_marl.datasets.dexycb.assets import (
     build_hand_urdf,
-    build_object_urdf,
-    build_table_urdf,
     format_numbers,
     write_hand_assets,
-    write_missing_files,
     write_object_assets,
     write_table_assets,
 )
 from handover_marl.datasets.dexycb.mano import ManoModel
-from handover_marl.errors import DataFormatError, ResultsError
-from handover_marl.geometry.model_files.obj_files import format_obj, read_obj
+from handover_marl.errors import DataFormatError
+from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
-from tests.datasets.dexycb.mano_files import made_up_hand
+from tests.datasets.dexycb.mano_files import made_up_hand, made_up_model
 
 SUBJECT = "20200709-subject-01"
 BETAS = np.linspace(-1.0, 1.0, 10)
 
 
-def hand(weights: np.ndarray | None = None, side: str = "right") -> ManoModel:
-    content = made_up_hand()
-    return ManoModel(
-        side=side,
-        v_template=content["v_template"],
-        shapedirs=content["shapedirs"],
-        j_regressor=content["J_regressor"].toarray(),
-        weights=content["weights"] if weights is None else weights,
-        faces=content["f"].astype(np.int64),
-        hands_components=content["hands_components"],
-        hands_mean=content["hands_mean"],
-    )
+def hand(weights: np.ndarray | None = None) -> ManoModel:
+    return dataclasses.replace(made_up_model(), **({} if weights is None else {"weights": weights}))
 
 
 def numbers(text: str | None) -> list[float]:
@@ -57,13 +46,6 @@ def test_format_numbers(values: tuple[float, ...], text: str) -> None:
     assert format_numbers(*values) == text
 
 
-def test_format_obj() -> None:
-    vertices = np.array([[-0.0, 1e-7, 0.1234565], [-1e-9, 2.0, 3.0], [1.0, 1.0, 1.0]])
-    assert format_obj(vertices, np.array([[0, 2, 1]])) == (
-        "v -0.000000 0.000000 0.123456\nv -0.000000 2.000000 3.000000\nv 1.000000 1.000000 1.000000\nf 1 3 2\n"
-    )
-
-
 def test_links_and_joints_of_the_hand() -> None:
     rng = np.random.default_rng(0)
     joints = rng.uniform(-0.1, 0.1, (16, 3))
@@ -74,7 +56,6 @@ def test_links_and_joints_of_the_hand() -> None:
     kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
     assert [joint.get("type") for joint in found] == kinds
 
-    # The origin of every body is at the position of the body's joint.
     place = {"link0": np.zeros(3)}
     for joint in found:
         parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
@@ -114,23 +95,15 @@ def test_meshes_of_a_hand(tmp_path: Path) -> None:
         np.testing.assert_array_equal(kept[seen.faces], wanted)
 
 
-def test_a_left_hand(tmp_path: Path) -> None:
-    write_hand_assets(tmp_path, SUBJECT, hand(side="left"), BETAS)
-    assert [path.name for path in tmp_path.iterdir()] == [f"{SUBJECT}_left"]
-    assert len([path for path in tmp_path.rglob("*") if path.is_file()]) == 33
-
-
 def test_object_urdfs(tmp_path: Path) -> None:
     write_object_assets(tmp_path)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(path.parent.name for path in files) == sorted(CLASS_NAMES.values())
-    assert {path.read_text() for path in files} == {build_object_urdf()}
-    robot = ET.fromstring(build_object_urdf())
+    (text,) = {path.read_text() for path in files}
+    robot = ET.fromstring(text)
     assert len(robot.findall("link")) == 7
-    assert [mesh.get("filename") for mesh in robot.iter("mesh")] == [
-        "textured_simple.obj",
-        "model_normalized_convex.obj",
-    ]
+    meshes = [mesh.get("filename") for mesh in robot.iter("mesh")]
+    assert meshes == ["textured_simple.obj", "model_normalized_convex.obj"]
 
 
 def test_table_files(tmp_path: Path) -> None:
@@ -148,18 +121,9 @@ def test_table_files(tmp_path: Path) -> None:
     assert [numbers(leg) for leg in legs] == [[x, y, 0.44] for x in (-0.785, 0.785) for y in (-0.265, 0.265)]
 
 
-def test_changed_table_is_refused() -> None:
+def test_changed_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     original = (Path(pybullet_data.getDataPath()) / "table" / "table.urdf").read_text()
+    (tmp_path / "table.urdf").write_text(original.replace("1.5 1 0.05", "1.5 1 0.06", 1))
+    monkeypatch.setattr(assets, "find_table_folder", lambda: tmp_path)
     with pytest.raises(DataFormatError, match=r"1\.5 1 0\.05 1 times instead of 2"):
-        build_table_urdf(original.replace("1.5 1 0.05", "1.5 1 0.06", 1))
-
-
-def test_existing_files_are_compared(tmp_path: Path) -> None:
-    write_missing_files(tmp_path, {"a/b.txt": b"same", "c.txt": b"other"})
-    before = (tmp_path / "a/b.txt").stat().st_mtime_ns
-    write_missing_files(tmp_path, {"a/b.txt": b"same", "d.txt": b"new"})
-    assert (tmp_path / "a/b.txt").stat().st_mtime_ns == before
-    with pytest.raises(ResultsError, match=r"c\.txt exists with other content"):
-        write_missing_files(tmp_path, {"c.txt": b"mine"})
-    assert (tmp_path / "c.txt").read_bytes() == b"other"
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["a", "b.txt", "c.txt", "d.txt"]
+        write_table_assets(tmp_path / "assets")

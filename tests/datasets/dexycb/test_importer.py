@@ -1,81 +1,145 @@
-"""Tests of the whole import, with one subject of a hundred short invented recordings."""
+"""Tests of the whole import: damaged recordings, folders with other files, and imports that are killed."""
 
-import hashlib
 import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 
 from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
-from handover_marl.datasets.dexycb.importer import import_dexycb
+from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
+from handover_marl.datasets.dexycb.raw_files import read_sequence_names
 from handover_marl.datasets.official_files import list_required_files
+from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, SceneError, UnsafeFileError
 from handover_marl.geometry.ycb import SUBJECTS
-from tests.datasets.dexycb.mano_files import made_up_hand, official, write
-from tests.datasets.dexycb.raw_files import RawScene, mano_file, write_yaml
+from tests.datasets.dexycb.raw_files import (
+    RawScene,
+    all_files,
+    hand_poses,
+    mano_file,
+    object_poses,
+    write_mano,
+    write_yaml,
+)
 
-SCENES = (300, 301, 399)
+N_SCENES = 6
+N_KEYS = 24  # number for which an import takes long enough to be killed half-way
+NAMES = read_sequence_names()[SUBJECTS[0]][:N_SCENES]
 
 
 @pytest.fixture(scope="module")
 def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with `dex-ycb/`, which has only the fourth subject, and with `mano/models/`."""
+    """Return a folder with raw data `raw/`, models `mano/` and the result of their import `expected/`."""
     folder = tmp_path_factory.mktemp("given")
-    for rank in range(100):
-        side = "left" if rank % 2 else "right"
-        RawScene(subject=3, name=f"20200903_{100000 + rank}", side=side).write(folder / "dex-ycb")
-    (folder / "mano/models").mkdir(parents=True)
-    for side in ("RIGHT", "LEFT"):
-        write(folder / "mano/models" / f"MANO_{side}.pkl", official(made_up_hand(len(side))))
+    write_mano(folder / "mano")
+    for name in NAMES:
+        objects, hand = object_poses(N_KEYS, 2), hand_poses(N_KEYS)
+        RawScene(name=name, objects=objects, hand=hand, mano=name).write(folder / "raw")
+    assert imported(folder, folder / "raw", folder / "expected").scenes == tuple(range(N_SCENES))
     return folder
 
 
-def files(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+def imported(given: Path, raw: Path, out: Path) -> ImportReport:
+    return import_dexycb(raw, given / "mano", out, workers=1, progress=False)
 
 
-def test_incomplete_data_keep_their_scene_numbers(given: Path, tmp_path: Path) -> None:
-    found = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=2, progress=False)
-    assert found.scenes == SCENES
-    assert found.hands == (f"{SUBJECTS[3]}_right", f"{SUBJECTS[3]}_left")
-    assert len(found.faults) == 9, "subjects that are not there"
+@pytest.mark.slow
+def test_damaged_recordings_are_reported_and_the_others_imported(given: Path, tmp_path: Path) -> None:
+    raw, out = tmp_path / "raw", tmp_path / "out"
+    shutil.copytree(given / "raw", raw)
+    folder = raw / SUBJECTS[0]
+    (folder / NAMES[0] / "pose.npz").write_bytes((folder / NAMES[0] / "pose.npz").read_bytes()[:500])
+    (folder / NAMES[1] / "meta.yml").unlink()
+    mano_file(raw, NAMES[3]).unlink()
+    found = imported(given, raw, out)
+    assert found.scenes == (2, 4, 5)
+    assert len(found.hands) == 2
+    for name in (NAMES[0], NAMES[1], NAMES[3]):
+        assert len([fault for fault in found.faults if name in fault and fault.startswith("scene")]) == 1
+    assert len(found.faults) == 3 + len(SUBJECTS)
     assert set(found.missing_files) == set(list_required_files())
     assert not found.is_complete
     assert "assets-3rd-party" in str(found)
-    dataset = OfficialDataset(tmp_path)
-    info = dataset.load_info(301)
-    assert (info.name, info.side, info.object_ids) == (f"{SUBJECTS[3]}/20200903_100001", "left", (5, 2))
-    before = files(tmp_path)
-    assert {"assets/table/table.urdf", "assets/003_cracker_box/model_normalized.urdf"} <= set(before)
-    # A second import, with one process, restores removed files and changes no other.
-    (tmp_path / "dex-ycb-cache/meta_301.json").unlink()
-    shutil.rmtree(tmp_path / "assets" / f"{SUBJECTS[3]}_left")
-    again = import_dexycb(given / "dex-ycb", given / "mano", tmp_path, scenes=SCENES, workers=1, progress=False)
-    assert again.scenes == SCENES
-    assert files(tmp_path) == before
+    files, expected = all_files(out), all_files(given / "expected")
+    assert files.items() <= expected.items()
+    assert {"assets/table/table.urdf", "assets/003_cracker_box/model_normalized.urdf"} <= set(files)
+    info = OfficialDataset(out).load_info(2)
+    assert (info.name, info.side, info.object_ids) == (f"{SUBJECTS[0]}/{NAMES[2]}", "right", (5, 2))
+    # An import of the undamaged data completes the folder.
+    imported(given, given / "raw", out)
+    assert all_files(out) == expected
+
+
+def alter(path: Path) -> None:
+    """Change one number of the motion in a pose file."""
+    with np.load(path) as archive:
+        arrays = {name: archive[name].copy() for name in archive.files}
+    arrays["pose_m"][3, 0, 5] += 1e-6
+    np.savez_compressed(path, **arrays)
+
+
+SPOILS: dict[str, Callable[[Path], object]] = {
+    "pose_000.npz": alter,
+    "pose_001.npz": lambda path: path.write_bytes(path.read_bytes()[:500]),
+    "meta_002.json": lambda path: path.write_text(path.read_text().replace("2, 5", "5, 2")),
+}
+
+
+def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(given / "expected", out)
+    for name, spoil in SPOILS.items():
+        spoil(out / CACHE_FOLDER / name)
+    before = all_files(out)
+    found = imported(given, given / "raw", out)
+    assert found.scenes == tuple(range(len(SPOILS), N_SCENES))
+    for name in SPOILS:
+        assert any(f"{name} exists, but differs from the result" in fault for fault in found.faults)
+    assert all_files(out) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
+def test_killed_import_is_continued(given: Path, tmp_path: Path, signal_number: int) -> None:
+    out = tmp_path / "out"
+    script = (
+        "import signal, sys; from handover_marl.cli import main\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "sys.exit(main(['import', *sys.argv[1:]]))"
+    )
+    options = ["--dexycb", given / "raw", "--mano", given / "mano", "--out", out, "--workers", 1, "--no-progress"]
+    with subprocess.Popen([sys.executable, "-c", script, *map(str, options)], stderr=subprocess.DEVNULL) as process:
+        end = time.monotonic() + 60.0
+        while not list((out / CACHE_FOLDER).glob("meta_*")) and time.monotonic() < end:
+            time.sleep(0.01)
+        process.send_signal(signal_number)
+    assert process.returncode == (130 if signal_number == signal.SIGINT else -signal.SIGKILL)
+    found, expected = all_files(out), all_files(given / "expected")
+    assert {name: data for name, data in found.items() if not name.endswith(".part")}.items() <= expected.items()
+    imported(given, given / "raw", out)
+    assert all_files(out) == expected
 
 
 def test_models_of_other_data_are_kept(given: Path, tmp_path: Path) -> None:
-    options = {"scenes": (300,), "workers": 1, "progress": False}
-    import_dexycb(given / "dex-ycb", given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
-    before = files(tmp_path / "out")
-    raw = tmp_path / "dex-ycb"
-    shutil.copytree(given / "dex-ycb", raw)
-    for side in ("right", "left"):
-        write_yaml(mano_file(raw, f"20200709_140042_{SUBJECTS[3][9:]}_{side}"), {"betas": [0.3] * 10})
+    raw, out = tmp_path / "raw", tmp_path / "out"
+    shutil.copytree(given / "raw", raw)
+    shutil.copytree(given / "expected", out)
+    for name in NAMES:
+        write_yaml(mano_file(raw, name), {"betas": [0.3] * 10})
     with pytest.raises(ResultsError, match="exists with other content"):
-        import_dexycb(raw, given / "mano", tmp_path / "out", **options)  # type: ignore[arg-type]
-    assert files(tmp_path / "out") == before
+        imported(given, raw, out)
+    assert all_files(out) == all_files(given / "expected")
 
 
 def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
-    raw, mano, out = given / "dex-ycb", given / "mano", tmp_path / "out"
+    raw, mano, out = given / "raw", given / "mano", tmp_path / "out"
     with pytest.raises(DataNotFoundError, match="no raw DexYCB folder"):
         import_dexycb(tmp_path, mano, out)
     with pytest.raises(DataNotFoundError, match=r"holds no MANO_RIGHT\.pkl"):
@@ -84,17 +148,12 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
         import_dexycb(raw, mano, out, scenes=[1000])
     with pytest.raises(OptionError, match=r"workers must be .* got 0"):
         import_dexycb(raw, mano, out, workers=0)
-    for scenes in (300, [300.5], [None]):
-        with pytest.raises(SceneError, match="scenes must be scene numbers"):
-            import_dexycb(raw, mano, out, scenes=scenes)  # type: ignore[arg-type]
-    for wrong in (None, 5, "", "a\0b"):
-        for position, name in enumerate(("dexycb", "mano", "out")):
-            arguments: list[Any] = [raw, mano, out]
-            arguments[position] = wrong
-            with pytest.raises(OptionError, match=f"{name} must be a path"):
-                import_dexycb(*arguments)
+    with pytest.raises(SceneError, match="scenes must be scene numbers"):
+        import_dexycb(raw, mano, out, scenes=[300.5])  # type: ignore[list-item]
+    with pytest.raises(OptionError, match="dexycb must be a path"):
+        import_dexycb("", mano, out)
     hostile = tmp_path / "mano"
-    shutil.copytree(mano / "models", hostile)
+    shutil.copytree(mano, hostile)
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")
     with pytest.raises(UnsafeFileError, match=r"MANO_LEFT\.pkl"):
         import_dexycb(raw, hostile, out)
@@ -102,8 +161,8 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
 
 
 def test_command(given: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folders = ["--dexycb", str(given / "dex-ycb"), "--mano", str(given / "mano"), "--out", str(tmp_path / "out")]
-    assert main(["import", *folders, "--scenes", "300,301", "--workers", "1", "--no-progress"]) == 0
+    folders = ["--dexycb", str(given / "raw"), "--mano", str(given / "mano"), "--out", str(tmp_path / "out")]
+    assert main(["import", *folders, "--scenes", "0,1", "--workers", "1", "--no-progress"]) == 0
     assert "2 scenes, 2 hands" in capsys.readouterr().out
     assert main(["import", *folders, "--scenes", "999", "--workers", "1", "--no-progress"]) == 1
     assert "0 scenes" in capsys.readouterr().out

@@ -8,7 +8,7 @@ from scipy.sparse import csc_array, csc_matrix
 
 from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, UnsafeFileError
-from tests.datasets.dexycb.mano_files import Content, array, made_up_hand, official, record, sparse, text, write
+from tests.datasets.dexycb.mano_files import Content, Record, made_up_hand, official, sparse, write
 
 HAND = made_up_hand()
 REGRESSOR = HAND["J_regressor"]
@@ -38,41 +38,35 @@ def test_reads_official_files(tmp_path: Path, side: str) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"f": array(np.asfortranarray(HAND["f"]))},
-        {"f": array(HAND["f"].astype(np.int64))},
-        {"weights": array(HAND["weights"].astype(">f8"))},
-        {"shapedirs": array(HAND["shapedirs"])},
-        {"shapedirs": record("chumpy.ch", "Ch", x=array(HAND["shapedirs"]))},
-        {"J_regressor": array(REGRESSOR.toarray())},
+        {"f": HAND["f"].astype(np.int64)},
+        {"weights": HAND["weights"].astype(">f8")},
+        {"shapedirs": Record("chumpy.ch", "Ch", x=HAND["shapedirs"])},
+        {"J_regressor": REGRESSOR.toarray()},
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_reads_variants(tmp_path: Path, changes: dict[str, bytes]) -> None:
+def test_reads_variants(tmp_path: Path, changes: dict[str, Any]) -> None:
     assert_is(read(tmp_path, official(HAND, **changes)), HAND)
 
 
-@pytest.mark.parametrize("protocol", range(2, pickle.HIGHEST_PROTOCOL + 1))
-@pytest.mark.parametrize("make", [csc_matrix, csc_array, lambda matrix: matrix.toarray()])
-def test_reads_files_of_current_libraries(tmp_path: Path, protocol: int, make: Any) -> None:
-    data = pickle.dumps({**HAND, "J_regressor": make(REGRESSOR)}, protocol=protocol)
-    assert_is(read(tmp_path, data), HAND)
+@pytest.mark.parametrize("make", [csc_matrix, csc_array])
+def test_reads_files_of_current_libraries(tmp_path: Path, make: Any) -> None:
+    assert_is(read(tmp_path, pickle.dumps({**HAND, "J_regressor": make(REGRESSOR)})), HAND)
 
 
-def changed(key: str, index: Any, value: float) -> dict[str, bytes]:
+def changed(key: str, index: Any, value: float) -> dict[str, Any]:
     spoilt = np.array(HAND[key])
     spoilt[index] = value
-    return {key: array(spoilt)}
+    return {key: spoilt}
 
 
 WRONG = {
-    "v_template too short": ({"v_template": array(HAND["v_template"][:-1])}, "v_template must have shape"),
-    "v_template rounded": ({"v_template": array(HAND["v_template"].astype(np.float32))}, "float64, found float32"),
-    "v_template is text": ({"v_template": text("hand")}, ""),
-    "shapedirs with all twenty": ({"shapedirs": array(np.zeros((778, 3, 20)))}, "shapedirs must have shape"),
+    "v_template too short": ({"v_template": HAND["v_template"][:-1]}, "v_template must have shape"),
+    "v_template rounded": ({"v_template": HAND["v_template"].astype(np.float32)}, "float64, found float32"),
+    "shapedirs with all twenty": ({"shapedirs": np.zeros((778, 3, 20))}, "shapedirs must have shape"),
     "weights not a number": (changed("weights", (3, 3), np.nan), "not finite"),
-    "f of floats": ({"f": array(HAND["f"].astype(np.float64))}, "f must be integers"),
-    "a row too many": ({"J_regressor": sparse(REGRESSOR, indices=array(np.full(REGRESSOR.nnz, 16)))}, ""),
-    "a negative row": ({"J_regressor": sparse(REGRESSOR, indices=array(np.full(REGRESSOR.nnz, -1)))}, ""),
+    "f of floats": ({"f": HAND["f"].astype(np.float64)}, "f must be integers"),
+    "a negative row": ({"J_regressor": sparse(REGRESSOR, indices=np.full(REGRESSOR.nnz, -1))}, ""),
 }
 
 
@@ -86,8 +80,6 @@ def test_wrong_content_is_named(tmp_path: Path, what: str) -> None:
 def test_other_files(tmp_path: Path) -> None:
     with pytest.raises(DataNotFoundError, match=r"nothing\.pkl.*mano_v1_2\.zip"):
         read_mano_model(tmp_path / "nothing.pkl", "right")
-    with pytest.raises(DataFormatError, match="weights"):
-        read(tmp_path, official({key: value for key, value in HAND.items() if key != "weights"}))
     with pytest.raises(DataFormatError, match="not a readable MANO model"):
         read(tmp_path, official(HAND)[:-1000])
     with pytest.raises(UnsafeFileError, match="may run foreign code"):

@@ -11,7 +11,8 @@ from handover_marl.datasets.dexycb.scenes import (
     compute_object_trajectory,
     find_hand_span,
 )
-from tests.datasets.dexycb.raw_files import hand_model, hand_poses, object_poses, tag_pose
+from tests.datasets.dexycb.mano_files import made_up_model
+from tests.datasets.dexycb.raw_files import hand_poses, object_poses, tag_pose
 
 
 @settings(max_examples=50)
@@ -27,7 +28,7 @@ def test_keyframes_in_the_tag_frame(seed: int) -> None:
     assert (Rotation.from_euler("XYZ", keys[:, 3:]) * expected.inv()).magnitude().max() < 1e-5
 
 
-MODEL = hand_model()
+MODEL = made_up_model()
 WRIST = MODEL.locate_wrist([0.5] * 10)
 
 

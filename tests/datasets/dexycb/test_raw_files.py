@@ -59,12 +59,9 @@ def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
     assert not find_sequences(tmp_path).sequences
 
 
-@pytest.mark.parametrize("name", ["nowhere", "file", "empty"])
-def test_no_raw_folder(tmp_path: Path, name: str) -> None:
-    (tmp_path / "file").touch()
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(DataNotFoundError, match=rf"{name} is no raw DexYCB folder.*calibration/"):
-        find_sequences(tmp_path / name)
+def test_no_raw_folder(tmp_path: Path) -> None:
+    with pytest.raises(DataNotFoundError, match=r"is no raw DexYCB folder.*calibration/"):
+        find_sequences(tmp_path)
 
 
 def test_recording(tmp_path: Path) -> None:
@@ -93,13 +90,8 @@ def save_poses(**arrays: np.ndarray) -> Callable[[SequenceFolder], object]:
 OBJECTS, HAND = object_poses(n_objects=2), hand_poses()[:, None]
 DAMAGES: dict[str, tuple[Callable[[SequenceFolder], Any], str]] = {
     "an empty meta.yml": (write(META, None), r"meta\.yml.*it has no ycb_ids"),
-    "a list as meta.yml": (write(META, [1]), r"meta\.yml.*it has no ycb_ids"),
     "no YAML": (lambda sequence: (sequence.folder / META).write_bytes(b"a: [\xff"), r"meta\.yml.*expand"),
     "no poses": (lambda sequence: (sequence.folder / "pose.npz").write_bytes(b"PK"), r"pose\.npz.*expand"),
-    "half of the poses": (
-        lambda sequence: (sequence.folder / "pose.npz").write_bytes((sequence.folder / "pose.npz").read_bytes()[:900]),
-        r"pose\.npz.*expand",
-    ),
     "poses of one object": (save_poses(pose_y=OBJECTS[:, :1]), "of 2 objects"),
     "a hand of other length": (save_poses(pose_m=HAND[:-1]), "of the hand"),
     "infinite poses": (save_poses(pose_y=np.full_like(OBJECTS, np.inf)), "not finite"),
@@ -107,10 +99,6 @@ DAMAGES: dict[str, tuple[Callable[[SequenceFolder], Any], str]] = {
     "no tag": (
         lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {"extrinsics": {}}),
         "apriltag",
-    ),
-    "a short tag": (
-        lambda sequence: write_yaml(extrinsics_file(sequence.folder.parents[1]), {"extrinsics": {"apriltag": [1.0]}}),
-        "12 numbers belong",
     ),
     "text as shape": (
         lambda sequence: write_yaml(mano_file(sequence.folder.parents[1]), {"betas": ["x"] * 10}),
@@ -130,14 +118,7 @@ def test_damaged_recordings(tmp_path: Path, kind: str) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [
-        ({"ycb_ids": [2, 99]}, "unknown object class 99"),
-        ({"ycb_ids": []}, "0 objects"),
-        ({"ycb_grasp_ind": 2}, "not an index"),
-        ({"mano_sides": ["both"]}, "mano_sides"),
-        ({"mano_calib": []}, "not as DexYCB writes it"),
-        ({"extrinsics": None}, "it has no extrinsics"),
-    ],
+    [({"ycb_ids": [2, 99]}, "unknown object class 99"), ({"mano_calib": []}, "not as DexYCB writes it")],
 )
 def test_wrong_meta(tmp_path: Path, changes: dict[str, object], message: str) -> None:
     with pytest.raises(DataFormatError, match=rf"meta\.yml.*{message}"):

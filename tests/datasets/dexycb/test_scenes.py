@@ -1,5 +1,4 @@
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -7,69 +6,17 @@ import pytest
 
 from handover_marl.datasets.dexycb.rotations import TagFrame
 from handover_marl.datasets.dexycb.scenes import (
-    CachedScene,
     compute_hand_trajectory,
     compute_object_trajectory,
     find_first_betas,
     import_scene,
-    write_scene,
 )
 from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.errors import DataFormatError
-from tests.datasets.dexycb.raw_files import RawScene, hand_model, hand_poses, object_poses, tag_pose
+from tests.datasets.dexycb.mano_files import made_up_model
+from tests.datasets.dexycb.raw_files import RawScene, hand_poses, object_poses, tag_pose
 
-META = {
-    "name": "20200709-subject-01/20200709_141754",
-    "ycb_ids": [2, 5],
-    "ycb_grasp_ind": 1,
-    "mano_sides": ["right"],
-    "mano_betas": [[0.1] * 10],
-}
-
-
-def scene(number: int = 7) -> CachedScene:
-    # Neither array is contiguous in C order.
-    pose_y = np.asfortranarray(np.arange(5 * 2 * 6, dtype=np.float32).reshape(5, 2, 6))
-    pose_m = np.zeros((5, 1, 102), dtype=np.float32)[:, :, ::2]
-    return CachedScene(number, META, pose_y, pose_m)
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
-def test_files_of_a_scene(tmp_path: Path) -> None:
-    write_scene(scene(), tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["meta_007.json", "pose_007.npz"]
-    text = (tmp_path / "meta_007.json").read_text()
-    assert text == json.dumps(META)
-    assert text.startswith('{"name": "20200709-subject-01/20200709_141754", "ycb_ids": [2, 5], "ycb_grasp_ind": 1, ')
-    with np.load(tmp_path / "pose_007.npz", allow_pickle=False) as archive:
-        assert archive.files == ["pose_y", "pose_m"]
-        for name in archive.files:
-            assert archive[name].flags.c_contiguous
-            np.testing.assert_array_equal(archive[name], getattr(scene(), name))
-    assert b"'fortran_order': False" in _unpacked(tmp_path / "pose_007.npz")
-
-
-def _unpacked(path: Path) -> bytes:
-    with zipfile.ZipFile(path) as archive:
-        assert {part.compress_type for part in archive.infolist()} == {zipfile.ZIP_DEFLATED}
-        return archive.read("pose_y.npy")[:128]
-
-
-@pytest.mark.parametrize("change", [np.float32(1e-45), np.float32(-0.0)])
-def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32) -> None:
-    write_scene(scene(), tmp_path)
-    other = scene()
-    other.pose_m[4, 0, 3] = change
-    before = contents(tmp_path)
-    with pytest.raises(DataFormatError, match=r"pose_007\.npz exists, but differs.*remove it"):
-        write_scene(other, tmp_path)
-    assert contents(tmp_path) == before
-
-
-MODELS = {side: hand_model(side, seed) for seed, side in enumerate(("right", "left"))}
+MODELS = {side: made_up_model(side, seed) for seed, side in enumerate(("right", "left"))}
 SUBJECT = "20200709-subject-01"
 
 
@@ -79,21 +26,35 @@ def test_scene_in_the_cache(tmp_path: Path) -> None:
     sequence = raw.write(tmp_path / "raw", scene_id=42)
     import_scene(sequence, MODELS, find_first_betas([sequence]), tmp_path / "out")
     cache = tmp_path / "out" / CACHE_FOLDER
-    assert json.loads((cache / "meta_042.json").read_text()) == {
-        "name": f"{SUBJECT}/20200709_141754",
-        "ycb_ids": [9, 2, 5],
-        "ycb_grasp_ind": 1,
-        "mano_sides": ["left"],
-        "mano_betas": [raw.betas],
-    }
-    with np.load(cache / "pose_042.npz") as archive:
+    assert sorted(path.name for path in cache.iterdir()) == ["meta_042.json", "pose_042.npz"]
+    meta = {"name": f"{SUBJECT}/20200709_141754", "ycb_ids": [9, 2, 5], "ycb_grasp_ind": 1, "mano_sides": ["left"]}
+    assert (cache / "meta_042.json").read_text() == json.dumps({**meta, "mano_betas": [raw.betas]})
+    with np.load(cache / "pose_042.npz", allow_pickle=False) as archive:
+        assert archive.files == ["pose_y", "pose_m"]
         pose_y, pose_m = archive["pose_y"], archive["pose_m"]
+    assert pose_y.flags.c_contiguous
+    assert pose_m.flags.c_contiguous
     tag = TagFrame.from_extrinsics(tag_pose())
     np.testing.assert_array_equal(
         pose_y, np.stack([compute_object_trajectory(objects[:, k], tag) for k in range(3)], axis=1)
     )
     assert pose_m.shape == (361, 1, 51)
     np.testing.assert_array_equal(np.flatnonzero(pose_m.any(axis=(1, 2)))[[0, -1]], [80, 320])
+
+
+@pytest.mark.parametrize("change", [np.float32(1e-45), np.float32(-0.0)])
+def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32) -> None:
+    sequence, cache = RawScene(hand=hand_poses(6, 1)).write(tmp_path / "raw", scene_id=7), tmp_path / CACHE_FOLDER
+    import_scene(sequence, MODELS, {}, tmp_path)
+    with np.load(cache / "pose_007.npz") as archive:
+        arrays = dict(archive)
+    assert arrays["pose_m"][0, 0, 3] == 0.0
+    arrays["pose_m"][0, 0, 3] = change
+    np.savez_compressed(cache / "pose_007.npz", **arrays)
+    before = (cache / "pose_007.npz").read_bytes()
+    with pytest.raises(DataFormatError, match=r"pose_007\.npz exists, but differs.*remove it"):
+        import_scene(sequence, MODELS, {}, tmp_path)
+    assert (cache / "pose_007.npz").read_bytes() == before
 
 
 def test_base_joint_is_from_the_first_recording(tmp_path: Path) -> None:

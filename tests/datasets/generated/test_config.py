@@ -31,13 +31,10 @@ def test_argument_describes_the_configuration(n: int, seed: int, family: str, le
     ("text", "message"),
     [
         ("", "must be described as n=1000,seed=7, got ''"),
-        ("n", "must be described as"),
         ("n=ten", "n must be a whole number, got 'ten'"),
         ("n=0", "n must be from 1 to"),
         ("n=1,n=2", "parameter n .* must be given once"),
-        ("seed=-1", "seed must be from 0 to"),
         ("left=nan", "left must be from 0 to 1, got nan"),
-        ("procedural=x", "procedural must be a number, got 'x'"),
         ("clutter_max=5", "clutter_max must be from 0 to 4, got 5"),
         ("clutter_min=3,clutter_max=2", "clutter_min must be from 0 to 2, got 3"),
         ("boxes=0,cylinders=0,bottles=0,tools=0,superquadrics=0", "must be above 0, got 0 for all"),

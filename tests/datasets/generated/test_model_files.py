@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 
 from handover_marl.datasets.generated import model_files
-from handover_marl.datasets.generated.config import parse_generated_config
 from handover_marl.datasets.generated.dataset import GeneratedDataset
 from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.errors import DataNotFoundError
@@ -25,7 +24,7 @@ def test_models_can_be_loaded(root: Path) -> None:
         assert abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 2e-4
     person = draw_person(dataset.config, 3)
     check_model(model_files.write_hand_model(person, "left"), n_joints=51)
-    assert not list(root.glob(".tmp-*"))
+    assert not list(root.rglob("*.part"))
 
 
 def test_models_are_written_once(root: Path) -> None:
@@ -42,11 +41,3 @@ def test_folders_that_cannot_be_written_are_reported(tmp_path: Path, monkeypatch
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(DataNotFoundError, match="set XDG_CACHE_HOME"):
         GeneratedDataset("seed=2").find_object_urdf("object_00001")
-
-
-def test_people_have_human_hands() -> None:
-    config = parse_generated_config("seed=5")
-    sizes = [draw_person(config, number).size for number in range(50)]
-    assert all(0.155 < size.length < 0.22 and 0.068 < size.breadth < 0.102 for size in sizes)
-    assert len({size.length for size in sizes}) > 30
-    assert draw_person(config, 7) == draw_person(config, 7)

@@ -1,9 +1,13 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.datasets.generated.shapes import Part, Solid, make_surface
+from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.datasets.generated.shapes import Part, Solid, make_surface, read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream
+
+igl = pytest.importorskip("igl")
 
 lengths = st.floats(0.01, 0.1)
 
@@ -19,30 +23,37 @@ def parts(draw: st.DrawFn) -> Part:
 
 @settings(max_examples=40)
 @given(part=parts(), seed=st.integers(0, 1000))
-def test_distances_agree_with_the_surface(part: Part, seed: int) -> None:
+def test_distances_are_those_to_the_surface(part: Part, seed: int) -> None:
+    """Distances are exact inside, and positive and never too large outside."""
     surface = make_surface(part)
-    vertices = surface.vertices[:-2]  # The last two vertices are the centers of the part's ends.
-    assert np.abs(part.compute_distances(vertices)).max() < 0.0015
     points = np.random.default_rng(seed).uniform(-0.25, 0.25, (200, 3)) + part.position
-    distances = part.compute_distances(points)
-    inside = (points @ surface.normals.T < surface.offsets).all(axis=1)
-    assert (distances[inside] < 0.0015).all()
-    # Distances never exceed those to the vertices, which are on the surface.
-    nearest = np.linalg.norm(points[:, None] - vertices, axis=2).min(axis=1)
-    assert (distances < nearest + 0.0015).all()
-    outside = (points @ surface.normals.T - surface.offsets).max(axis=1)
-    assert (distances[~inside] > -0.006).all()
-    assert (nearest >= outside - 1e-9).all()
+    distances = Solid([surface]).compute_distances(points)
+    exact = igl.signed_distance(points, surface.vertices, surface.faces)[0]
+    np.testing.assert_allclose(distances[exact < 0.0], exact[exact < 0.0], atol=1e-6)
+    outside = exact >= 0.0
+    assert (distances[outside] <= exact[outside] + 1e-6).all()
+    assert (distances[outside] >= -1e-6).all()
 
 
 def test_opposite_points_are_on_the_outer_surface() -> None:
     body, neck = Part("cone", (0.03, 0.03, 0.05), "red"), Part("cone", (0.01, 0.01, 0.04), "blue")
-    solid = Solid((body, neck.move([0.0, 0.0, 0.06])))
+    solid = Solid([make_surface(body), make_surface(neck.move([0.0, 0.0, 0.06]))])
     first, second, cosines = solid.sample_opposite_points(RandomStream(3), 400, 0.1, 0.1)
     assert 100 < len(first) < 400
     for points in (first, second):
-        assert np.abs(solid.compute_distances(points)).max() < 0.001
+        np.testing.assert_allclose(solid.compute_distances(points), 0.0, atol=1e-9)
     assert (np.linalg.norm(second - first, axis=1) < 0.1).all()
     assert (cosines > 0.0).all()
     mirrored, _, _ = solid.mirror().sample_opposite_points(RandomStream(3), 400, 0.1, 0.1)
-    np.testing.assert_array_equal(mirrored, first * [-1.0, 1.0, 1.0])
+    np.testing.assert_allclose(solid.compute_distances(mirrored * [-1.0, 1.0, 1.0]), 0.0, atol=1e-9)
+
+
+def test_a_cup_is_spanned_and_pinched() -> None:
+    """Opposite points of a shipped bowl are at its wall or on both sides of it, and none is between adjoining parts."""
+    solid = read_solid(find_object_urdf("024_bowl"))
+    first, second, _ = solid.sample_opposite_points(RandomStream(3), 3000, 0.2, 0.02)
+    widths = np.linalg.norm(second - first, axis=1)
+    assert (widths < 0.02).any()
+    assert (widths > 0.1).any()
+    beyond = 1e-5 * (second - first) / widths[:, None]
+    assert (solid.compute_distances(np.stack([first - beyond, second + beyond])) > 0.0).all()

@@ -7,6 +7,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.simulation.bullet.exact_world import ExactWorld
 
+pytestmark = pytest.mark.slow
+
 SCENES = range(3, 1000, 71)
 
 

@@ -24,6 +24,7 @@ OPTIONS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_receivers_of_both_backends_agree() -> None:
     arrays = handover_marl.vector_env(COUNT, "receiver", "noisy", **OPTIONS)
     tensors = handover_marl.vector_env(COUNT, "receiver", "noisy", backend="warp", **OPTIONS)
@@ -54,6 +55,7 @@ def compare(found: dict[str, Any], expected: dict[str, Any]) -> None:
         np.testing.assert_allclose(found[key], values, atol=tolerance, err_msg=key)
 
 
+@pytest.mark.slow
 def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> None:
     envs = handover_marl.vector_env(COUNT, "receiver", "replay", backend="warp", **OPTIONS)
     with torch.inference_mode():
@@ -80,6 +82,7 @@ def test_learning_givers_return_tensors() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("emulated_gpu")
 @pytest.mark.parametrize(
     ("agent", "partner", "encoding"),

@@ -16,7 +16,7 @@ from handover_marl.envs.vector import array_episodes
 from handover_marl.episode import wrist_camera_batch
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
-from handover_marl.learning.encodings.choices import declare_size
+from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.simulation.camera.warp_camera import WarpCamera
 from tests.envs.vector.test_warp import COUNT, OPTIONS
 from tests.fake_device import DEVICE, DeviceTensor
@@ -46,6 +46,7 @@ def assert_same_points(found: dict[str, np.ndarray], expected: dict[str, np.ndar
         assert not found[key][len(own) :].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera_model", ["handoversim", "pinhole"])
 def test_clouds_equal_those_of_single_environments(camera_model: str) -> None:
     options: dict[str, Any] = {"obs_mode": "state+scene_pointcloud", "camera_model": camera_model}
@@ -64,6 +65,7 @@ def test_clouds_equal_those_of_single_environments(camera_model: str) -> None:
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obs_mode", ["pointcloud", "scene_pointcloud", "rgbd", "state+pointcloud", "state+rgbd"])
 def test_spaces_contain_observations(obs_mode: str) -> None:
     envs = handover_marl.vector_env(COUNT, obs_mode=obs_mode, **WARP, **RECEIVERS)
@@ -90,6 +92,7 @@ def test_clouds_are_subsampled_with_streams_of_their_own(monkeypatch: pytest.Mon
     assert len(set(streams)) == len(streams) == 3
 
 
+@pytest.mark.slow
 def test_observations_of_ended_episodes() -> None:
     """All episodes end after three steps; "final_obs" has the last image of an episode and the others the first."""
     envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
@@ -108,6 +111,7 @@ def test_observations_of_ended_episodes() -> None:
     envs.close()
 
 
+@pytest.mark.slow
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
     monkeypatch.setattr(wrist_camera_batch, "N_POINTS", 32)
@@ -131,6 +135,7 @@ def count_points(observation: dict[str, Any]) -> np.ndarray:
     return np.array(observation["wrist_point_counts"][:2], dtype=np.float32)
 
 
+@pytest.mark.slow
 def test_user_defined_features_observe_the_camera() -> None:
     envs = handover_marl.vector_env(
         COUNT, features=count_points, schemes="joint_delta", obs_mode="pointcloud", **WARP, **RECEIVERS
@@ -141,6 +146,7 @@ def test_user_defined_features_observe_the_camera() -> None:
     plain.close()
 
 
+@pytest.mark.slow
 def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.MonkeyPatch) -> None:
     made, rendered = [], []
 
@@ -169,6 +175,7 @@ def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.Mo
     assert rendered == [COUNT, COUNT]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("emulated_gpu")
 @pytest.mark.parametrize("obs_mode", ["state+scene_pointcloud", "rgbd"])
 def test_nothing_leaves_the_device_by_chance(obs_mode: str) -> None:
@@ -194,7 +201,7 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
         ({"renderer": "bullet"}, "renderer must be 'rays' with backend='warp', got 'bullet'; use backend='threads'"),
         (
             {"rewards": combine_rewards("sparse")},
-            "rewards must be preset rewards or TermWeights with a camera",
+            "rewards must be weights of the library's terms with a camera",
         ),
         ({"schemes": move, "features": count_points}, "the action scheme must be a built-in one with a camera"),
         ({"agent": "giver", "partner": "vision", "obs_mode": "state"}, "the partner must not use the camera with"),

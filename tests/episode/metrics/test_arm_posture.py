@@ -6,11 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from handover_marl.episode.metrics.fluency import ArmModel, _pose_arm, compute_rula_arm_scores
+from handover_marl.episode.metrics.fluency import (
+    CHEST,
+    FOREARM,
+    HALF_SHOULDER_WIDTH,
+    UPPER_ARM,
+    _pose_arm,
+    compute_rula_arm_scores,
+)
 
-ARM = ArmModel()
-SHOULDER = np.add(ARM.chest, [ARM.half_shoulder_width, 0.0, 0.0])  # the left one
-UPPER, FOREARM = ARM.upper_arm, ARM.forearm
+SHOULDER, UPPER = np.add(CHEST, [HALF_SHOULDER_WIDTH, 0.0, 0.0]), UPPER_ARM  # the left one
 WRISTS = arrays(np.float64, (3,), elements=st.floats(-1.0, 1.0))
 
 
@@ -28,7 +33,7 @@ def score(reach: list[float]) -> int:
         ([-1e-6, -0.3, 0.5], 4, 2),  # the arm is straight and raised by 149 degrees
         ([-1e-6, 0.3, -0.5], 2, 2),  # the arm points back by 31 degrees
         ([FOREARM, 0.0, -UPPER], 1, 2),  # the forearm is bent, but out to the side
-        ([-2.0 * ARM.half_shoulder_width, -0.25, -0.1], 3, 3),  # the wrist is past the midline, the arm straight
+        ([-2.0 * HALF_SHOULDER_WIDTH, -0.25, -0.1], 3, 3),  # the wrist is past the midline, the arm straight
         ([0.5, -0.1, -0.1], 4, 3),  # straight out to the side: raised by 79 degrees, abducted
     ],
 )
@@ -38,7 +43,7 @@ def test_scores_of_known_postures(reach: list[float], upper: int, forearm: int) 
 
 @given(WRISTS)
 def test_the_arm_has_its_lengths_and_ends_at_the_wrist(reach: np.ndarray) -> None:
-    upper, flexion = _pose_arm(reach[None], ARM)
+    upper, flexion = _pose_arm(reach[None])
     length = np.linalg.norm(reach)
     assert np.linalg.norm(upper[0]) == pytest.approx(1.0)
     assert 0.0 <= flexion[0] <= 180.0
@@ -53,7 +58,7 @@ def test_the_arm_has_its_lengths_and_ends_at_the_wrist(reach: np.ndarray) -> Non
 def test_both_sides_have_the_same_scores(reach: np.ndarray) -> None:
     mirrored = reach * [-1.0, 1.0, 1.0]
     left, right = (
-        compute_rula_arm_scores(np.array(ARM.chest) + wrist[None], side)[0]
+        compute_rula_arm_scores(np.array(CHEST) + wrist[None], side)[0]
         for wrist, side in ((reach, "left"), (mirrored, "right"))
     )
     assert left == right

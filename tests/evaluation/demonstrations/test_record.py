@@ -93,7 +93,7 @@ def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     """Episodes that `keep` excluded are simulated again only if a later recording includes them."""
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5, 10]}
     some = record(None, tmp_path / "out", keep="success", **options)
-    outcomes = [metadata.outcome for metadata in some.read_metadata()]
+    outcomes = [metadata["outcome"] for metadata in some.read_metadata()]
     assert (played, outcomes) == ([5, 10], ["success"])
     assert "Simulated: 2 (" in str(some)
     before = contents(tmp_path / "out")
@@ -102,7 +102,7 @@ def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     assert contents(tmp_path / "out") == before
     every = record(None, tmp_path / "out", **options)
     assert played == [5, 10, 10]
-    assert sorted(metadata.success for metadata in every.read_metadata()) == [False, True]
+    assert sorted(metadata["outcome"] == "success" for metadata in every.read_metadata()) == [False, True]
     record(None, tmp_path / "out", keep="success", **options)
     assert contents(tmp_path / "out") == before
 

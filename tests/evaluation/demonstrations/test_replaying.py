@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import handover_marl
 from handover_marl import Demonstrations
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import open_dataset
@@ -24,46 +23,20 @@ def assert_shows(seen: dict[str, np.ndarray], demonstration: Demonstration, numb
         np.testing.assert_array_equal(array[number], seen[name], err_msg=f"{name} {number}", strict=True)
 
 
-def assert_replays_in_env(demonstration: Demonstration, data: Path, config: WorldConfig) -> None:
-    """Check that the environment reproduces a demonstration step by step if the giver follows the recording."""
-    metadata = demonstration.metadata
-    options: dict[str, Any] = {"dataset": metadata.dataset, "physics": metadata.physics, "robot": metadata.robot}
-    env = handover_marl.parallel_env(split="train", data_dir=data, control_period=0.001, world_config=config, **options)
-    observations, infos = env.reset(options={"scene_id": metadata.scene_id})
-    for number, action in enumerate(demonstration.actions):
-        assert_shows(observations["receiver"], demonstration, number)
-        rewards = 0.0
-        for _ in range(demonstration.steps[number], demonstration.steps[number + 1]):
-            observations, reward, ended, timed_out, infos = env.step({"receiver": action, "giver": NO_DEVIATION})
-            rewards += reward["receiver"]
-        assert rewards == demonstration.rewards[number]
-        assert ended["receiver"] == demonstration.terminations[number]
-        assert timed_out["receiver"] == demonstration.truncations[number]
-    assert_shows(observations["receiver"], demonstration, len(demonstration))
-    assert not env.agents
-    info = infos["receiver"]
-    assert (info["status"], info["steps"], info["release_step"]) == (
-        metadata.status,
-        metadata.steps,
-        metadata.release_step,
-    )
-    env.close()
-
-
 def assert_replays(
     demonstration: Demonstration, shown: Demonstrations, config: WorldConfig, obs_mode: str = "state"
 ) -> None:
     """Check that the actions of both agents, at their recorded steps, reproduce all observations and the outcome."""
     metadata = demonstration.metadata
-    episode = Episode(metadata.physics, config)
-    episode.reset(open_dataset(metadata.dataset).load_scene(metadata.scene_id))
-    episode.seed_camera(derive_seed(metadata.seed, "camera"))
+    episode = Episode(metadata["physics"], config)
+    episode.reset(open_dataset(metadata["dataset"]).load_scene(metadata["scene_id"]))
+    episode.seed_camera(derive_seed(metadata["seed"], "camera"))
     robot = dict(zip(demonstration.steps.tolist(), demonstration.actions, strict=False))
     giver = dict(zip(demonstration.giver_steps.tolist(), demonstration.giver_actions, strict=True))
-    times = sorted({*robot, *giver, metadata.steps})
+    times = sorted({*robot, *giver, metadata["steps"]})
     number, action, deviation = 0, np.zeros(9, dtype=np.float32), NO_DEVIATION
-    for now, then in zip(times, [*times[1:], metadata.steps], strict=True):
-        if now in robot or now == metadata.steps:
+    for now, then in zip(times, [*times[1:], metadata["steps"]], strict=True):
+        if now in robot or now == metadata["steps"]:
             seen = select_receiver_observation(episode.observe(), episode.observe_camera(obs_mode), obs_mode)
             assert shown.observation_space.contains(seen)
             assert_shows(seen, demonstration, number)
@@ -71,22 +44,22 @@ def assert_replays(
         deviation = giver.get(now, deviation)
         episode.advance(action, then - now, deviation)
     assert number == len(demonstration) + 1
-    assert (int(episode.status), episode.steps) == (metadata.status, metadata.steps)
-    assert (-1 if episode.release_step is None else episode.release_step) == metadata.release_step
+    assert (int(episode.status), episode.steps) == (metadata["status"], metadata["steps"])
+    assert (-1 if episode.release_step is None else episode.release_step) == metadata["release_step"]
     episode.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["exact", "fast"])
-def test_actions_replay_in_the_environment(fake_data: Path, tmp_path: Path, physics: str) -> None:
-    (demonstration,) = record(fake_data, tmp_path / "out", physics=physics, scenes=[5])
+def test_actions_replay_an_episode_of_the_replayed_giver(tmp_path: Path, physics: str) -> None:
+    (demonstration,) = demonstrations = record(None, tmp_path / "out", physics=physics, scenes=[5])
     holds = np.diff(demonstration.steps)
     assert len(set(holds)) > 3
     assert (demonstration.steps[0], demonstration.steps[-1]) == (0, HORIZON)
     assert demonstration.truncations.tolist() == [False] * (len(holds) - 1) + [True]
     assert not demonstration.terminations.any()
-    assert len(demonstration.giver_steps) == 0
     assert demonstration.giver_actions.shape == (0, 8)
-    assert_replays_in_env(demonstration, fake_data, SHORT)
+    assert_replays(demonstration, demonstrations, SHORT)
 
 
 def test_both_agents_and_the_camera_are_replayed(tmp_path: Path) -> None:
@@ -102,12 +75,13 @@ def test_both_agents_and_the_camera_are_replayed(tmp_path: Path) -> None:
     assert demonstrations[0].observations["wrist_point_counts"].max() > 1024
 
 
+@pytest.mark.slow
 def test_reward_of_a_success_is_that_of_the_environment(tmp_path: Path) -> None:
     options: dict[str, Any] = {"receiver": "yang2021:wait=0", "world_config": OFFICIAL_CONFIG, "scenes": [5]}
     (demonstration,) = demonstrations = record(None, tmp_path / "out", **options)
-    assert demonstration.metadata.success
-    assert demonstration.metadata.status == EpisodeStatus.SUCCESS
-    assert demonstration.metadata.release_step > 0
+    assert demonstration.metadata["outcome"] == "success"
+    assert demonstration.metadata["status"] == EpisodeStatus.SUCCESS
+    assert demonstration.metadata["release_step"] > 0
     assert demonstration.rewards.tolist() == [0.0] * (len(demonstration) - 1) + [1.0]
     assert demonstration.terminations.tolist() == [False] * (len(demonstration) - 1) + [True]
     assert not demonstration.truncations.any()

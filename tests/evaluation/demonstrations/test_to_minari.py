@@ -1,7 +1,6 @@
 """Tests of the conversion to Minari's format, with Minari's own reader."""
 
 import importlib.util
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +46,7 @@ def test_minari_reads_the_data_set(
             np.testing.assert_array_equal(episode.observations[name], array, err_msg=name, strict=True)
         np.testing.assert_array_equal(episode.infos["steps"], demonstration.steps)
         np.testing.assert_array_equal(episode.infos["giver_actions"], demonstration.hold_giver_actions())
-        assert {name: metadata[name] for name in asdict(demonstration.metadata)} == asdict(demonstration.metadata)
+        assert {name: metadata[name] for name in demonstration.metadata} == demonstration.metadata
     assert len(dataset.filter_episodes(lambda episode: bool(episode.truncations[-1]))) == 2
     with pytest.raises(OptionError, match=r"name must be a new data set of Minari, got 'handover/moving-v0' .*exists"):
         convert_to_minari(tmp_path / "out", "handover/moving-v0")

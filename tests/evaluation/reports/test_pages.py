@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from handover_marl.cli import main
-from handover_marl.evaluation.reports.report_files import find_replay_links, render_report_page
+from handover_marl.evaluation.reports.report import find_replay_links, render_report_page
 from tests.evaluation.reports.test_report import report
 from tests.evaluation.test_comparison import folder
 from tests.visualization.outside import dangling, outside, references
@@ -54,20 +54,11 @@ def test_replay_links_are_relative_to_the_page(tmp_path: Path) -> None:
 
 
 def test_commands_write_pages(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    one, other = (folder(tmp_path / name, name, {0: 1, 1: status}) for name, status in (("one", 1), ("other", 4)))
+    other = folder(tmp_path / "other", "other", {0: 1, 1: 4})
     (other / "episodes").mkdir()
     (other / "episodes" / "214.html").write_text("")
     assert main(["evaluate", str(other), "--out", str(tmp_path / "report.html")]) == 0
     assert "| other " in capsys.readouterr().out
     assert "other/episodes/214.html" in references((tmp_path / "report.html").read_text())
-    assert main(["compare", str(one), str(other), "--out", str(tmp_path / "new" / "both.html")]) == 0
-    both = (tmp_path / "new" / "both.html").read_text()
-    assert outside(both) == []
-    assert "<h1>one (A) and other (B)</h1>" in both
-    assert both.index("A minus B, points") < both.index("Scenes with different outcomes")
-    assert "../other/episodes/214.html" in references(both)
-    assert "+50.00 (" in both
-    assert main(["compare", str(one), str(one), "--out", str(tmp_path / "same.html")]) == 0
-    assert "Every scene has the same outcome" in (tmp_path / "same.html").read_text()
-    assert main(["compare", str(one), str(other), "--out", str(tmp_path / "both.pdf")]) == 2
+    assert main(["evaluate", str(other), "--out", str(tmp_path / "report.pdf")]) == 2
     assert ".html" in capsys.readouterr().err

@@ -1,28 +1,27 @@
+"""Tests of tables in all formats, and of statistics with their intervals."""
+
 import csv
 import io
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
-from handover_marl.evaluation.reports.episode_tables import (
-    build_fluency_table,
-    format_fluency_row,
-    format_scene_cells,
-)
 from handover_marl.evaluation.reports.tables import (
     FLUENCY,
     TABLE_FORMATS,
     ReportTable,
     TabularResult,
+    compute_mean_interval,
+    compute_paired_difference,
+    compute_wilson_interval,
 )
-from handover_marl.evaluation.results.episode_result import EpisodeResult
 from tests.evaluation.quick import write_results
-from tests.evaluation.reports.test_report import episode, report
+from tests.evaluation.reports.test_report import report
 
 TITLES = [column.title for column in FLUENCY]
 WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
@@ -52,11 +51,10 @@ def test_other_formats_are_not_split() -> None:
 def results() -> list[TabularResult]:
     """Return one result of every kind that commands print."""
     first, other = report(1, 2), report(2, 1, physics="fast")
-    pairs = tuple(zip(first.episodes, other.episodes, strict=True))
     both = {("replay", name): first for name in ("hold", "yang2021")}
     return [
         first,
-        Comparison(first, other, pairs),
+        Comparison(first, other),
         Agreement(first, other),
         CrossPlay(both),
     ]
@@ -112,42 +110,41 @@ def test_episodes_as_csv(tmp_path: Path) -> None:
     assert main(["evaluate", str(folder), "--episodes", str(tmp_path / "all.txt")]) == 2
 
 
-def test_episodes_without_metrics_as_csv() -> None:
-    """Episodes without fluency metrics, such as those of HandoverSim, have the same columns with empty cells."""
-    first = report(1, 2)
-    (header, *rows) = csv.reader(io.StringIO(first.format_episodes_csv()))
-    assert header == next(csv.reader(io.StringIO(report(1).format_episodes_csv())))
-    assert dict(zip(header, rows[0], strict=True))["gripper_jerk"] == ""
+def test_wilson_against_known_values() -> None:
+    # Newcombe (1998), Table I: 81/263 and 0/20.
+    np.testing.assert_allclose(compute_wilson_interval(81, 263), (0.2553, 0.3662), atol=5e-5)
+    np.testing.assert_allclose(compute_wilson_interval(0, 20), (0.0, 0.1611), atol=5e-5)
 
 
-def test_cells_of_fluency_metrics_have_mean_interval_and_n() -> None:
-    metrics = {column.key: 0.25 for column in FLUENCY}
-    known = [episode(index, 1, fluency=FluencyMetrics(**metrics)) for index in range(2)]
-    place = TITLES.index("human idle %")
-    assert format_fluency_row(known)[place] == "25 (25 to 25; n 2)"
-    assert format_fluency_row(known[:1])[place] == "25 (n 1)"
-    unknown = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "handover_time": None}))]
-    assert format_fluency_row(unknown)[TITLES.index("handover time s")] == "-"
-    assert format_fluency_row([episode(0, 1)]) == ["-"] * len(FLUENCY)
+def test_mean_interval() -> None:
+    # One of the 27 resamples of three values has the lowest mean and one the highest; 1/27 is more than 2.5 %.
+    assert compute_mean_interval([1.0, 2.0, 3.0]) == (1.0, 3.0)
+    assert compute_mean_interval([2.0, 2.0]) == (2.0, 2.0)
+    assert compute_mean_interval([1.0]) is None
+    assert compute_mean_interval([]) is None
 
 
-def test_cells_of_scenes() -> None:
-    one = episode(0, 6, 1234, 0.12345, subject="20200709-subject-01", side="left", release_step=1000)
-    row = ["204", "003_cracker_box", "20200709-subject-01", "left", "contact+drop", "1234", "1000", "0.123"]
-    assert format_scene_cells(one) == row
-    assert format_scene_cells(EpisodeResult(0, one.status, 5, 0.0)) == ["-"] * 4 + ["contact+drop", "5", "-", "0.000"]
+def test_mean_intervals_are_those_of_two_thousand_resamples() -> None:
+    """The 2000 resamples are fixed, so that later versions reproduce the intervals of the results pages."""
+    values = np.random.default_rng(2).normal(5.0, 2.0, 25)
+    resamples = np.random.default_rng(0).integers(0, 25, (2000, 25))
+    expected = np.percentile(values[resamples].mean(axis=1), [2.5, 97.5])
+    np.testing.assert_allclose(compute_mean_interval(values.tolist()), expected, rtol=1e-12)
 
 
-def test_numbers_of_the_fluency_table_have_three_digits() -> None:
-    metrics = {column.key: 0.0 for column in FLUENCY}
-    cells = {}
-    for value in (0.0, 0.123456, 12.3456, 999.4, 999.5, 1234.56, -1234.56):
-        one = [episode(0, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))]
-        cells[value] = next(row for row in build_fluency_table(one).rows if row[0] == "gripper jerk m/s^3")[1:]
-    texts = ["0", "0.123", "12.3", "999", "1000", "1235", "-1235"]
-    assert list(cells.values()) == [[text, "-", 1] for text in texts]
-    both = [
-        episode(index, 1, fluency=FluencyMetrics(**{**metrics, "gripper_jerk": value}))
-        for index, value in enumerate((0.5, 1500.25))
-    ]
-    assert ["gripper jerk m/s^3", "750", "0 to 1500", 2] in build_fluency_table(both).rows
+def test_paired_differences_against_a_worked_example() -> None:
+    """The interval is that of Agresti, Categorical Data Analysis: 150 of 1600 approved only first, 86 only later."""
+    first = [True] * 794 + [True] * 150 + [False] * 86 + [False] * 570
+    second = [True] * 794 + [False] * 150 + [True] * 86 + [False] * 570
+    mean, low, high = compute_paired_difference(first, second)
+    assert mean == pytest.approx(0.04)
+    assert (low, high) == (pytest.approx(0.021, abs=1e-3), pytest.approx(0.059, abs=1e-3))
+
+
+def test_paired_differences_of_few_scenes_add_half_an_episode_to_each_kind_of_pair() -> None:
+    """Count 4 of 10 scenes that only the first solves, and 1 that only the second solves, as 4.5 and 1.5 of 12."""
+    first = [True] * 4 + [False] + [True] * 5
+    second = [False] * 4 + [True] + [True] * 5
+    mean, low, high = compute_paired_difference(first, second)
+    half = 1.959964 * (((4.5 + 1.5) / 12 - (3 / 12) ** 2) / 12) ** 0.5
+    assert (mean, low, high) == pytest.approx((0.3, 0.25 - half, 0.25 + half), abs=1e-5)

@@ -6,18 +6,20 @@ from typing import Any
 
 import pytest
 
-from handover_marl.errors import DataFormatError
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.evaluation.strangers.references import (
     Condition,
     Reference,
     ReferenceTable,
     load_references,
 )
+from handover_marl.policies.populations import load_population
 
 CONDITION = Condition("receiver", "dexycb", "s0", "train", "fast", "0", "0.8.0", (3, 5, 9), ("a", "b", "c"))
 GOOD = Reference("reactive", "0.8.0 abc", "handover-marl pair", (0.5, 0.0, 0.7))
 BAD = Reference("hold", "0.8.0 abc", "handover-marl pair", (0.0, 0.3, 0.0))
-EMPTY = ReferenceTable("abc", {})
+POPULATION = load_population()
+EMPTY = ReferenceTable(POPULATION, {})
 
 
 def test_the_best_policy_stays() -> None:
@@ -56,13 +58,15 @@ def test_references_of_other_conditions_are_refused(changes: dict[str, Any]) -> 
 
 def test_files(tmp_path: Path) -> None:
     path = tmp_path / "references.json"
-    assert load_references(path, "abc") == EMPTY
+    assert load_references(POPULATION, path, is_new=True) == EMPTY
+    with pytest.raises(DataNotFoundError, match="references must be a file that"):
+        load_references(POPULATION, path)
     table = EMPTY.update(CONDITION, "fast", GOOD)
-    path.write_text(table.format())
-    assert load_references(path, "abc") == table
-    with pytest.raises(DataFormatError, match="must be of population def, got abc"):
-        load_references(path, "def")
-    for text in ("{", '{"population_hash": "abc", "sections": [1]}', path.read_text().replace("0.7", "0.7, 0.1")):
+    path.write_text(table.to_json())
+    assert load_references(POPULATION, path) == table
+    with pytest.raises(DataFormatError, match="must be of population def, got"):
+        load_references(replace(POPULATION, content_hash="def"), path)
+    for text in ("{", '{"population_hash": "", "sections": [1]}', path.read_text().replace("0.7", "0.7, 0.1")):
         path.write_text(text)
         with pytest.raises(DataFormatError, match="not a readable file of references"):
-            load_references(path, "abc")
+            load_references(POPULATION, path)

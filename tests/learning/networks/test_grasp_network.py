@@ -3,7 +3,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.geometry.panda import PAD_DISTANCE
 from handover_marl.learning.networks.grasp_losses import (
     GraspTargets,
     compute_grasp_distances,
@@ -71,16 +70,6 @@ def test_points_of_the_hand_that_do_not_count_do_not_matter() -> None:
     assert not torch.allclose(shown.quality[0], predict(net, views).quality[0])
 
 
-def test_poses_become_grasps() -> None:
-    poses = random_poses(20)
-    good = grasp_targets_from_poses(poses[None], torch.ones(1, 20))
-    turns = Rotation.from_quat(poses[:, 3:].numpy()).as_matrix()
-    np.testing.assert_allclose(good.rotations[0].numpy(), turns, atol=1e-5)
-    np.testing.assert_allclose(
-        good.positions[0].numpy(), poses[:, :3].numpy() + PAD_DISTANCE * turns[:, :, 2], atol=1e-6
-    )
-
-
 def grasps_at(good: GraspTargets) -> GraspOutputs:
     nothing = torch.zeros(1, 3)
     return GraspOutputs(torch.zeros(good.quality.shape), good.positions, good.rotations, nothing, nothing)
@@ -118,7 +107,7 @@ def test_losses_are_least_for_what_is_good() -> None:
 
 
 def test_settings_in_files_of_earlier_versions_are_read() -> None:
-    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": False, "groups": [4]}
-    expected = GraspNetworkConfig(16, 8, 24, 32, uses_hand_points=False, group_sizes=(4,))
+    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": True, "groups": [4]}
+    expected = GraspNetworkConfig(16, 8, 24, 32, group_sizes=(4,))
     assert GraspNetwork.from_settings(old).config == expected
     assert GraspNetwork.from_settings(network(expected).get_settings()).config == expected

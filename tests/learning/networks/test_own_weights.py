@@ -28,22 +28,6 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_they_are_small_and_say_nearly_the_same(file: Path) -> None:
-    torch.manual_seed(0)
-    network = GaddpgNetwork().eval()
-    assert file.stat().st_size < 4_000_000
-    found, fingerprint = read_network_weights(file, GaddpgNetwork)
-    assert len(fingerprint) == 8
-    points = np.zeros((4, 1030))
-    points[:3] = np.random.default_rng(0).uniform(0.1, 0.3, (3, 1030))
-    np.testing.assert_allclose(found.predict_step(points, 7), network.predict_step(points, 7), atol=2e-3)
-
-
-def test_the_receiver_says_whose_they_are(file: Path) -> None:
-    receiver = make(("gaddpg", {"weights": str(file)}), DATA)
-    assert receiver.label.startswith("gaddpg@own weights ")
-
-
 def test_without_options_the_shipped_ones_are_taken(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gaddpg, "GADDPG_WEIGHTS", file)
     assert make("gaddpg", DATA).label.startswith("gaddpg@own weights ")

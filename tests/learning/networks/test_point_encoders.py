@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork, PolicyHead
-from handover_marl.learning.networks.point_encoders import BallGrouping, PointNetPlusPlus, SetAbstraction
+from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 from tests.learning.networks.test_point_sampling import DEVICES, farthest_by_loops, neighbours_by_loops
 
 Array = npt.NDArray[np.float64]
@@ -50,11 +50,6 @@ def test_as_large_as_the_published_ones() -> None:
         1_398_976,
     ]
     assert size(PolicyHead()) == 202_259
-
-
-def test_looks_where_the_published_one_looks() -> None:
-    stages: list[SetAbstraction] = list(PointNetPlusPlus().stages)  # type: ignore[arg-type]
-    assert [stage.grouping for stage in stages] == [BallGrouping(32, 0.02, 64), BallGrouping(32, 0.04, 128), None]
 
 
 class ByLoops:

@@ -81,15 +81,6 @@ def test_the_ball_is_open() -> None:
     assert query_ball(points, points[:, :1] + 9.0, 0.5, 2).tolist() == [[[0, 0]]]
 
 
-def test_columns_are_gathered() -> None:
-    values = torch.arange(24.0).reshape(2, 3, 4)
-    indices = torch.tensor([[[3, 0], [1, 1]], [[2, 2], [0, 3]]])
-    taken = gather_columns(values, indices)
-    assert taken.shape == (2, 3, 2, 2)
-    for batch, row, column in np.ndindex(2, 2, 2):
-        assert taken[batch, :, row, column].equal(values[batch, :, indices[batch, row, column]])
-
-
 @given(seed=st.integers(0, 2**16), members=st.integers(1, 5))
 @settings(max_examples=20)
 def test_greatest_of_groups_and_its_gradient(seed: int, members: int) -> None:

@@ -11,11 +11,8 @@ pytest.importorskip("stable_baselines3.common.vec_env", reason="needs the extra 
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import handover_marl
-from handover_marl import givers
-from handover_marl.errors import OptionError, PolicyError
+from handover_marl.errors import OptionError
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
-from handover_marl.learning.training.stable_baselines import PpoArgs, make_frozen_env, record_first_decisions
-from tests.failing import Failing
 
 COUNT = 3
 OPTIONS: dict[str, Any] = {
@@ -24,9 +21,9 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-def batch(partner: Any = "hold") -> BatchVecEnv:
+def batch() -> BatchVecEnv:
     options: dict[str, Any] = {"features": "giver", "schemes": "deviation", "autoreset": "same_step"}
-    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", partner, processes=2, **options, **OPTIONS))
+    return BatchVecEnv(handover_marl.vector_env(COUNT, "giver", "hold", processes=2, **options, **OPTIONS))
 
 
 def alone() -> Any:
@@ -44,6 +41,7 @@ def rollout(envs: Any, steps: int = 20) -> list[Any]:
     return said
 
 
+@pytest.mark.slow
 def test_batches_equal_single_environments() -> None:
     expected = rollout(DummyVecEnv([alone] * COUNT))
     found = rollout(batch())
@@ -69,31 +67,3 @@ def test_stable_baselines_learns_from_vector_environments() -> None:
     for autoreset in ("next_step", "disabled"):
         with pytest.raises(OptionError, match=f"envs must have autoreset='same_step', got '{autoreset}'"):
             BatchVecEnv(handover_marl.vector_env(1, autoreset=autoreset, threads=1, **OPTIONS))
-
-
-def test_errors_of_processes_are_raised() -> None:
-    envs = batch(Failing)
-    envs.reset()
-    still = np.zeros((COUNT, *envs.action_space.shape))
-    envs.step(still)
-    envs.step(still)
-    with pytest.raises(PolicyError, match="nonsense"):
-        envs.step(still)
-    envs.close()
-    envs.close()
-
-
-def test_first_decisions_of_a_teacher_equal_those_in_single_environments() -> None:
-    args = PpoArgs(
-        dataset="synthetic", features="giver", actions="offer", control_period=0.1, time_limit=3.0, discount=0.99
-    )
-    inputs, outputs = record_first_decisions(args, "hold", "cooperative", 3, 5, processes=1)
-    assert len(inputs) == len(outputs) == 3
-    env, teacher = make_frozen_env(args, "giver", "hold", args.make_env_config()), givers.make("cooperative")
-    for number in range(3):
-        expected = env.reset(seed=5 + number)[0]["giver"]
-        teacher.reset()
-        wanted = env.outputs_from_action("giver", teacher.act(env.get_last_observation("giver")))
-        np.testing.assert_array_equal(inputs[number], expected)
-        np.testing.assert_array_equal(outputs[number], wanted)
-    env.close()

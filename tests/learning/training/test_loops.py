@@ -13,7 +13,7 @@ from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("torch", reason="needs an extra with PyTorch")
 pytest.importorskip("mujoco", reason="needs MuJoCo")
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 SCRIPTS = {
     "train_both_torchrl": "torchrl",
     "train_both_rllib": "ray.rllib",
@@ -38,4 +38,4 @@ def test_training_writes_policies_that_run(
     for agent, package in (("giver", givers), ("receiver", receivers)):
         path = tmp_path / f"{agent}.npz"
         package.make(f"learned:{path}", SyntheticDataset())  # type: ignore[attr-defined]
-        assert name in read_policy(path, agent).spec.origin
+        assert name in read_policy(path, agent)[0].origin

@@ -45,14 +45,6 @@ def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
     assert (arguments["seed"], arguments["rates"]) == (0, [0.1, 0.2])
 
 
-def test_folders_that_hold_something_else_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "arguments.json").write_text("{")
-    with pytest.raises(ResultsError, match=r"arguments\.json: not the arguments of a run .*choose another --out"):
-        open_run_folder(tmp_path, Args(), True, "synthetic")
-    with pytest.raises(ResultsError, match="cannot make"):
-        open_run_folder(tmp_path / "arguments.json", Args(), False, "synthetic")
-
-
 def test_every_tenth_scene_is_held_out() -> None:
     scenes = tuple(range(100, 200))
     assert set(select_training_scenes(scenes)) | set(select_held_out_scenes(scenes)) == set(scenes)

@@ -109,7 +109,6 @@ def test_missing_policy_of_a_pair_is_named(train: ModuleType, tmp_path: Path) ->
         ({"ego": "giver", "method": "history"}, "method must be best_response, population or fictitious_co_play"),
         ({"partner": "noisy"}, "partner must be left out with method population"),
         ({"seeds": (1000,)}, "seeds must be integers from 0 to 999"),
-        ({"pairs": 0}, "pairs must be at least 1"),
         ({"out": Path("a,b")}, "out must be a path without commas"),
     ],
 )

@@ -61,13 +61,3 @@ def test_offset_grasps_are_clear_of_hand_and_object() -> None:
     # At this depth the hand's body collides with the box.
     deep = ValidatedGrasps(pose_above(0.06)[None], np.ones(1))
     assert len(perturb_grasps(deep, POINTS, FAR, 0.08, replace(config, backward=(0.0,))).poses) == 0
-
-
-def test_unstable_grasps_get_no_offsets() -> None:
-    grasps = ValidatedGrasps(pose_above(0.02)[None], np.zeros(1))
-    assert perturb_grasps(grasps, POINTS, FAR, 0.08, GraspOffsets()).poses.shape == (0, 7)
-
-
-def test_number_of_offset_grasps_is_limited() -> None:
-    grasps = ValidatedGrasps(np.stack([pose_above(0.02, 0.001 * number) for number in range(10)]), np.ones(10))
-    assert len(perturb_grasps(grasps, POINTS, FAR, 0.08, GraspOffsets(max_grasps=20)).poses) <= 20

@@ -1,6 +1,5 @@
 """Tests of grasp validation, its cache, and the shipped records."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.assets.shipped import (
-    VALIDATION_PATH,
-    load_validation_record,
-)
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -43,20 +37,6 @@ def known_grasps(name: str) -> np.ndarray:
     known = GraspLibrary(DATA.load_grasps).get_hand_poses_in_object(name)
     assert known is not None
     return known
-
-
-def test_tilted_copies_keep_the_pads_in_place() -> None:
-    rng = np.random.default_rng(0)
-    known = np.concatenate([rng.normal(size=(5, 3)), rng.normal(size=(5, 4))], axis=1)
-    known[:, 3:] /= np.linalg.norm(known[:, 3:], axis=1, keepdims=True)
-    config = GraspPreparationConfig(tilts=(0.4, -0.8))
-    copies = tilt_grasps(known, config)
-    assert copies.shape == (10, 7)
-
-    def pad_positions(poses: np.ndarray) -> np.ndarray:
-        return np.asarray(compose(poses, np.array([0.0, 0.0, config.pad_distance, 0.0, 0.0, 0.0, 1.0]))[:, :3])
-
-    np.testing.assert_allclose(pad_positions(copies), np.tile(pad_positions(known), (2, 1)), atol=1e-9)
 
 
 @given(st.data())
@@ -138,12 +118,3 @@ def test_a_simulation_selects_the_grasps_of_the_shipped_record(monkeypatch: pyte
     made = get_validation_record(urdf, DATA.panda_urdf, known, replace(config, max_copies=5))[: len(known)]
     good, found = (record[:, 1] * record[:, 3] > 0 for record in (shipped, made))
     assert (good == found).mean() > 0.9
-
-
-def test_damaged_records_file(tmp_path: Path) -> None:
-    path = tmp_path / "grasp_validations.npz"
-    assert load_validation_record("mug", path) is None
-    shutil.copy(VALIDATION_PATH, path)
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(DataFormatError, match=r"not a readable file of arrays .* install the library again"):
-        load_validation_record("mug", path)

@@ -65,16 +65,7 @@ def act(receiver: ReactiveReceiver, observation: Observation) -> np.ndarray:
     return np.array([receiver.act({**observation, "time": time}) for time in times])
 
 
-def test_other_objects_are_located(handover_observation: Observation) -> None:
-    obstacles = make_estimate(handover_observation).obstacles
-    assert obstacles is not None
-    n_others = int(handover_observation["object_mask"].sum()) - 1
-    assert (n_others - 1) * CONFIG.n_obstacle_spheres < len(obstacles.radii) <= n_others * CONFIG.n_obstacle_spheres
-    distances = np.linalg.norm(obstacles.centers[:, None] - handover_observation["object_poses"][1:, :3], axis=-1)
-    assert distances.min(axis=1).max() < 0.2
-    assert set(distances.argmin(axis=1)) == set(range(n_others))
-
-
+@pytest.mark.slow
 def test_objects_that_are_absent_or_out_of_reach_change_nothing(handover_observation: Observation) -> None:
     alone = remove_others(handover_observation)
     beyond = move_others(handover_observation, FAR_AWAY)
@@ -102,6 +93,7 @@ def test_grasps_beside_other_objects_are_preferred(handover_observation: Observa
     assert compute_grasp_clearances(chosen[None], obstacles, CONFIG.approach.standoff)[0] > 0.0
 
 
+@pytest.mark.slow
 def test_no_other_object_is_touched() -> None:
     """The receiver succeeds in a scene without touching the other objects.
 

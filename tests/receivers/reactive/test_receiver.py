@@ -6,12 +6,10 @@ import pytest
 from handover_marl.config import ARM_DOF
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler, run_episode
+from handover_marl.episode.loop import PolicyScheduler
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.planning.clearance import Spheres
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ReactivePhase
 from handover_marl.receivers.reactive.receiver import ReactiveReceiver
@@ -65,6 +63,7 @@ def played() -> tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]
     return receiver, *play_scene(receiver)
 
 
+@pytest.mark.slow
 def test_takes_the_object_to_the_goal(
     played: tuple[ReactiveReceiver, Episode, np.ndarray, list[ReactivePhase]],
 ) -> None:
@@ -79,17 +78,7 @@ def test_takes_the_object_to_the_goal(
     np.testing.assert_array_equal(actions[:, ARM_DOF:] == 0.0, np.stack([start_closing, start_closing], axis=1))
 
 
-def test_waits(handover_observation: Observation) -> None:
-    receiver = make_reactive(wait=1.0)
-    assert receiver.wait == 1.0
-    assert make_reactive().wait == 0.0
-    joints = np.array(WAITING_JOINTS, dtype=np.float32)
-    for number in range(20):
-        action = receiver.act(observe_at(handover_observation, 0.05 * number, robot_joint_position=joints))
-        np.testing.assert_allclose(action, joints, atol=1e-6)
-        assert receiver.phase is ReactivePhase.WAIT
-
-
+@pytest.mark.slow
 def test_targets_respect_motor_limits() -> None:
     receiver = make_reactive()
     servo = receiver.config.servo
@@ -172,22 +161,6 @@ def test_closes_until_the_object_is_held_after_an_early_release(handover_observa
     assert receiver.phase is ReactivePhase.RETREAT
 
 
-def test_closes_around_an_object_that_was_released_before(handover_observation: Observation) -> None:
-    receiver = make_reactive()
-    for number in range(20):
-        receiver.act(observe_at(handover_observation, 2.0 + 0.05 * number))
-    goal = receiver.selector.chosen
-    assert goal is not None
-    # The hand is too far away for closing the fingers around an object that the person still holds.
-    between = (goal.grasp_joints + 0.15 * (goal.standoff_joints - goal.grasp_joints)).astype(np.float32)
-    joints = np.array([*between, 0.04, 0.04], dtype=np.float32)
-    receiver.act(observe_at(handover_observation, 3.0, robot_joint_position=joints))
-    assert receiver.phase is ReactivePhase.FINAL_APPROACH
-    free = np.ones(1, dtype=np.float32)
-    receiver.act(observe_at(handover_observation, 3.02, robot_joint_position=joints, released=free))
-    assert receiver.phase is ReactivePhase.CLOSE
-
-
 def test_follows_the_hand_instead_of_an_object_that_is_pushed(handover_observation: Observation) -> None:
     def predict_velocity(moved: float, **changes: np.ndarray) -> np.ndarray:
         """Return the predicted velocity (3,) of an object that moves within 20 ms by a distance (m)."""
@@ -202,26 +175,6 @@ def test_follows_the_hand_instead_of_an_object_that_is_pushed(handover_observati
     np.testing.assert_allclose(predict_velocity(0.02), np.zeros(3), atol=1e-9)
     # An object that was released falls.
     assert predict_velocity(0.02, released=np.ones(1, dtype=np.float32))[0] > 0.9
-
-
-def test_stays_without_known_grasps(handover_observation: Observation) -> None:
-    receiver = make_reactive()
-    classes = handover_observation["object_classes"].copy()
-    classes[0] = 1.0
-    for number in range(10):
-        receiver.act(observe_at(handover_observation, 3.0 + 0.05 * number, object_classes=classes))
-    assert receiver.phase is ReactivePhase.WAIT
-
-
-def test_needs_a_reset(handover_observation: Observation) -> None:
-    with pytest.raises(ResetNeededError, match="reactive"):
-        ReactiveReceiver(make_policy_context(DATA), config=QUICK).act(handover_observation)
-
-
-@pytest.mark.parametrize("risk", [-0.1, 1.1, "half", True])
-def test_invalid_risk(risk: object) -> None:
-    with pytest.raises(OptionError, match="risk"):
-        apply_risk(ReactiveConfig(), risk)  # type: ignore[arg-type]
 
 
 def test_risk_scales_speeds_and_costs() -> None:
@@ -239,13 +192,3 @@ def test_risk_scales_speeds_and_costs() -> None:
     ):
         values = [getattr(getattr(config, part), name) for config in (careful, usual, bold)]
         assert values == pytest.approx([4.0 * values[1], values[1], values[1] / 4.0])
-
-
-def test_exact_physics() -> None:
-    episode, receiver = Episode("exact"), make_reactive()
-    episode.reset(DATA.load_scene(SCENE))
-    run_episode(episode, receiver, until=1500)
-    assert episode.steps == 1500
-    moved = episode.observe()["robot_joint_position"] - np.array(WAITING_JOINTS, dtype=np.float32)
-    assert np.abs(moved).max() > 0.1
-    episode.close()

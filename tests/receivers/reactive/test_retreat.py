@@ -9,8 +9,8 @@ from handover_marl.geometry.poses import compose, rotate_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.config import ReactiveConfig, RetreatConfig
-from handover_marl.receivers.reactive.reachability import HOME
 from handover_marl.receivers.reactive.retreat import RetreatController
+from handover_marl.receivers.reactive.selector import HOME
 from tests.planning.robots import ARM
 
 GOAL = np.array(ProtocolConfig().goal_center)

@@ -5,9 +5,9 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
-from handover_marl.receivers.vision.config import GraspTrackerConfig
+from handover_marl.receivers.vision import grasp_tracker
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
-from handover_marl.receivers.vision.grasp_tracker import GraspTracker
+from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, GraspTracker
 from handover_marl.receivers.vision.object_tracking import FilterGains
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def is_same_grasp(one: Array, other: Array) -> bool:
 
 
 def test_candidates_are_good_grasps_and_half_turns() -> None:
-    tracker = GraspTracker(FixedPredictor(), GraspTrackerConfig(), 0)
+    tracker = GraspTracker(FixedPredictor(), 0)
     assert not tracker.is_initialized
     tracker.update(0.0, LINK, ITEM, HAND)
     assert tracker.is_initialized
@@ -59,12 +59,14 @@ def test_candidates_are_good_grasps_and_half_turns() -> None:
     half = compose(GRASPS, np.array(HALF_TURN))
     for pose, wanted in zip(found, [GRASPS[0], GRASPS[1], half[0], half[1]], strict=True):
         assert is_same_grasp(pose, wanted)
-    np.testing.assert_allclose(tracker.costs, -GraspTrackerConfig().cost_scale * np.log([0.9, 0.5, 0.9, 0.5]))
+    np.testing.assert_allclose(tracker.costs, -COST_SCALE * np.log([0.9, 0.5, 0.9, 0.5]))
 
 
-def test_selected_grasp_is_first_and_corrected() -> None:
+def test_selected_grasp_is_first_and_corrected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grasp_tracker, "_NEAR_DISTANCE", 0.1)
+    monkeypatch.setattr(grasp_tracker, "_FAR_GAINS", FilterGains(0.5, 0.1, 0.5))
     predictor = FixedPredictor()
-    tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.1, far_gains=FilterGains(0.5, 0.1, 0.5)), 0)
+    tracker = GraspTracker(predictor, 0)
     tracker.update(0.0, LINK, ITEM, HAND)
     chosen = tracker.grasps[0]
     tracker.selected = chosen
@@ -74,54 +76,29 @@ def test_selected_grasp_is_first_and_corrected() -> None:
     assert len(tracker.grasps) == 5
 
 
-def test_failed_grasps_cost_more_for_a_while() -> None:
-    tracker = GraspTracker(FixedPredictor(), GraspTrackerConfig(), 0)
-    tracker.update(0.0, LINK, ITEM, HAND)
-    before = tracker.costs.copy()
-    tracker.add_failed(tracker.grasps[0], until=1.0)
-    tracker.update(0.5, LINK, ITEM, HAND)
-    assert (tracker.costs - before > 5.0).tolist() == [True, False, True, False]
-    tracker.update(1.5, LINK, ITEM, HAND)
-    np.testing.assert_allclose(tracker.costs, before)
-
-
-def make_near_tracker(predictor: FixedPredictor) -> GraspTracker:
+def make_near_tracker(monkeypatch: pytest.MonkeyPatch, predictor: FixedPredictor) -> GraspTracker:
     """Return a tracker with two views from nearby, which has a keyframe."""
-    tracker = GraspTracker(predictor, GraspTrackerConfig(near_distance=0.5), 0)
+    monkeypatch.setattr(grasp_tracker, "_NEAR_DISTANCE", 0.5)
+    tracker = GraspTracker(predictor, 0)
     for number in range(2):
         tracker.update(0.05 * number, LINK, ITEM, HAND)
     return tracker
 
 
-def test_registration_tracks_the_surface_nearby() -> None:
-    tracker = make_near_tracker(FixedPredictor())
+def test_registration_tracks_the_surface_nearby(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = make_near_tracker(monkeypatch, FixedPredictor())
     for number in range(2, 8):
         tracker.update(0.05 * number, LINK, ITEM + np.array([0.005, 0.0, 0.003]) * (number - 1), HAND)
     moved = transform_points(LINK, np.array([0.03, 0.0, 0.018])) - LINK[:3]
     np.testing.assert_allclose(tracker.object_pose[:3], CENTER + moved, atol=3e-3)
 
 
-def test_strayed_track_is_restarted() -> None:
+def test_strayed_track_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
     predictor = FixedPredictor()
-    tracker = make_near_tracker(predictor)
+    tracker = make_near_tracker(monkeypatch, predictor)
     tracker.selected = tracker.grasps[0]
     assert tracker.selected is not None
     predictor.center = CENTER + 0.08
     tracker.update(0.1, LINK, ITEM, HAND)
     assert tracker.selected is None
     np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
-
-
-def test_lost_object_is_tracked_again() -> None:
-    predictor = FixedPredictor()
-    tracker = make_near_tracker(predictor)
-    tracker.selected = tracker.grasps[0]
-    tracker.update(0.1, LINK, ITEM[:3], HAND)
-    assert tracker.selected is not None
-    assert tracker.compute_unseen_time(0.1) == pytest.approx(0.05)
-    predictor.center = CENTER + 0.3
-    tracker.update(0.4, LINK, ITEM, HAND)
-    assert tracker.selected is None
-    assert tracker.compute_unseen_time(0.4) == 0.0
-    np.testing.assert_allclose(tracker.object_pose[:3], predictor.center, atol=1e-9)
-    np.testing.assert_allclose(tracker.velocity, 0.0)

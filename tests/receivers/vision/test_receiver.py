@@ -15,11 +15,11 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
+from handover_marl.errors import OptionError
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
-from handover_marl.learning.networks.weights import read_network_weights, write_network_weights
+from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import make_policy_context
@@ -91,35 +91,11 @@ def play_scene(
     return episode, receiver, log.actions
 
 
+@pytest.mark.slow
 def test_succeeds_with_true_grasps_and_point_clouds_only() -> None:
     episode, receiver, _ = play_scene(19)
     assert episode.status is EpisodeStatus.SUCCESS
     assert receiver.keys <= ALLOWED
-
-
-def test_weight_files(tmp_path: Path) -> None:
-    path, network = tmp_path / "net.npz", GraspNetwork(SMALL)
-    write_network_weights(path, network, {"seed": 0})
-    found, fingerprint = read_network_weights(path, GraspNetwork)
-    assert found.config == SMALL
-    assert len(fingerprint) == 8
-    for name, value in network.state_dict().items():
-        np.testing.assert_allclose(found.state_dict()[name].numpy(), value.numpy(), atol=1e-3)
-    receiver = receivers.make(f"vision:weights={path}", DATA)
-    assert receiver.label == f"vision@{fingerprint}"
-
-
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04"])
-def test_damaged_weight_file(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "net.npz"
-    path.write_bytes(content)
-    with pytest.raises(DataFormatError, match=r"net\.npz"):
-        read_network_weights(path, GraspNetwork)
-
-
-def test_missing_weight_file(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="train_vision"):
-        read_network_weights(tmp_path / "none.npz", GraspNetwork)
 
 
 def test_shipped_weights_of_all_setups() -> None:
@@ -132,6 +108,7 @@ def test_shipped_weights_of_all_setups() -> None:
         assert "/" not in made_by["made by"].removeprefix("experiments/train_vision.py"), "no places"
 
 
+@pytest.mark.slow
 def test_shipped_weights_succeed() -> None:
     receiver = receivers.make("vision", DATA)
     assert receiver.label == "vision"

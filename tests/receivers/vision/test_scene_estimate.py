@@ -10,15 +10,20 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.reactive.reachability import HOME
-from handover_marl.receivers.vision.config import VisionConfig, make_vision_reactive_config
+from handover_marl.receivers.reactive.selector import HOME
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
-from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
+from handover_marl.receivers.vision.receiver import make_vision_reactive_config
+from handover_marl.receivers.vision.scene_estimate import (
+    HIDDEN_TIMEOUT,
+    OBSTACLE_VOXEL_SIZE,
+    SEARCH_TIMEOUT,
+    PointCloudSceneEstimate,
+)
 
 Array = NDArray[np.float64]
 
-CONTEXT, VISION = make_policy_context(open_dataset("synthetic")), VisionConfig()
+CONTEXT = make_policy_context(open_dataset("synthetic"))
 ARM = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda)
 LINK = ARM.compute_hand_pose(HOME)
 RNG = np.random.default_rng(0)
@@ -31,8 +36,8 @@ def predict(item: Array, hand: Array, velocity: Array, rng: np.random.Generator)
 
 
 def make_estimate() -> PointCloudSceneEstimate:
-    tracker = GraspTracker(predict, VISION.tracker, 0)
-    return PointCloudSceneEstimate(ARM, make_vision_reactive_config(), VISION, tracker)
+    tracker = GraspTracker(predict, 0)
+    return PointCloudSceneEstimate(ARM, make_vision_reactive_config(), tracker)
 
 
 def observe(time: float, item: Array, others: Array) -> Observation:
@@ -59,7 +64,7 @@ def test_visible_points_of_other_objects_are_kept() -> None:
     assert estimate.obstacles is not None
     distances = np.linalg.norm(OTHERS[:, None] - estimate.obstacles.centers, axis=-1)
     assert distances.min(axis=0).max() < 1e-4, "points that were visible"
-    assert distances.min(axis=1).max() < np.sqrt(3.0) * VISION.obstacle_voxel_size
+    assert distances.min(axis=1).max() < np.sqrt(3.0) * OBSTACLE_VOXEL_SIZE
     assert len(estimate.obstacles.radii) < len(OTHERS)
 
 
@@ -68,7 +73,7 @@ def test_hidden_object_at_rest_is_expected_for_longer_beside_others(others: Arra
     estimate, nothing = make_estimate(), np.zeros((0, 3))
     for number in range(10):
         estimate.update(observe(0.05 * number, OBJECT, others))
-    patience = VISION.hidden_timeout if len(others) else VISION.search_timeout
+    patience = HIDDEN_TIMEOUT if len(others) else SEARCH_TIMEOUT
     for since, is_lost in ((patience - 0.05, False), (patience + 0.1, True)):
         estimate.update(observe(round(0.45 + since, 3), nothing, others))
         assert estimate.is_lost is is_lost

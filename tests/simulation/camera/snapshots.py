@@ -16,14 +16,19 @@ from handover_marl.simulation.tensor_state import JointSnapshotBatch
 
 
 def draw_snapshot(
-    scene: Scene, config: PhysicsConfig, rng: np.random.Generator, has_hand: bool = True, nearest: float = 0.0
+    scene: Scene,
+    config: PhysicsConfig,
+    rng: np.random.Generator,
+    has_hand: bool = True,
+    nearest: float = 0.0,
+    farthest: float = 0.6,
 ) -> JointSnapshot:
-    """Draw an arm pose, and poses of hand and objects `nearest` to 0.6 m before the camera; bodies may overlap."""
+    """Draw an arm pose, and poses of hand and objects at distances (m) before the camera; bodies may overlap."""
     low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
     robot = (low + rng.uniform(0.1, 0.9, 9) * (high - low)).astype(np.float32)
     count = len(scene.assets.objects) + 1
-    ahead = rng.uniform(nearest, 0.6, (count, 1))
-    aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(ahead, 0.05)
+    ahead = rng.uniform(nearest, farthest, (count, 1))
+    aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(np.abs(ahead), 0.05)
     dof = np.c_[place_in_view(scene, config, robot, np.c_[aside, ahead]), rng.uniform(-np.pi, np.pi, (count, 3))]
     hand = np.concatenate([dof[0], rng.uniform(-0.8, 0.8, 45)]).astype(np.float32)
     return JointSnapshot(robot, hand if has_hand else None, dof[1:].astype(np.float32))

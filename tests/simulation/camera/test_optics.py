@@ -6,9 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.errors import UnknownNameError
 from handover_marl.simulation.camera.optics import (
-    EMPTY_DEPTH,
     FAR,
     HANDOVERSIM_MODEL,
     NEAR,
@@ -57,11 +55,6 @@ def test_handoversim_points_are_shifted_by_one_pixel(seed: int) -> None:
     np.testing.assert_allclose(reference[:, 0] - true[:, 0], depth[seen] / 112.0, atol=3e-7)
 
 
-def test_handoversim_is_the_default_model() -> None:
-    depth, seen = random_picture(0)
-    np.testing.assert_array_equal(deproject(depth, seen), deproject(depth, seen, HANDOVERSIM_MODEL))
-
-
 def test_handoversim_points_are_bit_equal() -> None:
     depth, _ = random_picture(1)
     rows, columns = (number.astype(np.float32) for number in np.indices(SHAPE))
@@ -69,15 +62,6 @@ def test_handoversim_points_are_bit_equal() -> None:
     expected = np.stack([x, depth * (SCALE * columns + SHIFT), depth + np.float32(0.036)], axis=-1)
     assert expected.dtype == np.float32
     np.testing.assert_array_equal(deproject(depth, np.ones(SHAPE, dtype=bool)), expected.reshape(-1, 3))
-
-
-def test_the_single_precision_constants_arise() -> None:
-    depth, seen = np.ones(SHAPE, dtype=np.float32), np.zeros(SHAPE, dtype=bool)
-    seen[0, :2] = True
-    corner, beside = deproject(depth, seen, HANDOVERSIM_MODEL)
-    assert corner[1] == np.float32(-1.0000001) < np.float32(-1.0)
-    assert corner[0] == np.float32(0.036) + np.float32(1.0000001)
-    assert beside[1] == np.float32(0.008928572) + np.float32(-1.0000001)
 
 
 @pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
@@ -92,33 +76,6 @@ def test_points_are_in_image_order(camera_model: str) -> None:
     assert columns.tolist() == [223, 5, 200, 100, 1, 0]
 
 
-@pytest.mark.parametrize("camera_model", [HANDOVERSIM_MODEL, PINHOLE_MODEL])
-def test_an_empty_mask_gives_no_points(camera_model: str) -> None:
-    points = deproject(np.ones(SHAPE, dtype=np.float32), np.zeros(SHAPE, dtype=bool), camera_model)
-    assert points.shape == (0, 3)
-    assert points.dtype == np.float32
-
-
-def test_deprojection_does_not_change_its_arguments() -> None:
-    depth, seen = random_picture(2)
-    before = depth.copy(), seen.copy()
-    deproject(depth, seen, PINHOLE_MODEL)[...] = 7.0
-    np.testing.assert_array_equal(depth, before[0])
-    np.testing.assert_array_equal(seen, before[1])
-
-
-def test_the_image_centre_is_straight_ahead() -> None:
-    depth, seen = np.full(SHAPE, 0.5, dtype=np.float32), np.zeros(SHAPE, dtype=bool)
-    seen[111, 112] = True
-    np.testing.assert_allclose(deproject(depth, seen, PINHOLE_MODEL), [[0.036, 0.0, 0.536]], atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["", "Reference", "truth", "none"])
-def test_unknown_camera_models_are_refused(name: str) -> None:
-    with pytest.raises(UnknownNameError, match=f"unknown camera_model '{name}'; valid: handoversim, pinhole"):
-        deproject(np.ones(SHAPE, dtype=np.float32), np.ones(SHAPE, dtype=bool), name)
-
-
 def test_depth_buffers_are_converted_to_metres() -> None:
     buffer = np.array([0.0, 0.5, 0.9, 0.999999, 1.0], dtype=np.float32)
     depth = depth_from_buffer(buffer.copy())
@@ -128,8 +85,3 @@ def test_depth_buffers_are_converted_to_metres() -> None:
     assert depth[0] == np.float32(NEAR)
     # An OpenGL buffer contains 1 at pixels where nothing is drawn.
     assert depth[-1] == 0.0
-
-
-def test_empty_depth_is_just_under_two_metres() -> None:
-    assert EMPTY_DEPTH.dtype == np.float32
-    assert EMPTY_DEPTH == np.float32(1.9999951) < np.float32(FAR)

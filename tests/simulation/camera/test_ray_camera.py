@@ -1,8 +1,7 @@
 """Tests of the ray caster's images against those of Bullet's software renderer."""
 
 import os
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,16 +15,15 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.dataset import Scene, SceneAssets
-from handover_marl.episode.episode import Episode
-from handover_marl.errors import DataFormatError, HandoverError, SimulationError
+from handover_marl.datasets.dataset import Scene
+from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.panda import FINGERTIPS, HAND_LINK, LOWER_LIMITS, PANDA, PANDA_CAMERA, UPPER_LIMITS
+from handover_marl.geometry.panda import FINGERTIPS, HAND_LINK, PANDA_CAMERA
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.camera import framebuffer
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
-from handover_marl.simulation.camera.optics import EMPTY_DEPTH, IMAGE_SIZE, NEAR, PINHOLE_MODEL, deproject
+from handover_marl.simulation.camera.optics import EMPTY_DEPTH, PINHOLE_MODEL, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
+from tests.simulation.camera.snapshots import draw_snapshot, place_in_view
 
 Array = npt.NDArray[np.float64]
 
@@ -34,8 +32,6 @@ START = np.array(PandaConfig().start_joints, dtype=np.float32)
 TARGET_LABELS = (SegmentationLabel.TARGET, SegmentationLabel.HAND)
 #: Scenes with five, three and four objects, and with left and right hands.
 SCENES = (9, 209, 14)
-#: Axes of the camera (right, down, ahead) as columns, and its pinhole (m), in the frame of the hand link.
-_AXES, _PINHOLE = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (0.036, 0.0, 0.036)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -60,21 +56,14 @@ class Stand:
 
     def in_view(self, robot: npt.NDArray[np.float32], places: npt.ArrayLike) -> Array:
         """Return world positions (n, 3) of points given right, down and ahead of the camera."""
-        turn, origin = hand_frame(robot, self.scene.assets.panda, self.config)
-        return np.array(origin + turn.apply(np.asarray(places) @ _AXES.T + _PINHOLE))
+        return place_in_view(self.scene, self.config, robot, places)
 
-    def thrown(self, rng: np.random.Generator, near: float = 0.0, far: float = 0.6) -> JointSnapshot:
-        """Return a random arm pose, with hand and objects `near` to `far` (m) before the camera; bodies may overlap."""
-        low, high = np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
-        robot = (low + rng.uniform(0.1, 0.9, 9) * (high - low)).astype(np.float32)
-        count = len(self.scene.assets.objects) + 1
-        ahead = rng.uniform(near, far, (count, 1))
-        aside = rng.uniform(-0.7, 0.7, (count, 2)) * np.maximum(np.abs(ahead), 0.05)
-        dof = np.c_[self.in_view(robot, np.c_[aside, ahead]), rng.uniform(-np.pi, np.pi, (count, 3))]
-        # Nothing may be below the ground, because the ground hides object and hand in whole images only.
-        dof[:, 2] = np.maximum(dof[:, 2], 0.3)
-        hand = np.concatenate([dof[0], rng.uniform(-0.8, 0.8, 45)])
-        return JointSnapshot(robot, hand.astype(np.float32), dof[1:].astype(np.float32))
+    def draw(self, rng: np.random.Generator, near: float = 0.0, far: float = 0.6) -> JointSnapshot:
+        """Draw a snapshot; nothing is below the ground, which hides object and hand in whole images only."""
+        now = draw_snapshot(self.scene, self.config, rng, nearest=near, farthest=far)
+        for dof in (now.hand, *now.objects):
+            dof[2] = max(dof[2], 0.3)  # type: ignore[index]
+        return now
 
 
 def make_stand(scene: Scene, config: PhysicsConfig = OFFICIAL_CONFIG.physics) -> Stand:
@@ -122,11 +111,12 @@ class Agreement:
 # ------------------------------------------------------------------------------------- comparison with the engine
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene_id", SCENES)
 def test_rays_match_the_engine_for_random_poses(stands: dict[int, Stand], scene_id: int) -> None:
     stand, agreement, rng = stands[scene_id], Agreement(), np.random.default_rng(scene_id)
     for _ in range(7):
-        now = stand.thrown(rng)
+        now = stand.draw(rng)
         agreement.add(stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False))
     agreement.check(*TARGET_LABELS, SegmentationLabel.OTHER_OBJECT, SegmentationLabel.ROBOT, least=2000)
     # Some of the images show the table, and some the ground or nothing.
@@ -137,30 +127,12 @@ def test_rays_match_the_engine_for_far_objects(stands: dict[int, Stand]) -> None
     """Both renderers agree up to the far plane and across it; the engine omits triangles far smaller than a pixel."""
     stand, agreement, rng, farthest = stands[9], Agreement(), np.random.default_rng(4), []
     for _ in range(8):
-        now = stand.thrown(rng, 1.2, 2.1)
+        now = stand.draw(rng, 1.2, 2.1)
         drawn, cast = stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False)
         agreement.add(drawn, cast)
         farthest.append(cast.depth[cast.segmentation > SegmentationLabel.TABLE].max(initial=0.0))
     agreement.check(*TARGET_LABELS, SegmentationLabel.OTHER_OBJECT, least=200, alike=0.995)
     assert 1.98 < max(farthest) < EMPTY_DEPTH
-
-
-@pytest.mark.parametrize("physics", ["exact", "fast"])
-def test_rays_match_the_engine_during_motion(physics: str) -> None:
-    """Both renderers agree while the arm moves to where it sees the hand, which appears after 0.4 s."""
-    scene, agreement = DATA.load_scene(14), Agreement()
-    episode, camera = Episode(physics), RayCamera(scene.assets, OFFICIAL_CONFIG.physics)
-    episode.reset(scene)
-    goal = START + np.array([0.1, 0.3, 0.05, 0.2, 0.1, 0.3, 0.2, -0.02, -0.01], dtype=np.float32)
-    for steps in (1, 499, 200, 200, 200, 100):
-        episode.advance(goal, steps)
-        agreement.add(
-            episode.world.render_wrist_camera(None, False),
-            camera.render_wrist_camera(episode.world.read_joint_snapshot(), False),
-        )
-    agreement.check(*TARGET_LABELS)
-    assert episode.steps == 1200
-    episode.close()
 
 
 def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, turn: list[float]) -> JointSnapshot:
@@ -174,10 +146,10 @@ def grasped(stand: Stand, robot: npt.NDArray[np.float32], place: npt.ArrayLike, 
     return JointSnapshot(robot, np.concatenate([points[1], np.zeros(48)]).astype(np.float32), objects)
 
 
-@pytest.mark.parametrize("fingers", [0.0, 0.03])
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("place", "seen"),
-    [(FINGERTIPS, True), ((0.16, 0.0, 0.09), True), ((0.036, -0.1, 0.07), True), ((0.03, 0.01, 0.036), False)],
+    ("place", "seen", "fingers"),
+    [(FINGERTIPS, True, 0.03), ((0.16, 0.0, 0.09), True, 0.0), ((0.03, 0.01, 0.036), False, 0.03)],
 )
 def test_rays_match_the_engine_for_a_grasped_object(
     stands: dict[int, Stand], place: tuple[float, ...], seen: bool, fingers: float
@@ -195,7 +167,7 @@ def test_rays_match_the_engine_for_a_grasped_object(
 
 def test_no_hand_pixels_without_a_hand(stands: dict[int, Stand]) -> None:
     stand, rng = stands[9], np.random.default_rng(3)
-    here = stand.thrown(rng)
+    here = stand.draw(rng)
     gone = here._replace(hand=None)
     with_hand, without = (stand.rays.render_wrist_camera(now, False) for now in (here, gone))
     assert with_hand.compute_mask(SegmentationLabel.HAND).sum() > 100
@@ -215,7 +187,7 @@ def test_robot_and_table_stand_where_they_are_configured_to() -> None:
     config = PhysicsConfig(panda=panda, table_position=(0.35, 0.1, -0.1))
     stand, agreement, rng = make_stand(DATA.load_scene(209), config), Agreement(), np.random.default_rng(1)
     for _ in range(4):
-        now = stand.thrown(rng)
+        now = stand.draw(rng)
         agreement.add(stand.engine.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, False))
     agreement.check(SegmentationLabel.TARGET, SegmentationLabel.ROBOT, SegmentationLabel.TABLE)
     stand.engine.close()
@@ -259,61 +231,23 @@ def assert_targets_equal_the_whole_image(rays: RayCamera, now: JointSnapshot) ->
     return part
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.sampled_from(SCENES), seeds, st.sampled_from([(0.0, 0.3), (-0.1, 0.6), (0.3, 1.8)]))
 def test_targets_equal_those_of_the_whole_image(
     stands: dict[int, Stand], scene_id: int, seed: int, depths: tuple[float, float]
 ) -> None:
-    now = stands[scene_id].thrown(np.random.default_rng(seed), *depths)
+    now = stands[scene_id].draw(np.random.default_rng(seed), *depths)
     assert_targets_equal_the_whole_image(stands[scene_id].rays, now)
-
-
-@pytest.mark.parametrize("scene_id", SCENES)
-def test_no_pixel_outside_of_the_rectangles_is_visible(
-    stands: dict[int, Stand], scene_id: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rays through all pixels give the same images as rays through the rectangles around links."""
-    stand, rng = stands[scene_id], np.random.default_rng(scene_id)
-    snapshots = [stand.thrown(rng, near=-0.3) for _ in range(8)]
-    images = [stand.rays.render_wrist_camera(now, False) for now in snapshots]
-
-    def cover_image(corners: npt.NDArray[np.float32]) -> tuple[npt.NDArray[Any], ...]:
-        whole = np.tile([0, IMAGE_SIZE], (len(corners), 1))
-        return whole, whole, np.zeros(len(corners), dtype=bool)
-
-    monkeypatch.setattr(framebuffer, "_bound_boxes", cover_image)
-    for now, image in zip(snapshots, images, strict=True):
-        assert_same_bits(stand.rays.render_wrist_camera(now, False), image)
-
-
-@settings(max_examples=10)
-@given(seeds)
-def test_full_occlusion_leaves_no_targets(stands: dict[int, Stand], seed: int) -> None:
-    """Target and hand have no pixels where the second object, a gelatin box before the camera, hides them."""
-    stand, rng = stands[209], np.random.default_rng(seed)
-    now = stand.thrown(rng, 0.8, 1.2)
-    now.objects[1:, :3] = stand.in_view(now.robot, [0.0, 0.0, 0.07])
-    part = assert_targets_equal_the_whole_image(stand.rays, now)
-    behind = stand.rays.render_wrist_camera(now, False).compute_mask(SegmentationLabel.OTHER_OBJECT)
-    assert behind.any()
-    assert not part.segmentation[behind].any()
-
-
-def test_image_without_object_and_hand_is_empty(stands: dict[int, Stand]) -> None:
-    stand = stands[9]
-    now = stand.thrown(np.random.default_rng(0))
-    now.objects[0, :3] = now.hand[:3] = stand.in_view(now.robot, [0.0, 0.0, -1.0])  # type: ignore[index]
-    part = assert_targets_equal_the_whole_image(stand.rays, now)
-    assert not part.segmentation.any()
-    assert (part.depth == EMPTY_DEPTH).all()
 
 
 # --------------------------------------------------------------------------------------------------- whole images
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_earlier_images(stands: dict[int, Stand]) -> None:
     """Images do not depend on earlier ones, although scenes share bodies, which cache their last poses."""
-    views = [(stand, stand.thrown(np.random.default_rng(number))) for number in range(3) for stand in stands.values()]
+    views = [(stand, stand.draw(np.random.default_rng(number))) for number in range(3) for stand in stands.values()]
     still = [(stand, now._replace(robot=views[0][1].robot)) for stand, now in views[:3]]
     views += still
     taken = [stand.rays.render_wrist_camera(now, True) for stand, now in views]
@@ -325,43 +259,9 @@ def test_images_do_not_depend_on_earlier_images(stands: dict[int, Stand]) -> Non
         assert_same_bits(first, RayCamera(stand.scene.assets, OFFICIAL_CONFIG.physics).render_wrist_camera(now, False))
 
 
-def test_joint_arrays_may_be_overwritten(stands: dict[int, Stand]) -> None:
-    stand, rng = stands[9], np.random.default_rng(8)
-    first, second = stand.thrown(rng), stand.thrown(rng)
-    expected = stand.rays.render_wrist_camera(second, False)
-    held = JointSnapshot(*(value.copy() for value in first if value is not None))
-    stand.rays.render_wrist_camera(held, False)
-    for value, new in zip(held, second, strict=True):
-        value[...] = new  # type: ignore[index]
-    assert_same_bits(stand.rays.render_wrist_camera(held, False), expected)
-
-
-def test_rendering_changes_no_joint(stands: dict[int, Stand]) -> None:
-    now = stands[9].thrown(np.random.default_rng(2))
-    before = [value.copy() for value in now if value is not None]
-    first = stands[9].rays.render_wrist_camera(now, True)
-    stands[9].rays.render_targets(now).depth[...] = 0.0
-    for value, old in zip(now, before, strict=True):
-        np.testing.assert_array_equal(value, old)
-    kept = first.depth.copy(), first.segmentation.copy()
-    first.depth[...], first.segmentation[...] = 0.0, 0
-    again = stands[9].rays.render_wrist_camera(now, True)
-    np.testing.assert_array_equal(again.depth, kept[0])
-    np.testing.assert_array_equal(again.segmentation, kept[1])
-
-
-def test_a_panda_without_camera_has_the_same_view(stands: dict[int, Stand]) -> None:
-    plain = open_dataset("synthetic", robot=PANDA).load_scene(209)
-    assert plain.assets.panda != stands[209].scene.assets.panda
-    for seed in range(2):
-        now = stands[209].thrown(np.random.default_rng(seed))
-        expected = stands[209].rays.render_wrist_camera(now, False)
-        assert_same_bits(RayCamera(plain.assets, OFFICIAL_CONFIG.physics).render_wrist_camera(now, False), expected)
-
-
 def test_colours_change_nothing_and_are_those_of_the_materials(stands: dict[int, Stand]) -> None:
     stand = stands[14]
-    now = stand.thrown(np.random.default_rng(5))
+    now = stand.draw(np.random.default_rng(5))
     plain, photo = stand.rays.render_wrist_camera(now, False), stand.rays.render_wrist_camera(now, True)
     assert plain.rgb is None
     assert photo.rgb is not None
@@ -374,17 +274,6 @@ def test_colours_change_nothing_and_are_those_of_the_materials(stands: dict[int,
     assert 0.59 < light.min() < 0.75 < light.max() < 1.01
     np.testing.assert_allclose(light, light.mean(axis=1, keepdims=True) * np.ones(3), atol=0.01)
     assert np.ptp(light.mean(axis=1)) > 0.2
-
-
-def test_image_shapes_and_types(stands: dict[int, Stand]) -> None:
-    stand = stands[209]
-    now = stand.thrown(np.random.default_rng(6))
-    for photo in (stand.rays.render_wrist_camera(now, False), stand.rays.render_targets(now)):
-        assert (photo.depth.shape, photo.depth.dtype) == ((224, 224), np.float32)
-        assert (photo.segmentation.shape, photo.segmentation.dtype) == ((224, 224), np.uint8)
-        assert NEAR <= photo.depth.min() < photo.depth.max() == EMPTY_DEPTH
-        assert (photo.depth[photo.segmentation > 0] < EMPTY_DEPTH).all()
-        assert set(np.unique(photo.segmentation).tolist()) <= set(SegmentationLabel)
 
 
 # -------------------------------------------------------------------------------------------------------- models
@@ -439,34 +328,8 @@ def test_changed_models_are_read_again(tmp_path: Path) -> None:
     assert counts[1] > 3 * counts[0] > 100
 
 
-def own_assets(tmp_path: Path, spoil: Callable[[Path], object]) -> SceneAssets:
-    """Return the models of a scene with a copy of the target whose visual mesh was damaged by `spoil`."""
-    assets = DATA.load_scene(209).assets
-    folder = tmp_path / "target"
-    shutil.copytree(assets.objects[0].parent, folder)
-    spoil(folder / "textured_simple.obj")
-    return replace(assets, objects=(folder / assets.objects[0].name, *assets.objects[1:]))
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (Path.unlink, "not an OBJ file"),
-        (lambda path: path.write_text(""), "empty"),
-        (lambda path: path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "empty"),
-        (lambda path: path.write_text("v 0 0 zero\nf 1 2 3\n"), "not an OBJ file"),
-        (lambda path: path.write_text("v 0 0 0\nv 1 0 0\nf 1 2 3\n"), "not there"),
-        (lambda path: path.write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n"), "not finite"),
-        (lambda path: path.write_bytes(bytes(range(256)) * 4), "empty"),
-    ],
-)
-def test_damaged_meshes_are_reported(tmp_path: Path, spoil: Callable[[Path], object], message: str) -> None:
-    with pytest.raises(DataFormatError, match=rf"target/textured_simple\.obj: .*{message}"):
-        RayCamera(own_assets(tmp_path, spoil), OFFICIAL_CONFIG.physics)
-
-
 @pytest.mark.parametrize("body", ["table", "panda", "hand", "objects"])
-@pytest.mark.parametrize("text", [None, "", "<robot", "<robot name='r'/>"])
+@pytest.mark.parametrize("text", [None, "<robot"])
 def test_damaged_models_are_reported(tmp_path: Path, body: str, text: str | None) -> None:
     path = tmp_path / "broken.urdf"
     if text is not None:
@@ -474,10 +337,3 @@ def test_damaged_models_are_reported(tmp_path: Path, body: str, text: str | None
     changed: dict[str, Any] = {body: (path,) if body == "objects" else path}
     with pytest.raises(SimulationError, match=r"broken\.urdf"):
         RayCamera(replace(DATA.load_scene(209).assets, **changed), OFFICIAL_CONFIG.physics)
-
-
-def test_unsupported_shapes_are_reported(tmp_path: Path) -> None:
-    urdf = write_box(tmp_path / "tube.urdf", "1 1 1")
-    urdf.write_text(urdf.read_text().replace('<box size="1 1 1"/>', '<cylinder radius="1" length="1"/>'))
-    with pytest.raises(HandoverError, match=r"tube\.urdf.*'l6'.*cylinder"):
-        RayCamera(replace(DATA.load_scene(209).assets, objects=(urdf,)), OFFICIAL_CONFIG.physics)

@@ -52,17 +52,7 @@ def test_missing_packages_of_the_ray_caster_are_reported(without: str) -> None:
     assert resolve_renderer("auto", "exact") == "bullet"
 
 
-@pytest.mark.parametrize("without", ["embreex"], indirect=True)
-def test_the_ray_caster_is_needed_at_the_first_image_only(without: str) -> None:
-    episode = start(WristCameraConfig())
-    episode.observe_camera("state")
-    for look in (episode.capture_wrist_camera, lambda: episode.observe_camera("pointcloud")):
-        with pytest.raises(OptionError, match=rf"{without}.*handover-marl\[vision\].*renderer='bullet'"):
-            look()
-    episode.close()
-    assert start(WristCameraConfig(renderer="bullet")).capture_wrist_camera().segmentation.any()
-
-
+@pytest.mark.slow
 def test_the_bullet_renderer_needs_no_extra() -> None:
     code = """
 import sys

@@ -14,7 +14,7 @@ pytest.importorskip("embreex", reason="needs the extra `vision`")
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
@@ -66,6 +66,7 @@ def compare(found: ImageBatch, row: int, expected: CameraImage) -> npt.NDArray[n
     return np.bincount(expected.segmentation.ravel(), minlength=len(SegmentationLabel))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", ["synthetic", "real", "several"])
 def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, data: str) -> None:
     scenes, rng = load_scenes(request, data), np.random.default_rng(0)
@@ -87,6 +88,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     camera.close()
 
 
+@pytest.mark.slow
 def test_robot_and_table_stand_where_they_are_configured_to(request: pytest.FixtureRequest) -> None:
     base = (0.3, -0.3, 0.9), (0.1830127, 0.1830127, 0.6830127, 0.6830127)
     panda = replace(PandaConfig(), base_position=base[0], base_orientation=base[1])
@@ -113,6 +115,7 @@ def test_bodies_around_the_camera_are_invisible(request: pytest.FixtureRequest) 
     assert not (images.segmentation == TARGET).any()
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_the_other_worlds(request: pytest.FixtureRequest) -> None:
     scenes, rng = load_scenes(request, "synthetic"), np.random.default_rng(3)
     camera, _ = make_cameras(scenes)
@@ -142,17 +145,6 @@ def test_robots_have_the_same_joints() -> None:
     camera.reset(0, scene.assets)
     with pytest.raises(OptionError, match="all robots must have the same joints with backend='warp'"):
         camera.reset(0, replace(scene.assets, panda=scene.assets.hand))
-
-
-def test_closed_cameras_render_nothing(request: pytest.FixtureRequest) -> None:
-    scenes = load_scenes(request, "synthetic")[:1]
-    camera, _ = make_cameras(scenes)
-    now = stack_snapshots([draw_snapshot(scenes[0], CONFIG, np.random.default_rng(0))], TENSORS)
-    camera.close()
-    with pytest.raises(ResetNeededError, match=r"call reset\(\) first"):
-        camera.render_targets(TENSORS.arange(1), now)
-    camera.reset(0, scenes[0].assets)
-    assert (camera.render_wrist_camera(TENSORS.arange(1), now, color=False).segmentation > 0).any()
 
 
 # ------------------------------------------------------------------------------------------------------ subsampling

@@ -31,15 +31,7 @@ def models(count: int) -> list[SceneModel]:
     return list(found.values())
 
 
-def test_worlds_of_one_layout_share_a_batch() -> None:
-    simulation = BatchSimulation()
-    worlds = [simulation.load_scene(model) for model in models(6) * 2]
-    batches = {id(world.batch) for world in worlds}
-    assert len(batches) <= 6
-    for first, second in zip(worlds[:6], worlds[6:], strict=True):
-        assert first.batch is second.batch
-
-
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batch_simulation, "_MAX_BATCHES", 2)
     simulation, batches = BatchSimulation(), []
@@ -47,17 +39,6 @@ def test_memory_does_not_grow_with_the_scenes_that_were_simulated(monkeypatch: p
         batches.append(weakref.ref(simulation.load_scene(model).batch))
     gc.collect()
     assert len({id(batch()) for batch in batches if batch() is not None}) <= 2
-
-
-def test_a_batch_of_another_layout_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch_simulation, "_get_layout", lambda model: (0,))
-    simulation = BatchSimulation()
-    found = models(6)
-    first, *others = (simulation.load_scene(model) for model in found)
-    assert any(world.batch is not first.batch for world in others)
-    for model, world in zip(found, (first, *others), strict=True):
-        assert world.qpos.shape == (model.model.nq,)
-        np.testing.assert_array_equal(world.qpos, model.model.qpos0)
 
 
 def test_worlds_that_share_a_batch_keep_their_own_state() -> None:
@@ -81,19 +62,3 @@ def test_worlds_that_share_a_batch_keep_their_own_state() -> None:
     simulation.simulate([together[1]], [False], [controls[1][7:]])
     np.testing.assert_array_equal(together[1].qpos, alone.qpos)
     np.testing.assert_array_equal(together[1].qvel, expected.worlds[0].qvel)
-
-
-def test_model_variants_are_shared_while_worlds_hold_them() -> None:
-    (model,) = models(1)
-    simulation = BatchSimulation()
-    worlds = [simulation.load_scene(model), simulation.load_scene(model)]
-    shared = worlds[0].select_model(hand_collides=False)
-    assert shared is worlds[1].select_model(hand_collides=False) is worlds[0].select_model(hand_collides=False)
-    assert worlds[0].select_model(hand_collides=True) is model.model
-    held = weakref.ref(shared)
-    del shared
-    for number in range(len(worlds)):
-        assert held() is not None
-        worlds[number] = simulation.load_scene(model)
-    gc.collect()
-    assert held() is None

@@ -9,7 +9,7 @@ import mujoco
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.geometry.panda import WAITING_JOINTS
+from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 
 NOWHERE = (0.0, 0.0, -10.0)
@@ -21,13 +21,17 @@ def scene() -> SceneModel:
     return load_scene_model(data.load_scene(86).assets, PhysicsConfig())
 
 
+def find_fingers(scene: SceneModel) -> list[int]:
+    return [scene.model.body(name).id for name in FINGER_LINKS]
+
+
 def closed_on_target(scene: SceneModel) -> "mujoco.MjData":
     """Return a state in which the fingers press on the object that is held between them."""
     data = mujoco.MjData(scene.model)
     data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
     data.mocap_pos[scene.hand] = NOWHERE
     mujoco.mj_kinematics(scene.model, data)
-    between = data.xpos[scene.fingers].mean(axis=0) + 0.04 * data.xmat[scene.gripper].reshape(3, 3)[:, 2]
+    between = data.xpos[find_fingers(scene)].mean(axis=0) + 0.04 * data.xmat[scene.gripper].reshape(3, 3)[:, 2]
     first, servos = scene.object_qpos.start, scene.object_ctrl.start
     data.qpos[first : first + 3] = data.ctrl[servos : servos + 3] = between
     others = np.arange(1, len(scene.objects))
@@ -44,7 +48,7 @@ def test_sensors_agree_with_the_engines_contacts(scene: SceneModel) -> None:
     data = closed_on_target(scene)
     touches = scene.contact_sensors.read_contacts(data.sensordata)
     model, target = scene.model, scene.objects[0]
-    forces = {int(finger): [] for finger in scene.fingers}
+    forces = {int(finger): [] for finger in find_fingers(scene)}
     total = 0.0
     for number in range(data.ncon):
         bodies = [int(model.geom_bodyid[geom]) for geom in data.contact[number].geom]
@@ -56,7 +60,9 @@ def test_sensors_agree_with_the_engines_contacts(scene: SceneModel) -> None:
             forces.setdefault(own, []).append(force[0])
     assert total > 10.0
     assert float(touches.robot_object_force) == pytest.approx(total)
-    for finger, found in zip(scene.fingers, scene.contact_sensors.read_finger_forces(data.sensordata), strict=True):
+    for finger, found in zip(
+        find_fingers(scene), scene.contact_sensors.read_finger_forces(data.sensordata), strict=True
+    ):
         assert sorted(found[found > 0.0]) == pytest.approx(sorted(forces[int(finger)]))
     assert not touches.robot_touches_hand
     assert not touches.object_supported
@@ -64,8 +70,8 @@ def test_sensors_agree_with_the_engines_contacts(scene: SceneModel) -> None:
 
 def test_points_lie_on_the_pads(scene: SceneModel) -> None:
     data = closed_on_target(scene)
-    turns = data.xmat[scene.fingers].reshape(2, 3, 3)
-    points = scene.contact_sensors.compute_finger_points(data.sensordata, data.xpos[scene.fingers], turns)
+    turns = data.xmat[find_fingers(scene)].reshape(2, 3, 3)
+    points = scene.contact_sensors.compute_finger_points(data.sensordata, data.xpos[find_fingers(scene)], turns)
     forces = scene.contact_sensors.read_finger_forces(data.sensordata)
     for side in range(2):
         pressed = points[side][forces[side] > 0.0]
@@ -87,44 +93,36 @@ def test_many_worlds_are_read_like_one(scene: SceneModel) -> None:
         )
         assert many.robot_object_force[row] == one.robot_object_force
     assert many.robot_object_force[1] == 0.0
-    origins = np.repeat(data.xpos[scene.fingers][None], 3, axis=0)
-    turns = np.repeat(data.xmat[scene.fingers].reshape(1, 2, 3, 3), 3, axis=0)
+    origins = np.repeat(data.xpos[find_fingers(scene)][None], 3, axis=0)
+    turns = np.repeat(data.xmat[find_fingers(scene)].reshape(1, 2, 3, 3), 3, axis=0)
     points = scene.contact_sensors.compute_finger_points(rows, origins, turns)
     np.testing.assert_array_equal(points[0], scene.contact_sensors.compute_finger_points(rows[0], origins[0], turns[0]))
 
 
-def test_other_objects_are_sensed(scene: SceneModel) -> None:
-    data = mujoco.MjData(scene.model)
+def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:
+    model, data = scene.model, mujoco.MjData(scene.model)
     data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
     data.mocap_pos[scene.hand] = NOWHERE
     places = [scene.object_qpos.start + 7 * number for number in range(len(scene.objects))]
     for number, place in enumerate(places):
         data.qpos[place : place + 3] = (5.0, float(number), 1.0)
-    mujoco.mj_step(scene.model, data)
-    assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_others
-    data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
-    mujoco.mj_step(scene.model, data)
+    mujoco.mj_step(model, data)
     readings = scene.contact_sensors.read_contacts(data.sensordata)
-    assert readings.robot_touches_others
-    assert readings.robot_object_force == 0.0
-
-
-def test_the_hand_is_sensed(scene: SceneModel) -> None:
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.robot_qpos] = data.ctrl[scene.robot_ctrl] = WAITING_JOINTS
-    for number in range(len(scene.objects)):
-        place = scene.object_qpos.start + 7 * number
-        data.qpos[place : place + 3] = (5.0, float(number), 1.0)
-    data.mocap_pos[scene.hand] = NOWHERE
-    mujoco.mj_step(scene.model, data)
-    assert not scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
+    assert not readings.robot_touches_others
+    assert not readings.robot_touches_hand
     data.mocap_pos[scene.hand.stop - 3 : scene.hand.stop] = data.xpos[scene.gripper]
-    mujoco.mj_step(scene.model, data)
+    mujoco.mj_step(model, data)
     assert scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
-    model, forces, force = scene.model, [], np.zeros(6)
+    forces, force = [], np.zeros(6)
     for number in range(data.ncon):
         if np.isin(model.geom_bodyid[data.contact[number].geom], np.arange(model.nbody)[scene.hand]).any():
             mujoco.mj_contactForce(model, data, number, force)
             forces.append(force[0])
     assert len(forces) > 3
     assert scene.contact_sensors.read_hand_force(data.sensordata) == pytest.approx(sum(forces))
+    data.mocap_pos[scene.hand] = NOWHERE
+    data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
+    mujoco.mj_step(model, data)
+    readings = scene.contact_sensors.read_contacts(data.sensordata)
+    assert readings.robot_touches_others
+    assert readings.robot_object_force == 0.0

@@ -2,13 +2,11 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 
 mujoco = pytest.importorskip("mujoco")
 
-from handover_marl.simulation.mujoco.engine import stop_profiler  # noqa: E402
 
 BALL = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
 
@@ -20,29 +18,6 @@ def is_profiled() -> bool:
     for _ in range(100):
         mujoco.mj_step(model, data)
     return bool(data.timer[mujoco.mjtTimer.mjTIMER_STEP].duration > 0.0)
-
-
-@pytest.fixture(autouse=True)
-def stopped_profiler() -> Iterator[None]:
-    yield
-    mujoco.set_mjcb_time(None)
-    stop_profiler()
-
-
-def test_the_profiler_runs_until_it_is_stopped_and_can_be_started_again() -> None:
-    mujoco.set_mjcb_time(None)
-    assert is_profiled()
-    assert stop_profiler()
-    assert not is_profiled()
-    mujoco.set_mjcb_time(None)
-    assert is_profiled()
-
-
-def test_custom_clocks_are_kept() -> None:
-    ticks = iter(range(10**9))
-    mujoco.set_mjcb_time(lambda: float(next(ticks)))
-    assert not stop_profiler()
-    assert is_profiled()
 
 
 def test_making_a_world_stops_the_profiler_and_importing_does_not() -> None:

@@ -1,29 +1,23 @@
 """Tests of sleeping worlds, which skip bodies that nothing can touch without changing the simulation."""
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 pytest.importorskip("mujoco")
 
-from handover_marl.config import PandaConfig, PhysicsConfig
+from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.mujoco import sleep
-from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 from handover_marl.simulation.mujoco.world import MujocoWorld
-from tests.simulation.mujoco.test_world import INTO_THE_HAND
+from tests.simulation.test_worlds import INTO_THE_HAND
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
 SCENE = SyntheticDataset().load_scene(209)
-Look = Callable[[Episode], object]
 
 
 def begun(awake: bool = False) -> tuple[Episode, MujocoWorld]:
@@ -63,30 +57,6 @@ def test_sleeping_worlds_move_as_awake_ones() -> None:
     assert abs(asleep.steps - awake.steps) <= 5
 
 
-@pytest.mark.parametrize("steps", [1, 7, 50, 400])
-def test_results_do_not_depend_on_the_division_of_steps(steps: int) -> None:
-    def look(episode: Episode) -> None:
-        episode.observe()
-
-    found = []
-    for size, watched in ((200, False), (steps, False), (steps, True)):
-        episode, world = begun()
-        states, slept = [], 0
-        for target in (WAITING, START + np.float32(0.05), INTO_THE_HAND):
-            left = 800
-            while left and not episode.status:
-                episode.advance(target, min(size, left), on_step=[look] if watched else [])
-                left -= min(size, left)
-                slept += world.is_asleep
-            states.append(joints(world))
-        assert slept
-        assert not world.is_asleep
-        found.append([*states, np.array([episode.steps, episode.status])])
-    for other in found[1:]:
-        for one, same in zip(found[0], other, strict=True):
-            np.testing.assert_array_equal(one, same)
-
-
 def test_woken_objects_keep_their_velocity() -> None:
     """An object that wakes while it moves must neither jump nor stop."""
     episode, world = begun()
@@ -111,36 +81,3 @@ def test_sleeping_worlds_have_no_contacts_and_a_release_wakes_them() -> None:
     episode.advance(START, 1)
     assert not world.is_asleep
     assert episode.steps == 21
-
-
-@pytest.fixture
-def robot() -> RobotOnlySimulation:
-    return RobotOnlySimulation(load_scene_model(SCENE.assets, PhysicsConfig()).robot_only)
-
-
-def test_equal_rollouts_of_the_robot_are_simulated_once(
-    robot: RobotOnlySimulation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sleep, "_CACHE_SIZE", 2)
-    simulated, simulate = [], robot._simulate
-    monkeypatch.setattr(robot, "_simulate", lambda *given: simulated.append(given) or simulate(*given))
-    start, target = robot.make_resting_trajectory(START), WAITING.tolist()
-    first = robot.simulate(start, 0, target, 100, 0)
-    assert robot.simulate(robot.make_resting_trajectory(START), 0, target, 100, 900) is first
-    assert len(simulated) == 1
-    parted = robot.simulate(first, 60, target, 40, 60)
-    np.testing.assert_array_equal(parted.joints, first.joints[60:])
-    np.testing.assert_array_equal(parted.warm_start, first.warm_start[60:])
-    robot.simulate(start, 0, START.tolist(), 100, 0)
-    assert len(simulated) == 3
-    again = robot.simulate(start, 0, target, 100, 0)
-    assert len(simulated) == 4, "the oldest rollout was dropped from the cache"
-    np.testing.assert_array_equal(again.joints, first.joints)
-
-
-def test_bounding_spheres_move_with_the_links(robot: RobotOnlySimulation) -> None:
-    path = robot.simulate(robot.make_resting_trajectory(START), 0, WAITING.tolist(), 300, 0)
-    moved = np.abs(path.sphere_centers[-1] - path.sphere_centers[0]).max()
-    assert 0.1 < moved < 1.0
-    assert path.sphere_centers.shape[0] == 300
-    assert path.joints.shape == path.velocities.shape == (301, 9)

@@ -10,30 +10,28 @@ import pytest
 pytest.importorskip("mujoco")
 
 from handover_marl import receivers
-from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
+from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.engines import make_world
 from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World
 from tests.playing import play
+from tests.simulation.test_worlds import INTO_THE_HAND
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
 DATA = SyntheticDataset()
 SCENE = DATA.load_scene(209)
 CONFIG = PhysicsConfig()
-#: Joint positions with which the robot is in the hand's way in this scene.
-INTO_THE_HAND = np.array([0.285, -0.182, -0.074, -2.037, -0.538, 2.359, 0.688, 0.04, 0.04], dtype=np.float32)
 NOTHING = Contacts(object_height=0.0, gripper_position=(0.0,) * 3)
 
 
@@ -95,23 +93,6 @@ def test_targets_are_clipped_to_joint_limits(kind: Callable[[PhysicsConfig], Wor
     assert paths[0][-1, 0] > 1.0, "it did move"
 
 
-def test_objects_follow_the_reference_as_in_bullet() -> None:
-    episodes = Episode("fast"), Episode("mujoco")
-    for episode in episodes:
-        episode.reset(SCENE)
-    for steps in (0, 1, 700, 900):
-        for episode in episodes:
-            episode.advance(START, steps)
-        fast, own = (episode.world for episode in episodes)
-        np.testing.assert_allclose(own.read_object_joints(), fast.read_object_joints(), atol=2e-4)
-        np.testing.assert_allclose(own.read_state().object_poses, fast.read_state().object_poses, atol=2e-4)
-        np.testing.assert_array_equal(own.read_agent_joints().hand, fast.read_agent_joints().hand)
-        ours, theirs = own.read_state().hand_keypoints, fast.read_state().hand_keypoints
-        assert (ours is None) == (theirs is None)
-        if ours is not None and theirs is not None:
-            np.testing.assert_allclose(ours, theirs, atol=1e-6)
-
-
 def test_released_objects_fall_onto_the_table() -> None:
     world = MujocoWorld(CONFIG)
     place = SCENE.object_dof[:1].copy()
@@ -142,52 +123,11 @@ def test_released_objects_fall_onto_the_table() -> None:
     np.testing.assert_allclose(world.read_state().object_poses[1:, :3], place[0, 1:, :3], atol=1e-3)
 
 
-def episode_states(episode: Episode, scene_id: int, looks: int) -> list[npt.NDArray[np.float64]]:
-    """Return robot joints, qpos and qvel after every 400 steps of an episode that is observed every `looks` steps."""
-    episode.reset(DATA.load_scene(scene_id))
-    world, states = world_of(episode), []
-    targets = [WAITING, START + np.float32(0.2), START]
-    for number in range(2400 // looks):
-        episode.advance(targets[number * looks // 800], looks)
-        episode.observe()
-        if (number + 1) * looks % 400 == 0:
-            data = world.controller.data
-            states.append(np.concatenate([world.read_joints_float64(), data.qpos, data.qvel]))
-    return states
-
-
-def test_whole_rollouts_are_equal_to_the_bit() -> None:
-    fresh = episode_states(Episode("mujoco"), 209, 100)
-    used = Episode("mujoco")
-    played = episode_states(used, 209, 100)
-    np.testing.assert_array_equal(played, fresh)
-    # Before the next rollout, another scene is played to its end, and the object of the first scene is released.
-    play(used, DATA.load_scene(14), receivers.make("yang2021", DATA))
-    used.reset(SCENE)
-    world_of(used).release_target()
-    used.advance(WAITING, 300)
-    np.testing.assert_array_equal(episode_states(used, 209, 100), fresh)
-    np.testing.assert_array_equal(episode_states(used, 209, 50), fresh, "looking more often changes nothing")
-
-
-def test_rendering_does_not_change_the_simulation() -> None:
-    plain, looked = Episode("mujoco"), Episode("mujoco")
-    for episode in (plain, looked):
-        episode.reset(SCENE)
-        episode.advance(START, 800)
-    assert looked.render(CameraConfig(width=80, height=60)).std() > 10.0
-    photo = looked.world.render_wrist_camera(None, True)
-    assert photo.depth.shape == (224, 224)
-    for episode in (plain, looked):
-        episode.advance(WAITING, 200)
-    np.testing.assert_array_equal(plain.world.read_joints_float64(), looked.world.read_joints_float64())
-
-
-@pytest.mark.parametrize("scene_id", [14, 34])
-def test_episodes_of_yang_end_as_in_fast_physics(scene_id: int) -> None:
+@pytest.mark.slow
+def test_episodes_of_yang_end_as_in_fast_physics() -> None:
     receiver, own, fast = receivers.make("yang2021", DATA), Episode("mujoco"), Episode("fast")
     for episode in (own, fast):
-        play(episode, DATA.load_scene(scene_id), receiver)
+        play(episode, DATA.load_scene(34), receiver)
     assert own.status == fast.status != EpisodeStatus.RUNNING
     assert abs(own.steps - fast.steps) < 200
 
@@ -213,13 +153,6 @@ def test_a_state_that_is_not_finite_raises_an_error(
     episode.reset(SCENE)
     episode.advance(START, 10)
     assert np.isfinite(episode.world.read_joints_float64()).all(), "after a reset all is well"
-
-
-def test_no_window_and_no_step_before_reset() -> None:
-    with pytest.raises(OptionError, match="opens no window"):
-        make_world("mujoco", CONFIG, window=True)
-    with pytest.raises(ResetNeededError):
-        MujocoWorld(CONFIG).step(START.tolist())
 
 
 def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch: pytest.MonkeyPatch) -> None:

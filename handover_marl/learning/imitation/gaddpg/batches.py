@@ -5,7 +5,6 @@ are those of the stored cloud. Each point counts once in a group; the deployed n
 which does not change its output.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
+from handover_marl.learning.imitation.gaddpg.expert import EXPERT_APPROACH
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
+from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, sample_farthest_points
 
 
@@ -50,26 +50,12 @@ class ImitationBatch(NamedTuple):
         return ImitationBatch(*(value.to(device) for value in self))
 
 
-@dataclass(frozen=True)
-class StateAugmentationConfig:
-    """Configuration of the augmentation of imitation states by random changes of the hand's pose.
-
-    The point cloud still shows what was visible from the stored pose.
-
-    Attributes:
-        position_std: Standard deviation of the hand's displacement along each axis (m).
-        rotation_std: Standard deviation of the hand's rotation about each axis (rad).
-        counter_range: Largest random change of the number of remaining decisions; the expert's step
-            changes with this number.
-        max_remaining: Largest number of remaining decisions after the change.
-        max_neighbors: Largest number of points of a group; further points are dropped.
-    """
-
-    position_std: float = 0.012
-    rotation_std: float = 0.05
-    counter_range: int = 6
-    max_remaining: int = 20
-    max_neighbors: int = 32
+# Standard deviations of the augmentation, a change of the hand's pose: displacement along each axis (m) and rotation
+# about each axis (rad). The point cloud still shows what was visible from the stored pose.
+_POSITION_STD, _ROTATION_STD = 0.012, 0.05
+# Largest random change of the number of remaining decisions, with which the expert's step changes, and the largest
+# number after the change.
+_COUNTER_RANGE, _MAX_REMAINING = 6, 20
 
 
 class ImitationBatches:
@@ -77,12 +63,11 @@ class ImitationBatches:
 
     Args:
         states: Stored states.
-        approach: Rule by which the expert's steps follow from hand pose, grasp and remaining decisions.
-        config: Configuration of the augmentation.
+        max_neighbors: Largest number of points of a group; further points are dropped.
     """
 
-    def __init__(self, states: ImitationStates, approach: ApproachFieldConfig, config: StateAugmentationConfig) -> None:
-        self._states, self._approach, self._config = states, approach, config
+    def __init__(self, states: ImitationStates, max_neighbors: int = 32) -> None:
+        self._states, self._max_neighbors = states, max_neighbors
 
     def __len__(self) -> int:
         return len(self._states.remaining)
@@ -96,26 +81,27 @@ class ImitationBatches:
         stored, n_points, goals, counters = (array[numbers] for array in self._states)
         remaining, hands = counters.astype(np.float32), np.tile(IDENTITY, (len(numbers), 1))
         points = torch.from_numpy(stored.astype(np.float32))
-        groups = _group_points(points, torch.from_numpy(n_points), self._config.max_neighbors)
+        groups = _group_points(points, torch.from_numpy(n_points), self._max_neighbors)
         if rng is not None:
-            hands, remaining = self._augment(remaining, rng)
+            hands, remaining = _augment(remaining, rng)
         rotations = torch.from_numpy(Rotation.from_quat(hands[:, 3:]).as_matrix().astype(np.float32))
         offsets = points - torch.from_numpy(hands[:, None, :3].astype(np.float32))
         goals = compose(invert_pose(hands), goals.astype(np.float64))
         present = np.tile(IDENTITY, (len(numbers), 1))
-        steps = compute_approach_steps(present, goals, remaining.astype(np.float64), self._approach)
+        steps = compute_approach_steps(present, goals, remaining.astype(np.float64), EXPERT_APPROACH)
         labels = (torch.from_numpy(array.astype(np.float32)) for array in (remaining, steps, goals))
         return ImitationBatch(offsets @ rotations, *groups, *labels)
 
-    def _augment(
-        self, remaining: npt.NDArray[np.float32], rng: np.random.Generator
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]]:
-        """Return random poses (B, 7) of the hands in their stored frames, and changed counters (B,)."""
-        config, count = self._config, len(remaining)
-        quaternions = Rotation.from_rotvec(rng.normal(0.0, config.rotation_std, (count, 3))).as_quat()
-        hands = np.concatenate([rng.normal(0.0, config.position_std, (count, 3)), quaternions], axis=1)
-        changed = remaining + rng.integers(-config.counter_range, config.counter_range + 1, count)
-        return hands, np.clip(changed, 1, config.max_remaining).astype(np.float32)
+
+def _augment(
+    remaining: npt.NDArray[np.float32], rng: np.random.Generator
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]]:
+    """Return random poses (B, 7) of the hands in their stored frames, and changed counters (B,)."""
+    count = len(remaining)
+    quaternions = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, (count, 3))).as_quat()
+    hands = np.concatenate([rng.normal(0.0, _POSITION_STD, (count, 3)), quaternions], axis=1)
+    changed = remaining + rng.integers(-_COUNTER_RANGE, _COUNTER_RANGE + 1, count)
+    return hands, np.clip(changed, 1, _MAX_REMAINING).astype(np.float32)
 
 
 def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -1,7 +1,10 @@
-"""Generation of the expert's plans and of imitation states, in parallel processes.
+"""Plans of the expert and imitation states, which are generated in parallel processes and kept in files.
 
-Results do not depend on the number of processes. Plans are cached on disk, so that an interrupted
-training can be resumed.
+Rollouts follow GA-DDPG's protocol without physics: the object rests, the arm lags behind its targets, and the wrist
+camera is rendered by ray casting. The memory of point clouds, their resampling, the counter of decisions and the rule
+that ends an approach are the same as in the receiver. The expert acts at first, in some decisions with noise, and then
+the network acts (DAgger; Ross et al., AISTATS 2011). Every observation becomes a state with the expert's goal as its
+label. Results do not depend on the number of processes.
 """
 
 import functools
@@ -10,24 +13,60 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
-from handover_marl.geometry.panda import PANDA_CAMERA
+from handover_marl.geometry.panda import OPEN, PANDA_CAMERA
+from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
-from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig, GraspCostTable
-from handover_marl.learning.imitation.gaddpg.rollouts import ImitationRolloutConfig, ImitationRollouts, StepPolicy
-from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenarioConfig, ImitationScenarios
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates
+from handover_marl.learning.imitation.gaddpg.scenarios import (
+    ImitationScenario,
+    ImitationScenarios,
+    find_occluded_points,
+)
+from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
+from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
+from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
+from handover_marl.simulation.camera.ray_camera import RayCamera
+
+Array = npt.NDArray[np.float64]
+#: Function from clouds (n, 4, 1024) and numbers of remaining decisions (n,) to steps (n, 6).
+StepPolicy = Callable[[Array, Array], npt.NDArray[np.floating]]
+ExpertPlans = dict[int, ExpertPlan]
 
 #: Number of scenarios in the task of a worker, and in a file of states.
 CHUNK_SIZE = 16
+# Largest number of decisions in a rollout.
+_MAX_DECISIONS = 24
+# Probability that the arm starts at a waypoint of the planned trajectory.
+_START_ON_PATH_PROBABILITY = 0.3
+# Probability that the expert makes the first decisions of a rollout of the network, and their largest number.
+_EXPERT_START_PROBABILITY, _EXPERT_DECISIONS = 0.5, 10
+# Probability of random noise on a step of the expert, and its standard deviation on translation (m) and rotation (rad).
+_NOISY_STEP_PROBABILITY, _POSITION_NOISE_STD, _ROTATION_NOISE_STD = 0.3, 0.025, 0.12
 
-ExpertPlans = dict[int, ExpertPlan]
+
+@dataclass(eq=False)
+class _Rollout:
+    """State of one rollout."""
+
+    scenario: ImitationScenario
+    plan: ExpertPlan
+    rng: np.random.Generator
+    joints: Array
+    memory: PointCloudMemory
+    n_expert_decisions: int
+    camera: RayCamera
+    is_over: bool = False
 
 
 @dataclass(frozen=True)
@@ -39,20 +78,14 @@ class DataGeneratorConfig:
         dataset: Dataset: dexycb, synthetic, or auto.
         data_dir: Folder in HandoverSim's layout.
         seed: Seed of all random numbers.
-        scenarios: Distribution of the scenarios.
-        costs: Configuration of the costs of grasps.
         expert: Configuration of the expert's selection of grasps.
-        rollouts: Configuration of the rollouts.
     """
 
     scenes: tuple[int, ...]
     dataset: str = "auto"
     data_dir: str | None = None
     seed: int = 0
-    scenarios: ImitationScenarioConfig = field(default_factory=ImitationScenarioConfig)
-    costs: GraspCostConfig = field(default_factory=GraspCostConfig)
     expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
-    rollouts: ImitationRolloutConfig = field(default_factory=ImitationRolloutConfig)
 
 
 class RolloutTask(NamedTuple):
@@ -72,6 +105,8 @@ class RolloutTask(NamedTuple):
 class DataGenerator:
     """Generator of the expert's plans and of imitation states in one process.
 
+    Rollouts run in lockstep, so that the network is evaluated in batches.
+
     Args:
         config: Configuration of the data generation.
 
@@ -82,16 +117,11 @@ class DataGenerator:
     def __init__(self, config: DataGeneratorConfig) -> None:
         self._data, self._seed = open_dataset(config.dataset, config.data_dir, PANDA_CAMERA), config.seed
         context = make_policy_context(self._data)
-        arm = KinematicArm(context)
-        self._scenarios = ImitationScenarios(
-            self._data, config.scenes, arm.arm, context.panda, config.seed, config.scenarios
-        )
-        self._expert = GraspExpert(context, GraspCostTable(context, config.costs), arm, config.expert)
-        scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
-        load_assets = functools.cache(lambda name: self._load_assets(scenes[name]))
-        self._rollouts = ImitationRollouts(
-            arm, self._expert, OFFICIAL_CONFIG.physics, load_assets, config.rollouts, config.expert
-        )
+        self._arm = KinematicArm(context)
+        self._scenarios = ImitationScenarios(self._data, config.scenes, self._arm.arm, context.panda, config.seed)
+        self._expert = GraspExpert(context, self._arm, config.expert)
+        self._scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
+        self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
         """Return the expert's plan in a scenario by number, without goals if no grasp is reachable."""
@@ -104,12 +134,96 @@ class DataGenerator:
             task: Scenarios with plans.
             policy: Network's policy, or None for rollouts of the expert.
         """
-        scenarios = [self._scenarios.sample(number) for number in task.numbers]
-        return self._rollouts.run(scenarios, task.plans, policy, self._seed + 1_000_003 * (task.repetition + 1))
+        seed = self._seed + 1_000_003 * (task.repetition + 1)
+        rollouts = [
+            self._start_rollout(number, plan, policy is not None, np.random.default_rng((seed, number)))
+            for number, plan in zip(task.numbers, task.plans, strict=True)
+        ]
+        states: list[StateRow] = []
+        for number in range(_MAX_DECISIONS):
+            running = [rollout for rollout in rollouts if not rollout.is_over]
+            observed = [
+                (rollout, cloud) for rollout in running if (cloud := self._observe(rollout, states)) is not None
+            ]
+            for (rollout, _), step in zip(observed, self._compute_steps(observed, policy, number), strict=True):
+                rollout.memory.remaining -= 1
+                rollout.joints = self._arm.move(rollout.joints, step)
+                is_caged = rollout.memory.is_object_caged(self._base_from_hand(rollout))
+                rollout.is_over = rollout.memory.remaining == 0 or is_caged
+        return stack_states(states)
 
-    def _load_assets(self, scene_id: int) -> SceneAssets:
-        """Return the models of a scene with the handed-over object only."""
-        assets = self._data.load_scene(scene_id).assets
+    def _start_rollout(self, number: int, plan: ExpertPlan, has_network: bool, rng: np.random.Generator) -> _Rollout:
+        scenario = self._scenarios.sample(number)
+        joints = scenario.joints
+        memory = PointCloudMemory(seed=int(rng.integers(2**31)))
+        if rng.random() < _START_ON_PATH_PROBABILITY:
+            # At the last waypoints the fingers already enclose the object.
+            first = int(rng.integers(max(1, len(plan.trajectory) - 3)))
+            joints, memory.remaining = plan.trajectory[first], max(3, memory.remaining - first)
+        n_expert = _MAX_DECISIONS
+        if has_network:
+            starts = rng.random() < _EXPERT_START_PROBABILITY
+            n_expert = int(rng.integers(_EXPERT_DECISIONS + 1)) if starts else 0
+        camera = RayCamera(self._load_assets(scenario.object_name), OFFICIAL_CONFIG.physics)
+        return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
+
+    def _observe(self, rollout: _Rollout, states: list[StateRow]) -> Array | None:
+        """Return the network's cloud (4, 1024) and append a state; None if the object was never visible."""
+        scenario, memory = rollout.scenario, rollout.memory
+        robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
+        image = rollout.camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
+        points = deproject(image.depth, image.compute_mask(SegmentationLabel.TARGET))
+        hand = self._arm.arm.compute_hand_pose(rollout.joints)
+        if scenario.occluder[3] > 0.0 and len(points):
+            camera = np.array(CAMERA_POSITION_IN_HAND)
+            points = points[~find_occluded_points(points, hand, camera, scenario.occluder)]
+        base_from_hand = self._base_from_hand(rollout)
+        memory.update(points, base_from_hand)
+        if memory.cloud.shape[1] == 0:
+            rollout.is_over = True
+            return None
+        cloud = memory.make_network_input(base_from_hand)[:, GRIPPER_POINTS.shape[1] :]
+        n_distinct = min(memory.cloud.shape[1], cloud.shape[1])
+        goal = compose(invert_pose(hand), rollout.plan.choose_goal(hand))
+        states.append((cloud[:3, :n_distinct].T, goal, memory.remaining))
+        return cloud
+
+    def _compute_steps(
+        self, observed: Sequence[tuple[_Rollout, Array]], policy: StepPolicy | None, number: int
+    ) -> list[Array]:
+        """Return the next step of every rollout, by the expert or by the network."""
+        steps: list[Array | None] = [
+            self._compute_expert_step(rollout) if number < rollout.n_expert_decisions else None
+            for rollout, _ in observed
+        ]
+        missing = [index for index, step in enumerate(steps) if step is None]
+        if missing and policy is not None:
+            clouds = np.stack([observed[index][1] for index in missing])
+            remaining = np.array([float(observed[index][0].memory.remaining) for index in missing])
+            for index, step in zip(missing, policy(clouds, remaining), strict=True):
+                steps[index] = np.asarray(step, dtype=np.float64)
+        return [step for step in steps if step is not None]
+
+    def _compute_expert_step(self, rollout: _Rollout) -> Array:
+        """Return the expert's step, with a random disturbance in some decisions."""
+        rng = rollout.rng
+        hand = self._arm.arm.compute_hand_pose(rollout.joints)
+        goal = rollout.plan.choose_goal(hand)
+        step = self._expert.compute_step(hand, goal, rollout.memory.remaining)
+        noise = rng.standard_normal(6) * np.repeat([_POSITION_NOISE_STD, _ROTATION_NOISE_STD], 3)
+        disturbed: Array = step + noise * (rng.random() < _NOISY_STEP_PROBABILITY)
+        return disturbed
+
+    def _base_from_hand(self, rollout: _Rollout) -> Array:
+        """Return the pose (4, 4) of the hand in the robot's base frame."""
+        hand = compose(invert_pose(self._arm.arm.base), self._arm.arm.compute_hand_pose(rollout.joints))
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(hand[3:]).as_matrix(), hand[:3]
+        return matrix
+
+    def _read_assets(self, object_name: str) -> SceneAssets:
+        """Return the models of a scene with an object, and with this object only."""
+        assets = self._data.load_scene(self._scenes[object_name]).assets
         return replace(assets, objects=assets.objects[:1])
 
 

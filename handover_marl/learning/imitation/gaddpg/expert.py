@@ -5,7 +5,7 @@ receiver's own stepwise control, which stalls near singular postures. The planne
 al., RSS 2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,12 @@ from handover_marl.config import ARM_DOF
 from handover_marl.geometry.distance_field import load_object_sdf
 from handover_marl.geometry.panda import OPEN
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.learning.imitation.gaddpg.grasp_costs import PAD_OFFSET, GraspCostTable, compute_travel_costs
+from handover_marl.learning.imitation.gaddpg.grasp_costs import (
+    PAD_OFFSET,
+    compute_grasp_costs,
+    compute_travel_costs,
+    load_costed_grasps,
+)
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
@@ -30,6 +35,29 @@ Array = npt.NDArray[np.float64]
 
 # Share of the way to its target that a joint covers in one decision: 150 steps with gain 0.01.
 _SETTLED_FRACTION = 1.0 - 0.99**150
+#: Rule for the steps of an approach to a grasp.
+EXPERT_APPROACH = ApproachFieldConfig()
+_PLANNER = PlannerConfig(chomp=ChompConfig(n_waypoints=20))
+# Number of candidates, the cheapest ones, among which the planner chooses.
+_PLANNER_GOALS = 4
+# Largest number of decisions of a simulated approach.
+_MAX_DECISIONS = 20
+# Distance of the hand from the grasp at which a simulated approach ends (m), and weight of the rotation in this and
+# other distances between poses of the hand (m/rad).
+_TOLERANCE, _ROTATION_WEIGHT = 0.015, 0.05
+# Cost per metre of distance from the grasp beyond the tolerance at the end of the simulated approach.
+_MISS_COST = 20.0
+# Distance from the cheapest grasp at the end of its simulated approach above which the scenario gets no plan (m).
+_MAX_MISS = 0.03
+# Cost of each decision of the simulated approach (m).
+_DECISION_COST = 0.02
+# Largest difference between a goal's cost and the cheapest goal's cost (m).
+_MAX_EXCESS_COST = 0.15
+# Cost by which another goal must be cheaper to replace the planner's goal (m).
+_SWITCH_MARGIN = 0.03
+# Distance of the standoff pose from the grasp (m), which the arm must reach too, and the largest difference of a joint
+# between standoff pose and grasp (rad).
+_STANDOFF, _MAX_JOINT_CHANGE = 0.06, 0.8
 
 
 class KinematicArm:
@@ -69,41 +97,14 @@ class GraspExpertConfig:
 
     Attributes:
         candidates: Number of grasps, the cheapest reachable ones, whose approach is simulated.
-        planner_goals: Number of candidates, the cheapest ones, among which the planner chooses.
-        max_decisions: Largest number of decisions of a simulated approach.
-        tolerance: Distance of the hand from the grasp at which a simulated approach ends (m); the
-            distance includes the weighted rotation.
-        rotation_weight: Weight of the rotation in distances between poses of the hand (m/rad).
-        miss_cost: Cost per metre of distance from the grasp beyond `tolerance` at the end of the
-            simulated approach.
-        max_miss: Distance from the cheapest grasp at the end of its simulated approach above which
-            the scenario gets no plan (m).
-        decision_cost: Cost of each decision of the simulated approach (m).
-        max_excess_cost: Largest difference between a goal's cost and the cheapest goal's cost (m).
-        switch_margin: Cost by which another goal must be cheaper to replace the planner's goal (m).
-        standoff: Distance of the standoff pose from the grasp, which the arm must reach too (m).
-        max_joint_change: Largest difference of a joint between standoff pose and grasp (rad).
-        approach: Rule for the steps of an approach to a grasp.
+        use_validation: Whether grasps are validated in simulation first, see `load_costed_grasps`.
         use_planner: Whether the planner chooses the goal; otherwise the cheapest grasp is the goal,
             and the trajectory is its simulated approach.
-        planner: Configuration of the planner.
     """
 
     candidates: int = 24
-    planner_goals: int = 4
-    max_decisions: int = 20
-    tolerance: float = 0.015
-    rotation_weight: float = 0.05
-    miss_cost: float = 20.0
-    max_miss: float = 0.03
-    decision_cost: float = 0.02
-    max_excess_cost: float = 0.15
-    switch_margin: float = 0.03
-    standoff: float = 0.06
-    max_joint_change: float = 0.8
-    approach: ApproachFieldConfig = field(default_factory=ApproachFieldConfig)
+    use_validation: bool = True
     use_planner: bool = True
-    planner: PlannerConfig = field(default_factory=lambda: PlannerConfig(chomp=ChompConfig(n_waypoints=20)))
 
 
 class ExpertPlan(NamedTuple):
@@ -119,18 +120,10 @@ class ExpertPlan(NamedTuple):
     costs: Array
     trajectory: Array
 
-    def choose_goal(self, hand: Array, config: GraspExpertConfig) -> Array:
-        """Return the cheapest goal to approach from a present hand pose.
-
-        Args:
-            hand: (7,) present world pose of the hand link.
-            config: Configuration with the switch margin.
-
-        Returns:
-            (7,) world pose of the hand link at the grasp.
-        """
+    def choose_goal(self, hand: Array) -> Array:
+        """Return the world pose (7,) at the cheapest goal to approach from a present world pose (7,) of the hand."""
         costs = self.costs + compute_travel_costs(hand, self.goals)
-        costs[0] -= config.switch_margin
+        costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
         return chosen
 
@@ -143,19 +136,16 @@ class GraspExpert:
 
     Args:
         context: Robot and objects.
-        table: Table of the objects' grasps and their costs.
         arm: Model of the arm as the receiver `gaddpg` controls it.
         config: Configuration of the selection of grasps.
     """
 
-    def __init__(
-        self, context: PolicyContext, table: GraspCostTable, arm: KinematicArm, config: GraspExpertConfig
-    ) -> None:
-        self._context, self._table, self._arm, self._config = context, table, arm, config
+    def __init__(self, context: PolicyContext, arm: KinematicArm, config: GraspExpertConfig) -> None:
+        self._context, self._arm, self._config = context, arm, config
         panda = context.panda
         self._world_from_base = np.array([*panda.base_position, *panda.base_orientation])
         start = np.array(panda.start_joints[:ARM_DOF])
-        self._planner = Planner(context.panda_urdf, start, config.planner)
+        self._planner = Planner(context.panda_urdf, start, _PLANNER)
 
     def plan(self, scenario: ImitationScenario) -> ExpertPlan:
         """Return the expert's plan for a scenario, without goals if no grasp is reachable."""
@@ -163,13 +153,13 @@ class GraspExpert:
         if not len(goals):
             return _NO_PLAN
         approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._compute_distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > self._config.max_miss:
+        if self._compute_distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > _MAX_MISS:
             return _NO_PLAN
         if not self._config.use_planner:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
         self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self._world_from_base)
-        padding = self._config.planner.costs.padding
+        padding = _PLANNER.costs.padding
         sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), padding)
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), padding)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
@@ -191,21 +181,22 @@ class GraspExpert:
         Returns:
             (g, 7) world poses of the hand link and (g,) costs (m).
         """
-        config, grasps = self._config, self._table.load_grasps(object_name)
+        config = self._config
+        grasps = load_costed_grasps(self._context, object_name, config.use_validation)
         if grasps is None:
             return np.zeros((0, 7)), np.zeros(0)
         world, hand = compose(object_pose, grasps.poses), self._arm.arm.compute_hand_pose(joints)
-        grasp_costs = self._table.compute_costs(grasps, world, hand, occluder)
+        grasp_costs = compute_grasp_costs(grasps, world, hand, occluder)
         candidates = np.flatnonzero(self._are_reachable(world, joints))
         candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: config.candidates]
         costs, best = np.full(len(world), np.inf), np.inf
         for number in candidates:
             # The cost of the approach is positive, so that more expensive grasps can be skipped.
-            if grasp_costs[number] < best + config.max_excess_cost:
+            if grasp_costs[number] < best + _MAX_EXCESS_COST:
                 costs[number] = grasp_costs[number] + self._compute_approach_cost(joints, world[number])
                 best = min(best, costs[number])
-        order = np.argsort(costs, kind="stable")[: config.planner_goals]
-        order = order[costs[order] < best + config.max_excess_cost]
+        order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
+        order = order[costs[order] < best + _MAX_EXCESS_COST]
         return world[order], costs[order] - compute_travel_costs(hand, world[order])
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
@@ -218,31 +209,29 @@ class GraspExpert:
             goal: (7,) world pose of the hand link at the grasp.
             remaining: Number of remaining decisions.
         """
-        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), self._config.approach)[0]
+        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_APPROACH)[0]
         return step
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
         """Return whether the arm reaches goals (n, 7) and their standoffs in similar postures, (n,)."""
-        standoffs = compose(goals, np.array([0.0, 0.0, -self._config.standoff, 0.0, 0.0, 0.0, 1.0]))
+        standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self._arm.arm.solve(goals, before, 15)
-        similar: npt.NDArray[np.bool_] = np.abs(after - before).max(axis=1) < self._config.max_joint_change
+        similar: npt.NDArray[np.bool_] = np.abs(after - before).max(axis=1) < _MAX_JOINT_CHANGE
         return standoff_found & goal_found & similar
 
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
         """Return the cost of the simulated approach to a goal, with the remaining distance at its end."""
         path = self._simulate_approach(joints, goal)
-        miss = max(
-            0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - self._config.tolerance
-        )
-        return self._config.decision_cost * len(path) + self._config.miss_cost * miss
+        miss = max(0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - _TOLERANCE)
+        return _DECISION_COST * len(path) + _MISS_COST * miss
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
         """Return arm joints (7,) after each decision of the receiver's approach to a goal."""
-        config, path = self._config, [joints]
-        for remaining in range(config.max_decisions, 0, -1):
+        path = [joints]
+        for remaining in range(_MAX_DECISIONS, 0, -1):
             hand = self._arm.arm.compute_hand_pose(path[-1])
-            if self._compute_distance(hand, goal) < config.tolerance:
+            if self._compute_distance(hand, goal) < _TOLERANCE:
                 break
             path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
         return path
@@ -252,4 +241,4 @@ class GraspExpert:
         relative = compose(invert_pose(goal), hand)
         rotation = Rotation.from_quat(relative[3:])
         pads = relative[:3] + PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
-        return float(np.linalg.norm(pads) + self._config.rotation_weight * rotation.magnitude())
+        return float(np.linalg.norm(pads) + _ROTATION_WEIGHT * rotation.magnitude())

@@ -20,49 +20,23 @@ Array = npt.NDArray[np.float64]
 
 # Distance from the initial position from which an object counts as moving (m).
 _MOVED = 0.02
-
-
-@dataclass(frozen=True)
-class ImitationScenarioConfig:
-    """Distribution of the random scenarios for imitation rollouts.
-
-    Attributes:
-        handover_pose_share: Share of scenarios with the object at the handover pose of a recording.
-        on_the_way_share: Share of scenarios with the object on the way to the handover pose; in the others
-            it is on the table.
-        position_std: Standard deviation of the random displacement of an object at the handover pose
-            or on the way there, along each axis (m).
-        rotation_std: Standard deviation of the random rotation of such an object about each axis (rad).
-        table_range: Largest random displacement of an object on the table along x and along y (m); its
-            rotation about the vertical is uniformly random.
-        start_pose_share: Share of scenarios with the arm at its start pose; in the others the arm observes
-            the object from a random pose.
-        joint_std: Standard deviation of the noise on every arm joint in half of the scenarios with the
-            arm at its start pose (rad).
-        min_distance: Smallest distance of the robot's hand from the object at a random pose (m).
-        max_distance: Largest distance of the robot's hand from the object at a random pose (m).
-        min_cosine: Smallest cosine, at a random pose, of the angle between the direction from the object
-            to the robot's hand and the direction from the object to the robot's base; the latter is
-            taken 11 degrees above the horizontal.
-        aim_error: Largest distance along each axis of the point at which the camera aims from the
-            object's origin (m).
-        occluded_share: Share of scenarios in which a sphere occludes the object partly.
-        occluder_radii: Smallest and largest radius of the occluding sphere (m).
-    """
-
-    handover_pose_share: float = 0.65
-    on_the_way_share: float = 0.15
-    position_std: float = 0.04
-    rotation_std: float = 0.2
-    table_range: float = 0.12
-    start_pose_share: float = 0.6
-    joint_std: float = 0.04
-    min_distance: float = 0.2
-    max_distance: float = 0.5
-    min_cosine: float = 0.0
-    aim_error: float = 0.05
-    occluded_share: float = 0.5
-    occluder_radii: tuple[float, float] = (0.03, 0.07)
+# Shares of scenarios with the object at the handover pose of a recording, and on the way there; in the others it is on
+# the table.
+_HANDOVER_POSE_SHARE, _ON_THE_WAY_SHARE = 0.65, 0.15
+# Standard deviations of the random displacement along each axis (m) and rotation about each axis (rad) of an object at
+# the handover pose or on the way there.
+_POSITION_STD, _ROTATION_STD = 0.04, 0.2
+# Largest random displacement of an object on the table along x and y (m); its rotation about the vertical is random.
+_TABLE_RANGE = 0.12
+# Share of scenarios with the arm at its start pose, where half of them have noise with a standard deviation (rad) on
+# every joint; in the others the arm observes the object from a random pose.
+_START_POSE_SHARE, _JOINT_STD = 0.6, 0.04
+# Smallest and largest distance of the robot's hand from the object at a random pose (m).
+_MIN_DISTANCE, _MAX_DISTANCE = 0.2, 0.5
+# Largest distance along each axis of the point at which the camera aims from the object's origin (m).
+_AIM_ERROR = 0.05
+# Share of scenarios in which a sphere occludes the object partly, and its smallest and largest radius (m).
+_OCCLUDED_SHARE, _OCCLUDER_RADII = 0.5, (0.03, 0.07)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,54 +73,44 @@ class ImitationScenarios:
         arm: Kinematics of the robot's arm.
         panda: Base and start pose of the robot.
         seed: Seed of all scenarios.
-        config: Distribution of the scenarios.
     """
 
-    def __init__(
-        self,
-        data: Dataset,
-        scenes: tuple[int, ...],
-        arm: ArmInWorld,
-        panda: PandaConfig,
-        seed: int,
-        config: ImitationScenarioConfig,
-    ) -> None:
-        self._data, self._scenes, self._arm, self._seed, self._config = data, scenes, arm, seed, config
+    def __init__(self, data: Dataset, scenes: tuple[int, ...], arm: ArmInWorld, panda: PandaConfig, seed: int) -> None:
+        self._data, self._scenes, self._arm, self._seed = data, scenes, arm, seed
         self._start = np.array(panda.start_joints[:ARM_DOF])
         self._base = np.array(panda.base_position)
 
     def sample(self, number: int) -> ImitationScenario:
         """Return the random scenario of a given number."""
-        config, rng = self._config, np.random.default_rng((self._seed, number))
+        rng = np.random.default_rng((self._seed, number))
         scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
         dof = self._sample_object_pose(scene.object_dof[:, 0], rng)
         joints = self._sample_joints(dof[:3].astype(np.float64), rng)
-        radius = rng.uniform(*config.occluder_radii) if rng.random() < config.occluded_share else 0.0
+        radius = rng.uniform(*_OCCLUDER_RADII) if rng.random() < _OCCLUDED_SHARE else 0.0
         # Off center, so that a part of the object stays visible.
         direction = rng.standard_normal(3)
         center = dof[:3] + direction / np.linalg.norm(direction) * rng.uniform(0.5, 1.5) * radius
         return ImitationScenario(number, scene.info.target_name, dof, joints, np.array([*center, radius]))
 
     def _sample_object_pose(self, path: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
-        config, kind = self._config, rng.random()
-        if kind >= config.handover_pose_share + config.on_the_way_share:
+        kind = rng.random()
+        if kind >= _HANDOVER_POSE_SHARE + _ON_THE_WAY_SHARE:
             return self._sample_table_pose(path[0], rng)
         dof = path[-1]
-        if kind >= config.handover_pose_share:
+        if kind >= _HANDOVER_POSE_SHARE:
             moving = np.flatnonzero(np.linalg.norm(path[:, :3] - path[0, :3], axis=1) > _MOVED)
             dof = path[int(rng.choice(moving))] if len(moving) else dof
-        rotation = Rotation.from_rotvec(rng.normal(0.0, config.rotation_std, 3)) * Rotation.from_euler("XYZ", dof[3:])
-        position = dof[:3] + rng.normal(0.0, config.position_std, 3)
+        rotation = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, 3)) * Rotation.from_euler("XYZ", dof[3:])
+        position = dof[:3] + rng.normal(0.0, _POSITION_STD, 3)
         return np.concatenate([position, rotation.as_euler("XYZ")]).astype(np.float32)
 
     def _sample_table_pose(self, dof: npt.NDArray[np.float32], rng: np.random.Generator) -> npt.NDArray[np.float32]:
         rotation = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)]) * Rotation.from_euler("XYZ", dof[3:])
-        shift = np.array([*rng.uniform(-self._config.table_range, self._config.table_range, 2), 0.0])
+        shift = np.array([*rng.uniform(-_TABLE_RANGE, _TABLE_RANGE, 2), 0.0])
         return np.concatenate([dof[:3] + shift, rotation.as_euler("XYZ")]).astype(np.float32)
 
     def _sample_joints(self, position: Array, rng: np.random.Generator) -> Array:
-        config = self._config
-        if rng.random() >= config.start_pose_share:
+        if rng.random() >= _START_POSE_SHARE:
             low, high = self._arm.limits
             for _ in range(4):
                 goal = self._sample_viewing_pose(position, rng)
@@ -154,21 +118,21 @@ class ImitationScenarios:
                 if converged[0]:
                     clipped: Array = np.clip(solutions[0], low, high)
                     return clipped
-        noise = rng.normal(0.0, config.joint_std, ARM_DOF) * (rng.random() < 0.5)
+        noise = rng.normal(0.0, _JOINT_STD, ARM_DOF) * (rng.random() < 0.5)
         joints: Array = self._start + noise
         return joints
 
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
         """Return a pose (7,) of the hand that observes a position, nearly upright as at the start."""
-        config = self._config
         direction = rng.standard_normal(3)
+        # On the side of the robot's base, 11 degrees above the horizontal.
         to_base = self._base - target
         to_base[2] = 0.2 * np.linalg.norm(to_base[:2])
-        if direction @ to_base < config.min_cosine * np.linalg.norm(to_base):
+        if direction @ to_base < 0.0:
             direction -= 2.0 * (direction @ to_base) / (to_base @ to_base) * to_base
-        distance = rng.uniform(config.min_distance, config.max_distance)
+        distance = rng.uniform(_MIN_DISTANCE, _MAX_DISTANCE)
         position = target + direction / np.linalg.norm(direction) * distance
-        z = target + rng.uniform(-config.aim_error, config.aim_error, 3) - position
+        z = target + rng.uniform(-_AIM_ERROR, _AIM_ERROR, 3) - position
         z /= np.linalg.norm(z)
         x = Rotation.from_quat(self._arm.compute_hand_pose(self._start)[3:]).as_matrix()[:, 0]
         x = x - (x @ z) * z

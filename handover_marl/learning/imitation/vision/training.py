@@ -1,14 +1,13 @@
 """Training and metrics of the grasp network. The module needs the extra `train`."""
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from handover_marl.learning.imitation.learner import ImitationLearner, LearnerConfig
+from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.learning.imitation.vision.views import GraspViews
 from handover_marl.learning.networks.grasp_losses import (
     GraspLosses,
@@ -19,30 +18,16 @@ from handover_marl.learning.networks.grasp_losses import (
 )
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOutputs, PointCloudBatch
 
-
-@dataclass(frozen=True)
-class GraspTrainingConfig(LearnerConfig):
-    """Hyperparameters of the training of the grasp network.
-
-    Attributes:
-        n_centers: Number of points per view at which grasps are predicted.
-        grasp_loss_weight: Weight of the loss of the predicted grasps (1/m).
-        quality_loss_weight: Weight of the loss of the grasps' predicted quality.
-        center_loss_weight: Weight of the loss of the object's predicted center (1/m).
-        motion_loss_weight: Weight of the loss of the object's predicted displacement (1/m).
-        roll_std: Standard deviation of the random rotation of each view about the line of sight (rad).
-        point_noise_std: Standard deviation of the noise that is added to the coordinates of points (m).
-        n_evaluated: Number of held-out views that are evaluated together.
-    """
-
-    n_centers: int = 48
-    grasp_loss_weight: float = 10.0
-    quality_loss_weight: float = 2.0
-    center_loss_weight: float = 2.0
-    motion_loss_weight: float = 1.0
-    roll_std: float = 0.6
-    point_noise_std: float = 0.001
-    n_evaluated: int = 256
+# Number of points per view at which grasps are predicted.
+_N_CENTERS = 48
+# Weights of the losses of the predicted grasps (1/m), of their quality, and of the object's predicted center (1/m) and
+# displacement (1/m).
+_GRASP_WEIGHT, _QUALITY_WEIGHT, _CENTER_WEIGHT, _MOTION_WEIGHT = 10.0, 2.0, 2.0, 1.0
+# Standard deviations of the random rotation of each view about the line of sight (rad), and of the noise that is added
+# to the coordinates of points (m).
+_ROLL_STD, _POINT_NOISE_STD = 0.6, 0.001
+# Number of held-out views that are evaluated together.
+_N_EVALUATED = 256
 
 
 class LabelledClouds(NamedTuple):
@@ -72,14 +57,10 @@ class ViewBatches:
     Args:
         views: Arrays of the views.
         device: Device of the tensors.
-        config: Hyperparameters, with the augmentation.
     """
 
-    def __init__(
-        self, views: GraspViews, device: torch.device, config: GraspTrainingConfig = GraspTrainingConfig()
-    ) -> None:
+    def __init__(self, views: GraspViews, device: torch.device) -> None:
         self._tensors = [torch.from_numpy(np.ascontiguousarray(array)).to(device) for array in views]
-        self._config = config
 
     def __len__(self) -> int:
         return len(self._tensors[0])
@@ -88,7 +69,7 @@ class ViewBatches:
         """Return a batch of randomly drawn and augmented views."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
         numbers = torch.randint(len(self), (count,), generator=generator)
-        return self._augment(self.select(numbers, self._config.n_centers, generator), generator)
+        return _augment(self.select(numbers, _N_CENTERS, generator), generator)
 
     def select(self, numbers: Tensor, centers: int, generator: torch.Generator) -> LabelledClouds:
         """Return a batch of the views with given indices, each with random centers.
@@ -105,45 +86,43 @@ class ViewBatches:
         clouds = PointCloudBatch(objects, hands, mask, indices, velocity)
         return LabelledClouds(clouds, grasp_targets_from_poses(grasps, quality), object_center, motion)
 
-    def _augment(self, batch: LabelledClouds, generator: torch.Generator) -> LabelledClouds:
-        """Return the batch rotated randomly about the line of sight, with noise on points."""
-        config, clouds, targets = self._config, batch.clouds, batch.targets
-        device = clouds.object_points.device
-        angle = config.roll_std * torch.randn(len(clouds.object_points), generator=generator).to(device)
-        cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
-        rows = ([cos, -sin, zero], [sin, cos, zero], [zero, zero, zero + 1.0])
-        rotation = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-        objects, hands = (
-            cloud @ rotation.mT + config.point_noise_std * torch.randn(cloud.shape, generator=generator).to(device)
-            for cloud in (clouds.object_points, clouds.hand_points)
-        )
-        velocity, center, motion = (
-            torch.einsum("bij,bj->bi", rotation, vector)
-            for vector in (clouds.object_velocity, batch.object_center, batch.object_motion)
-        )
-        return LabelledClouds(
-            clouds._replace(object_points=objects, hand_points=hands, object_velocity=velocity),
-            GraspTargets(targets.positions @ rotation.mT, rotation[:, None] @ targets.rotations, targets.quality),
-            center,
-            motion,
-        )
+
+def _augment(batch: LabelledClouds, generator: torch.Generator) -> LabelledClouds:
+    """Return the batch rotated randomly about the line of sight, with noise on points."""
+    clouds, targets = batch.clouds, batch.targets
+    device = clouds.object_points.device
+    angle = _ROLL_STD * torch.randn(len(clouds.object_points), generator=generator).to(device)
+    cos, sin, zero = angle.cos(), angle.sin(), torch.zeros_like(angle)
+    rows = ([cos, -sin, zero], [sin, cos, zero], [zero, zero, zero + 1.0])
+    rotation = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    objects, hands = (
+        cloud @ rotation.mT + _POINT_NOISE_STD * torch.randn(cloud.shape, generator=generator).to(device)
+        for cloud in (clouds.object_points, clouds.hand_points)
+    )
+    velocity, center, motion = (
+        torch.einsum("bij,bj->bi", rotation, vector)
+        for vector in (clouds.object_velocity, batch.object_center, batch.object_motion)
+    )
+    return LabelledClouds(
+        clouds._replace(object_points=objects, hand_points=hands, object_velocity=velocity),
+        GraspTargets(targets.positions @ rotation.mT, rotation[:, None] @ targets.rotations, targets.quality),
+        center,
+        motion,
+    )
 
 
 class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
     """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
-    _config: GraspTrainingConfig
-
     def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss to minimize, and the losses in `GraspLosses` by name."""
-        config = self._config
         # Half precision suffices for training and takes a third of the time.
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=config.use_bfloat16):
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.use_bfloat16):
             outputs = network(batch.clouds)
         losses = batch.compute_losses(outputs)
-        total = config.grasp_loss_weight * losses.grasp + config.quality_loss_weight * losses.quality
-        total = total + config.center_loss_weight * losses.object_center
-        return total + config.motion_loss_weight * losses.object_motion, losses._asdict()
+        total = _GRASP_WEIGHT * losses.grasp + _QUALITY_WEIGHT * losses.quality
+        total = total + _CENTER_WEIGHT * losses.object_center
+        return total + _MOTION_WEIGHT * losses.object_motion, losses._asdict()
 
     def evaluate(self, held_out: ViewBatches, min_quality: float = 0.3) -> dict[str, float]:
         """Return the accuracy of the predicted grasps on held-out views.
@@ -160,8 +139,8 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
         distances, losses = [], []
         generator = torch.Generator().manual_seed(0)
         with torch.inference_mode():
-            for numbers in torch.split(torch.arange(len(held_out)), self._config.n_evaluated):
-                batch = held_out.select(numbers, 2 * self._config.n_centers, generator)
+            for numbers in torch.split(torch.arange(len(held_out)), _N_EVALUATED):
+                batch = held_out.select(numbers, 2 * _N_CENTERS, generator)
                 outputs = self.averaged(batch.clouds)
                 losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
                 distances.append(_compute_best_distances(outputs, batch.targets, min_quality))

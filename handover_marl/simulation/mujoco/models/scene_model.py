@@ -14,15 +14,13 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
-from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.mujoco.contacts import ContactSensors
-from handover_marl.simulation.mujoco.distances import find_never_colliding_pairs
 from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants, compute_bounding_spheres
 from handover_marl.simulation.mujoco.models.scene_spec import (
-    TUNING,
+    HULL_MARGIN,
     ModelPadding,
-    MujocoTuning,
     SceneModelBuilder,
     format_hand_name,
     format_object_name,
@@ -39,27 +37,6 @@ _CACHE_SIZE = 400
 # Link of an object's chain that carries the mass and all shapes, after its six joints.
 _OBJECT_LINK = OBJECT_DOF - 1
 _Mtimes = tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class _Workcell:
-    """Files and constants of the model of ground, table and robot.
-
-    Attributes:
-        table: URDF file of the table.
-        panda: URDF file of the robot.
-        mtimes: Modification times of the files of table and robot.
-        friction: Friction coefficient of the target object.
-        config: Constants of the world.
-        tuning: Engine parameters.
-    """
-
-    table: Path
-    panda: Path
-    mtimes: tuple[_Mtimes, ...]
-    friction: float
-    config: PhysicsConfig
-    tuning: MujocoTuning
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +70,6 @@ class SceneModel:
         robot_qvel: Indices of the robot's nine joints in `qvel`.
         robot_ctrl: Indices of the robot's nine actuators in `ctrl`.
         gripper: Body number of the robot's hand link.
-        fingers: Body numbers (2,) of the left and the right finger.
         objects: Body numbers (m,) of the objects.
         object_qpos: Indices in `qpos` of the objects' positions and quaternions wxyz, object by
             object.
@@ -116,7 +92,6 @@ class SceneModel:
     robot_qvel: slice
     robot_ctrl: slice
     gripper: int
-    fingers: Index
     objects: Index
     object_qpos: slice
     object_qvel: slice
@@ -129,15 +104,12 @@ class SceneModel:
     object_reaches: npt.NDArray[np.float64]
 
 
-def load_scene_model(
-    assets: SceneAssets, config: PhysicsConfig, tuning: MujocoTuning = TUNING, padding: ModelPadding | None = None
-) -> SceneModel:
+def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelPadding | None = None) -> SceneModel:
     """Compile the MuJoCo model of a scene, or return it from the cache if no file has changed.
 
     Args:
         assets: Model files of the scene.
         config: Constants of the world.
-        tuning: Engine parameters.
         padding: Sizes to fill the model up to; the indices are those of the scene's own objects.
 
     Raises:
@@ -148,20 +120,16 @@ def load_scene_model(
         mtimes = tuple(read_model_mtimes(urdf) for urdf in files)
     except OSError as error:
         raise SimulationError(f"{error.filename}: cannot read this model ({error.strerror or error})") from error
-    return _load(assets, mtimes, config, tuning, padding)
+    return _load(assets, mtimes, config, padding)
 
 
 @functools.lru_cache(maxsize=_CACHE_SIZE)
 def _load(
-    assets: SceneAssets,
-    mtimes: tuple[_Mtimes, ...],
-    config: PhysicsConfig,
-    tuning: MujocoTuning,
-    padding: ModelPadding | None,
+    assets: SceneAssets, mtimes: tuple[_Mtimes, ...], config: PhysicsConfig, padding: ModelPadding | None
 ) -> SceneModel:
     friction = read_object_friction(assets.objects[0])
-    workcell = _Workcell(assets.table, assets.panda, mtimes[:2], friction, config, tuning)
-    built = SceneModelBuilder(config, tuning, friction, _build_workcell(workcell).copy(), padding)
+    workcell = assets.table, assets.panda, mtimes[:2], friction, config
+    built = SceneModelBuilder(config, friction, _build_workcell(*workcell).copy(), padding)
     built.add_objects_and_hand(assets.objects, assets.hand)
     model = _compile(built.spec, assets.objects[0].parent.name)
     joints = [joint.link for joint in read_tree(assets.panda).joints if joint.kind != "fixed"]
@@ -175,12 +143,11 @@ def _load(
     return SceneModel(
         model=model,
         variants=ModelVariants(model, model.body(objects[0]).id, object_ctrl.start, hands),
-        contact_sensors=ContactSensors(model, tuning.margin, object_qpos.start + 2),
+        contact_sensors=ContactSensors(model, HULL_MARGIN, object_qpos.start + 2),
         robot_qpos=_as_slice(model.joint(name).qposadr[0] for name in joints),
         robot_qvel=_as_slice(model.joint(name).dofadr[0] for name in joints),
         robot_ctrl=_as_slice(model.actuator(name).id for name in joints),
-        gripper=_find_body(model, HAND_LINK, assets.panda),
-        fingers=np.array([_find_body(model, name, assets.panda) for name in FINGER_LINKS], dtype=np.int32),
+        gripper=model.body(HAND_LINK).id,
         objects=np.array([model.body(name).id for name in objects], dtype=np.int32),
         object_qpos=object_qpos,
         object_qvel=_as_slice(model.joint(name).dofadr[0] + place for name in objects for place in range(6)),
@@ -188,23 +155,12 @@ def _load(
         rotation_references=_as_slice(model.body(name).mocapid[0] for name in references),
         hand=_as_slice(model.body(number).mocapid[0] for number in hands),
         hand_links=np.array(built.hand_links, dtype=np.int32),
-        robot_only=_load_robot_only(workcell),
+        robot_only=_load_robot_only(*workcell),
         hand_reach=_compute_reach(assets.hand, mtimes[-1], BASE_JOINTS - 1),
         object_reaches=np.array(
             [_compute_reach(*item, _OBJECT_LINK) for item in zip(assets.objects, mtimes[2:-1], strict=True)]
         ),
     )
-
-
-@functools.lru_cache(maxsize=16)
-def _find_never_colliding_links(
-    panda: Path, mtimes: _Mtimes, config: PhysicsConfig, tuning: MujocoTuning
-) -> tuple[tuple[str, str], ...]:
-    """Return the names of the pairs of robot links that never collide; takes 0.1 s."""
-    built = SceneModelBuilder(config, tuning)
-    built.add_robot(panda)
-    model = _compile(built.spec, panda.stem)
-    return tuple((model.body(one).name, model.body(other).name) for one, other in find_never_colliding_pairs(model))
 
 
 def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
@@ -215,21 +171,23 @@ def _compile(spec: "mujoco.MjSpec", name: str) -> "mujoco.MjModel":
 
 
 @functools.lru_cache(maxsize=32)
-def _build_workcell(workcell: _Workcell) -> "mujoco.MjSpec":
+def _build_workcell(
+    table: Path, panda: Path, mtimes: tuple[_Mtimes, ...], friction: float, config: PhysicsConfig
+) -> "mujoco.MjSpec":
     """Build the specification of ground, table and robot, which must not be changed."""
-    panda, config, tuning = workcell.panda, workcell.config, workcell.tuning
-    built = SceneModelBuilder(config, tuning, workcell.friction)
-    built.add_workcell(workcell.table, panda, _find_never_colliding_links(panda, workcell.mtimes[1], config, tuning))
+    built = SceneModelBuilder(config, friction)
+    built.add_workcell(table, panda)
     return built.spec
 
 
 @functools.lru_cache(maxsize=32)
-def _load_robot_only(workcell: _Workcell) -> RobotOnlyModel:
-    panda = workcell.panda
+def _load_robot_only(
+    table: Path, panda: Path, mtimes: tuple[_Mtimes, ...], friction: float, config: PhysicsConfig
+) -> RobotOnlyModel:
     tree = read_tree(panda)
-    bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), workcell.config.panda)
+    bounds = RobotMotionBounds(tree, compute_bounding_spheres(panda, tree), config.panda)
     names = [tree.joints[link].link for link in bounds.links]
-    spec = _build_workcell(workcell).copy()
+    spec = _build_workcell(table, panda, mtimes, friction, config).copy()
     centers = [(spec.body(name), center) for name, center in zip(names, bounds.link_centers, strict=True)]
     centers += [(spec.worldbody, center) for center in bounds.base_centers]
     # MuJoCo moves the sites in every step, which is faster than array operations.
@@ -254,10 +212,3 @@ def _as_slice(places: Iterable[int]) -> slice:
     if found != list(range(found[0], found[0] + len(found))):
         raise SimulationError(f"MuJoCo's numbers of the model's parts must be consecutive, got {found}; report this")
     return slice(int(found[0]), int(found[-1]) + 1)
-
-
-def _find_body(model: "mujoco.MjModel", name: str, urdf: Path) -> int:
-    try:
-        return int(model.body(name).id)
-    except KeyError as error:
-        raise SimulationError(f"{urdf} has no link {name!r}; check its URDF") from error

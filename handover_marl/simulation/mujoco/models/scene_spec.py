@@ -1,7 +1,7 @@
 """Construction of MuJoCo models: bodies, geoms, actuators and contact sensors."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -10,7 +10,7 @@ import numpy as np
 from handover_marl.config import OBJECT_DOF, TIME_STEP, MotorConfig, PhysicsConfig
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfLink, read_urdf_links, read_urdf_shapes
-from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
 from handover_marl.simulation.mujoco.contacts import add_contact_sensors
 from handover_marl.simulation.mujoco.models.collision_shapes import (
@@ -26,74 +26,43 @@ from handover_marl.simulation.mujoco.models.collision_shapes import (
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
 from handover_marl.simulation.reference_tracking import list_object_motors
 
-
-@dataclass(frozen=True)
-class MujocoTuning:
-    """Parameters (SI units) that make MuJoCo's contacts and actuators behave like Bullet's.
-
-    The values were chosen on scenes of s0 train only, by the share of episodes of `yang2021` with the
-    same outcome as in exact physics.
-
-    Bullet's motor gives a joint the velocity that its position error demands, with any force up to
-    a limit. In MuJoCo an actuator with damping `kv` accelerates the joint towards that velocity. At
-    the force limit the joint oscillates from step to step if `kv` is more than twice the joint's
-    inertia per step; the armatures prevent this.
-
-    Attributes:
-        arm_damping: kv of the seven arm actuators (N m s).
-        arm_armature: Inertia added to the seven arm joints (kg m^2).
-        finger_damping: kv of the finger actuators (N s/m). The grip force (N) is this value times
-            10 / s times the opening of the finger (m).
-        finger_armature: Mass added to each finger joint (kg), since Bullet's contacts with fingers
-            are soft.
-        object_damping: kv of the actuators that move objects, as a multiple of the object's mass per
-            physics step.
-        margin: Distance (m) of each convex hull's surface from its vertices, equal to Bullet's
-            collision margin.
-        contact_time: Time constant of contacts (s).
-        contact_impedance: Smallest and full impedance of contacts, and the penetration (m) at
-            which the full impedance is reached.
-        impratio: Ratio of frictional to normal constraint impedance.
-    """
-
-    arm_damping: tuple[float, ...] = (1000.0, 1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0)
-    arm_armature: tuple[float, ...] = (0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05)
-    finger_damping: float = 1500.0
-    finger_armature: float = 4.0
-    object_damping: float = 0.5
-    margin: float = 0.001
-    contact_time: float = 0.003
-    contact_impedance: tuple[float, float, float] = (0.95, 0.99, 0.001)
-    impratio: float = 10.0
-
-
-TUNING = MujocoTuning()
-
+# Parameters (SI units) that make MuJoCo's contacts and actuators behave like Bullet's. They were chosen on scenes of s0
+# train only, by the share of episodes of `yang2021` with the same outcome as in exact physics.
+#
+# Bullet's motor gives a joint the velocity that its position error demands, with any force up to a limit. In MuJoCo an
+# actuator with damping `kv` accelerates the joint towards that velocity. At the force limit the joint oscillates from
+# step to step if `kv` is more than twice the joint's inertia per step; the armatures prevent this.
+#
+# kv of the arm's actuators (N m s), and inertia added to the arm's joints (kg m^2).
+_ARM_DAMPING = (1000.0, 1000.0, 1000.0, 500.0, 100.0, 100.0, 100.0)
+_ARM_ARMATURE = (0.1, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05)
+# kv of the finger actuators (N s/m), and mass added to each finger joint (kg), since Bullet's contacts with fingers are
+# soft. The grip force (N) is the damping times 10 / s times the opening of the finger (m).
+_FINGER_DAMPING, _FINGER_ARMATURE = 1500.0, 4.0
+# kv of the actuators that move objects, as a multiple of the object's mass per physics step.
+_OBJECT_DAMPING = 0.5
+#: Distance (m) of each convex hull's surface from its vertices, equal to Bullet's collision margin.
+HULL_MARGIN = 0.001
+# Time constant of contacts (s); their smallest and full impedance, and the penetration (m) at which the full impedance
+# is reached; ratio of frictional to normal constraint impedance.
+_CONTACT_TIME, _CONTACT_IMPEDANCE, _IMPRATIO = 0.003, (0.95, 0.99, 0.001), 10.0
 
 ROBOT_BASE, TABLE = "robot", "table"
 _ALL_GROUPS, _NO_GROUP = CollisionGroup(sum(CollisionGroup)), CollisionGroup(0)
 # Of two geoms in contact, the friction of the one with the higher priority counts.
 _SUPPORT_PRIORITY, _ROBOT_PRIORITY, _FINGER_PRIORITY = 1, 1, 2
-
-
-@dataclass(frozen=True)
-class _ContactParameters:
-    """Contact parameters of a MuJoCo geom.
-
-    Attributes:
-        group: Collision group of the geom.
-        collides_with: Groups that the geom collides with. One of two geoms is enough for a pair
-            to collide.
-        friction: Lateral friction coefficient.
-        torsion: Friction coefficient about the contact normal (m).
-        priority: Priority of this geom's friction.
-    """
-
-    group: CollisionGroup
-    collides_with: CollisionGroup
-    friction: float
-    torsion: float = 0.0
-    priority: int = 0
+# Pairs of the Panda's links that stay more than 1 cm apart within the joint limits, besides neighbours.
+_NEVER_COLLIDING = (
+    (ROBOT_BASE, "panda_link2"),
+    ("panda_link1", "panda_link3"),
+    ("panda_link2", "panda_link4"),
+    ("panda_link4", "panda_link6"),
+    ("panda_link6", HAND_LINK),
+    *(("panda_link6", finger) for finger in FINGER_LINKS),
+    ("panda_link6", CAMERA_LINK),
+    *(("panda_link7", finger) for finger in FINGER_LINKS),
+    *((finger, CAMERA_LINK) for finger in FINGER_LINKS),
+)
 
 
 @dataclass(frozen=True)
@@ -144,7 +113,6 @@ class SceneModelBuilder:
 
     Args:
         config: Poses and motors of robot, table, objects and hand.
-        tuning: Engine parameters.
         object_friction: Friction coefficient of the target object.
         spec: Specification to extend, for example with a workcell; None for an empty one.
         padding: Sizes to fill the model up to; None leaves the model as it is.
@@ -157,34 +125,39 @@ class SceneModelBuilder:
     def __init__(
         self,
         config: PhysicsConfig,
-        tuning: MujocoTuning,
         object_friction: float = 1.0,
         spec: "mujoco.MjSpec | None" = None,
         padding: ModelPadding | None = None,
     ) -> None:
-        self.spec = _make_empty_spec(tuning) if spec is None else spec
+        self.spec = _make_empty_spec() if spec is None else spec
         self.hand_links: list[int] = []
-        self._config, self._tuning, self._padding = config, tuning, padding
+        self._config, self._padding = config, padding
         # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is
         # multiplied in beforehand.
         self._object_friction = object_friction
 
-    def add_workcell(self, table: Path, panda: Path, excluded: Iterable[tuple[str, str]]) -> None:
+    def add_workcell(self, table: Path, panda: Path) -> None:
         """Add ground, table and robot to the model.
 
         Args:
             table: Model of the table.
             panda: Model of the robot.
-            excluded: Pairs of robot links that never collide.
 
         Raises:
             SimulationError, DataFormatError: A model or a mesh cannot be read.
         """
-        self._add_ground()
-        self._add_table(table)
+        ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+        self._set_contact_parameters(ground, CollisionGroup.GROUND, 0.5, priority=_SUPPORT_PRIORITY)
+        tree = read_tree(table)
+        body = self.spec.worldbody.add_body(name=TABLE, pos=self._config.table_position)
+        friction = read_urdf_links(table, tree)[-1].friction * self._object_friction
+        parts = load_convex_parts(read_urdf_shapes(table, tree, "collision"))
+        self._add_parts(body, parts, CollisionGroup.SUPPORT, friction, priority=_SUPPORT_PRIORITY)
         self.add_robot(panda)
-        for one, other in excluded:
-            self.spec.add_exclude(bodyname1=one, bodyname2=other)
+        names = {body.name for body in self.spec.bodies}
+        for one, other in _NEVER_COLLIDING:
+            if {one, other} <= names:
+                self.spec.add_exclude(bodyname1=one, bodyname2=other)
 
     def add_objects_and_hand(self, objects: Sequence[Path], hand: Path) -> None:
         """Add objects, human hand and contact sensors to a model with a workcell.
@@ -205,18 +178,6 @@ class SceneModelBuilder:
         hands = [format_hand_name(number) for number in range(len(self.hand_links))]
         target, *others = (format_object_name(number) for number in range(count))
         add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, target, hands, others, [TABLE])
-
-    def _add_ground(self) -> None:
-        ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
-        contact = _ContactParameters(CollisionGroup.GROUND, _NO_GROUP, 0.5, priority=_SUPPORT_PRIORITY)
-        self._set_contact_parameters(ground, contact)
-
-    def _add_table(self, urdf: Path) -> None:
-        tree = read_tree(urdf)
-        body = self.spec.worldbody.add_body(name=TABLE, pos=self._config.table_position)
-        friction = read_urdf_links(urdf, tree)[-1].friction * self._object_friction
-        contact = _ContactParameters(CollisionGroup.SUPPORT, _NO_GROUP, friction, priority=_SUPPORT_PRIORITY)
-        self._add_parts(body, load_convex_parts(read_urdf_shapes(urdf, tree, "collision")), contact)
 
     def add_robot(self, urdf: Path) -> None:
         """Add the robot to the model.
@@ -245,28 +206,26 @@ class SceneModelBuilder:
                 set_inertia(body, links[number], parts)
 
     def _add_robot_link(self, body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart], is_finger: bool) -> None:
-        contact = _ContactParameters(
-            CollisionGroup.ROBOT,
-            _ALL_GROUPS,
-            link.friction * self._object_friction,
-            link.spinning_friction * self._object_friction,
-            _FINGER_PRIORITY if is_finger else _ROBOT_PRIORITY,
+        self._add_parts(
+            *(body, parts, CollisionGroup.ROBOT, link.friction * self._object_friction),
+            collides_with=_ALL_GROUPS,
+            torsion=link.spinning_friction * self._object_friction,
+            priority=_FINGER_PRIORITY if is_finger else _ROBOT_PRIORITY,
         )
-        self._add_parts(body, parts, contact)
 
     def _add_robot_joint(self, body: "mujoco.MjsBody", tree: KinematicTree, number: int, link: UrdfLink) -> None:
-        tree_joint, tuning = tree.joints[number], self._tuning
+        tree_joint = tree.joints[number]
         slides = tree_joint.kind == "prismatic"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE
         joint = body.add_joint(name=tree_joint.link, type=kind, axis=tree_joint.axis)
         order = len(self.spec.actuators)
-        joint.armature = tuning.finger_armature if slides else tuning.arm_armature[order]
-        damping = tuning.finger_damping if slides else tuning.arm_damping[order]
+        joint.armature = _FINGER_ARMATURE if slides else _ARM_ARMATURE[order]
+        damping = _FINGER_DAMPING if slides else _ARM_DAMPING[order]
         actuator = self._add_actuator(tree_joint.link, self._config.panda.motor, damping)
         actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_JOINT, tree_joint.link
         if link.limits is not None:
             joint.limited, joint.range = True, link.limits
-            joint.solref_limit = [tuning.contact_time, 1.0]
+            joint.solref_limit = [_CONTACT_TIME, 1.0]
             # Bullet clips motor targets to the joint limits.
             actuator.ctrllimited, actuator.ctrlrange = True, link.limits
 
@@ -280,13 +239,12 @@ class SceneModelBuilder:
         body = self.spec.worldbody.add_body(name=name)
         body.add_freejoint(name=name)
         friction = link.friction * self._object_friction
-        contact = _ContactParameters(CollisionGroup.OBJECT, _NO_GROUP, friction)
         filled = parts
         if self._padding is not None:
             filled = parts + [_ABSENT_HULL] * (self._padding.hulls - len(parts))
-        self._add_parts(body, filled, contact)
+        self._add_parts(body, filled, CollisionGroup.OBJECT, friction)
         if self._padding is not None and number == 0:
-            self._add_parts(body, filled, replace(contact, group=_NO_GROUP, collides_with=RELEASED_COLLISIONS))
+            self._add_parts(body, filled, _NO_GROUP, friction, collides_with=RELEASED_COLLISIONS)
         set_inertia(body, link, parts)
         body.add_site(name=name)
         # Positions are driven relative to the world's axes, rotations relative to a mocap body.
@@ -295,7 +253,7 @@ class SceneModelBuilder:
         inertias = [link.mass] * 3 + compute_box_inertia(link, parts).tolist()
         motors = list_object_motors(self._config.objects)
         for axis in range(OBJECT_DOF):
-            damping = self._tuning.object_damping * inertias[axis] / TIME_STEP
+            damping = _OBJECT_DAMPING * inertias[axis] / TIME_STEP
             actuator = self._add_actuator(f"{name}/{axis}", motors[axis], damping)
             actuator.trntype, actuator.target = mujoco.mjtTrn.mjTRN_SITE, name
             actuator.refsite = f"{name}/origin" if axis < OBJECT_DOF // 2 else reference
@@ -313,29 +271,58 @@ class SceneModelBuilder:
 
     def _add_hand(self, urdf: Path) -> list[int]:
         parts_by_link = load_link_parts(urdf, read_tree(urdf))
-        contact = _ContactParameters(CollisionGroup.HAND, _NO_GROUP, self._config.hand.friction)
         for number, parts in enumerate(parts_by_link.values()):
-            self._add_parts(self.spec.worldbody.add_body(name=format_hand_name(number), mocap=True), parts, contact)
+            body = self.spec.worldbody.add_body(name=format_hand_name(number), mocap=True)
+            self._add_parts(body, parts, CollisionGroup.HAND, self._config.hand.friction)
         return list(parts_by_link)
 
-    def _add_parts(self, body: "mujoco.MjsBody", parts: list[ConvexPart], contact: _ContactParameters) -> None:
+    def _add_parts(
+        self,
+        body: "mujoco.MjsBody",
+        parts: list[ConvexPart],
+        group: CollisionGroup,
+        friction: float,
+        *,
+        collides_with: CollisionGroup = _NO_GROUP,
+        torsion: float = 0.0,
+        priority: int = 0,
+    ) -> None:
+        """Add geoms to a body; see `_set_contact_parameters`."""
         for part in parts:
             geom = add_collision_geom(self.spec, body, part)
             if part is _ABSENT_HULL:
                 geom.name = f"{ABSENT_PREFIX}{len(self.spec.geoms)}"
-            self._set_contact_parameters(geom, contact)
+            self._set_contact_parameters(geom, group, friction, collides_with, torsion, priority)
             # In Bullet, boxes and spheres include their margin.
-            geom.margin = self._tuning.margin if part.kind == "hull" else 0.0
+            geom.margin = HULL_MARGIN if part.kind == "hull" else 0.0
 
-    def _set_contact_parameters(self, geom: "mujoco.MjsGeom", contact: _ContactParameters) -> None:
-        geom.contype, geom.conaffinity = int(contact.group), int(contact.collides_with)
-        geom.friction, geom.condim = [contact.friction, contact.torsion, 0.0], 4 if contact.torsion else 3
-        geom.priority = contact.priority
-        geom.solref = [self._tuning.contact_time, 1.0]
-        geom.solimp[:3] = self._tuning.contact_impedance
+    def _set_contact_parameters(
+        self,
+        geom: "mujoco.MjsGeom",
+        group: CollisionGroup,
+        friction: float,
+        collides_with: CollisionGroup = _NO_GROUP,
+        torsion: float = 0.0,
+        priority: int = 0,
+    ) -> None:
+        """Set the contact parameters of a geom.
+
+        Args:
+            geom: Geom to change.
+            group: Collision group of the geom.
+            friction: Lateral friction coefficient.
+            collides_with: Groups that the geom collides with. One of two geoms is enough for a pair to collide.
+            torsion: Friction coefficient about the contact normal (m).
+            priority: Priority of this geom's friction.
+        """
+        geom.contype, geom.conaffinity = int(group), int(collides_with)
+        geom.friction, geom.condim = [friction, torsion, 0.0], 4 if torsion else 3
+        geom.priority = priority
+        geom.solref = [_CONTACT_TIME, 1.0]
+        geom.solimp[:3] = _CONTACT_IMPEDANCE
 
 
-def _make_empty_spec(tuning: MujocoTuning) -> "mujoco.MjSpec":
+def _make_empty_spec() -> "mujoco.MjSpec":
     """Return a specification without bodies, with the options of the simulation."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -344,7 +331,7 @@ def _make_empty_spec(tuning: MujocoTuning) -> "mujoco.MjSpec":
     option.gravity = np.zeros(3)
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = tuning.impratio
+    option.impratio = _IMPRATIO
     # MuJoCo 4.0.0 factorizes sparse matrices wrongly, which it would choose for models with many objects.
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     # A state that is not finite must raise an error instead of a silent reset.

@@ -1,7 +1,7 @@
 """Tests of folders of custom scenes, from recordings and meshes to results."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,13 @@ import pytest
 import handover_marl
 from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig, MotionConfig
 from handover_marl.assets.building.custom_scenes.finger_closing import find_hand_grasp
-from handover_marl.assets.building.object_files import MeshSolid
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.custom import CustomDataset
+from handover_marl.datasets.generated.shapes import Part, Solid, make_surface
 from handover_marl.errors import DataFormatError, HandoverError, OptionError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
-from handover_marl.geometry.distance_field import distance_field_from_mesh
 from handover_marl.simulation.engines import PHYSICS
 from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
 
@@ -64,6 +63,7 @@ def list_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 def test_content_of_the_folder(scenes: CustomSceneFolder) -> None:
     dataset = scenes.check()
     assert (dataset.name, dataset.n_scenes, dataset.setups) == ("own:boxes", 3, ("all",))
@@ -79,7 +79,6 @@ def test_content_of_the_folder(scenes: CustomSceneFolder) -> None:
     assert (info.object_ids, info.object_names) == ((22, 14), ("box", "025_mug"))
     assert dataset.load_info(1).side == "left"
     assert dataset.list_scenes(None, "test") == (0, 1, 2)
-    assert not list(scenes.folder.glob(".new-*"))
     with pytest.raises(SceneError, match="numbered 0 to 2"):
         dataset.load_info(3)
 
@@ -110,9 +109,8 @@ def test_a_hand_closes_on_the_object(scenes: CustomSceneFolder) -> None:
 
 
 def test_left_hands_are_mirrored_right_hands() -> None:
-    position, rotation, box = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION), make_box()
-    vertices, faces = np.array(box.vertices), np.array(box.faces, dtype=np.int64)
-    solid = MeshSolid(box, distance_field_from_mesh(vertices, faces, 0.05, 0.003))
+    position, rotation = np.array(WRIST_IN_OBJECT), np.array(WRIST_ROTATION)
+    solid = Solid([make_surface(Part("box", (0.025, 0.025, 0.08), "red"))])
     right = find_hand_grasp(solid, np.array([*position, *rotation]), 6, "right", "")
     mirrored = np.array([-position[0], *position[1:], rotation[0], -rotation[1], -rotation[2], rotation[3]])
     left = find_hand_grasp(solid, mirrored, 6, "left", "")
@@ -135,6 +133,7 @@ def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id
     env.close()
 
 
+@pytest.mark.slow
 def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     report = handover_marl.evaluate_pair(
         receiver="yang2021", dataset=scenes.dataset, physics="fast", workers=1, out=tmp_path / "out", progress=False
@@ -149,87 +148,46 @@ def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> 
         verify(tmp_path / "out", workers=1, progress=False)
 
 
-def test_demonstrations_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    data = handover_marl.demonstrate(
-        receiver="hold", dataset=scenes.dataset, scenes=[2], physics="fast", workers=1, out=tmp_path, progress=False
-    )
-    assert data.observation_space["object_classes"].high[0] == 22
-    assert "own:boxes, all train" in str(data)
-    assert data[0].observations["object_classes"].max() == 22
-
-
-def table_frame() -> dict[str, Any]:
-    """Return a recording in the table's frame, whose poses would be below the table in the world frame."""
+def moved(keys: Sequence[str], offset: Sequence[float], scale: float = 1.0, **others: Any) -> dict[str, Any]:
+    """Return a recording with the positions of some bodies scaled and moved (m)."""
     recording = make_recording()
-    for key in ("object", "wrist"):
-        recording[key][:, 2] -= TABLE_HEIGHT
-    return recording
+    for key in keys:
+        recording[key][:, :3] = scale * recording[key][:, :3] + offset
+    return {**recording, **others}
 
 
-def y_up() -> dict[str, Any]:
-    recording = make_recording()
-    for key in ("object", "wrist"):
-        recording[key][:, [1, 2]] = recording[key][:, [2, 1]]
-    return recording
-
-
-def far_away() -> dict[str, Any]:
-    recording = make_recording()
-    for key in ("object", "wrist"):
-        recording[key][:, 1] += 1.5
-    return recording
-
-
-def mug_below() -> dict[str, Any]:
-    recording = make_recording()
-    poses = np.tile(MUG, (len(recording["time"]), 1)) - [0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0]
-    return {**recording, "025_mug": poses}
-
-
-def hand_elsewhere() -> dict[str, Any]:
-    """Return a recording with finger angles, in which the hand is never near the object."""
-    return {**wrist_moved((0.0, 0.0, 1.3)), "fingers": np.zeros((181, 45))}
-
-
-def wrist_moved(offset: tuple[float, float, float]) -> dict[str, Any]:
-    recording = make_recording()
-    recording["wrist"][:, :3] += offset
-    return recording
-
-
+BOTH, BELOW = ("object", "wrist"), (0.0, 0.0, -TABLE_HEIGHT)
+MUG_BELOW = np.tile(MUG, (181, 1)) - [0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 0.0]
 FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
-    "table's frame": (table_frame, {}, r"object must start above the table, got its lowest point 92 cm below"),
-    "y points up": (y_up, {}, r"object must (start above the table|end within)"),
-    "out of reach": (far_away, {}, r"must end within 1\.2 m of the robot's base, got 2\.0"),
-    "wrist far away": (lambda: wrist_moved((0.0, 0.4, 0.0)), {}, r"wrist must be where the fingers reach.*mm away"),
-    "wrist inside": (lambda: wrist_moved((0.055, -0.06, 0.0)), {}, r"wrist must be where the fingers reach.*mm inside"),
-    "other object below": (mug_below, {"others": ["025_mug"]}, "025_mug must start above the table"),
-    "hand elsewhere": (hand_elsewhere, {}, "the hand must come within 1 m of the object"),
-    "no wrist": (lambda: {key: make_recording()[key] for key in ("time", "object")}, {}, "no wrist.*pass hand=None"),
-    "others without poses": (make_recording, {"others": ["025_mug"]}, "no poses of '025_mug'"),
-    "poses of others": (lambda: {**make_recording(), "cup": make_recording()["object"]}, {}, "has poses of 'cup'"),
-    "unknown class": (make_recording, {"object_name": "cup"}, "unknown object 'cup'"),
-    "unknown others": (make_recording, {"others": ["cup"]}, "unknown object 'cup'"),
-    "the object twice": (make_recording, {"others": ["box"]}, "different classes"),
-    "side": (make_recording, {"side": "both"}, "unknown side"),
-    "hand": (make_recording, {"hand": 11}, "unknown hand"),
-    "person": (make_recording, {"subject": "a/b"}, "subject must be"),
-    "no person": (make_recording, {"subject": ""}, "subject must be"),
-    "recording": (make_recording, {"recording": "../x"}, "recording must be"),
-    "known recording": (make_recording, {"recording": "first", "hand": None}, "recording must be new"),
-    "motion": (lambda: 3, {}, "motion must be a path"),
+    "table's frame": (moved(BOTH, BELOW), {}, r"object must start above the table, got its lowest point 92 cm below"),
+    "out of reach": (moved(BOTH, (0.0, 1.5, 0.0)), {}, r"must end within 1\.2 m of the robot's base, got 2\.0"),
+    "in mm": (moved(("object",), (0.0, 0.0, 0.0), 1000.0), {}, "within 3 m of the world's origin.*length='mm'"),
+    "wrist far away": (moved(("wrist",), (0.0, 0.4, 0.0)), {}, r"wrist must be where the fingers reach.*mm away"),
+    "wrist inside": (moved(("wrist",), (0.055, -0.06, 0.0)), {}, r"wrist must be where the fingers reach.*mm inside"),
+    "other object below": (moved((), ()) | {"025_mug": MUG_BELOW}, {"others": ["025_mug"]}, "025_mug must start above"),
+    "hand elsewhere": (
+        moved(("wrist",), (0.0, 0.0, 1.3), fingers=np.zeros((181, 45))),
+        {},
+        "the hand must come within 1 m of the object",
+    ),
+    "no wrist": ({key: make_recording()[key] for key in ("time", "object")}, {}, "no wrist.*pass hand=None"),
+    "poses of others": ({**make_recording(), "cup": make_recording()["object"]}, {}, "has poses of 'cup'"),
+    "the object twice": (make_recording(), {"others": ["box"]}, "different classes"),
+    "hand": (make_recording(), {"hand": 11}, "unknown hand"),
+    "person": (make_recording(), {"subject": "a/b"}, "subject must be"),
+    "known recording": (make_recording(), {"recording": "first", "hand": None}, "recording must be new"),
+    "motion": (3, {}, "motion must be a path"),
 }
 
 
 @pytest.mark.parametrize("kind", FAULTS)
 def test_wrong_motions_change_nothing(kind: str, scenes: CustomSceneFolder) -> None:
-    make, options, message = FAULTS[kind]
+    motion, options, message = FAULTS[kind]
     before = list_files(scenes.folder)
     arguments = {"object_name": "box", "subject": "anna", **options}
     with pytest.raises(HandoverError, match=message):
-        scenes.add_motion(make(), **arguments)
+        scenes.add_motion(motion, **arguments)
     assert list_files(scenes.folder) == before
-    assert not [path for path in scenes.folder.iterdir() if path.name.startswith(".new")]
 
 
 def test_splits(scenes: CustomSceneFolder) -> None:
@@ -249,15 +207,12 @@ def test_splits(scenes: CustomSceneFolder) -> None:
     ("name", "options", "message"),
     [
         ("s0", {"by": "random"}, "name must not be s0"),
-        ("all", {"by": "random"}, "name must not be"),
         ("a b", {"by": "random"}, "name must be"),
         ("a", {"by": "color"}, "unknown by"),
         ("a", {"by": "person", "val": ["carl"]}, "unknown person 'carl'; valid: anna, ben"),
         ("a", {"by": "person", "val": ["ben"], "test": ["ben"]}, "must not share a name"),
-        ("a", {"by": "person", "val": ["ben"], "test": ["anna"]}, "train split must not be empty"),
         ("a", {"by": "object"}, "train split must not be empty"),
         ("a", {"by": "random", "val": 1.5}, "share from 0 to 1"),
-        ("a", {"by": "random", "val": -0.1}, "share from 0 to 1"),
     ],
 )
 def test_wrong_splits(scenes: CustomSceneFolder, name: str, options: dict[str, Any], message: str) -> None:
@@ -278,70 +233,46 @@ def test_grasps_do_not_depend_on_the_number_of_workers(tmp_path: Path) -> None:
     assert list_files(folders[0]) == list_files(folders[1])
 
 
-def test_damaged_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:
+def test_missing_files_are_named(scenes: CustomSceneFolder, tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
-    (folder / "motion" / "000001.npz").write_bytes(b"PK")
-    with pytest.raises(DataFormatError, match=r"000001\.npz: not a readable motion"):
-        CustomSceneFolder(folder).check()
+    fingerprint = CustomDataset(scenes.folder).compute_fingerprint(0)
+    assert CustomDataset(folder).compute_fingerprint(0) == fingerprint
+    urdf = folder / "objects" / "box" / "model_normalized.urdf"
+    urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
+    assert CustomDataset(folder).compute_fingerprint(0) != fingerprint
     (folder / "motion" / "000001.npz").unlink()
     with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
         CustomSceneFolder(folder).check()
 
 
-def add(key: str, place: Any, value: Any) -> Callable[[dict[str, Any]], None]:
-    """Return a function that adds a value to a part of an array."""
-
-    def change(arrays: dict[str, Any]) -> None:
-        arrays[key][place] += value
-
-    return change
-
-
-def shorten(arrays: dict[str, Any]) -> None:
-    arrays.update(object_dof=arrays["object_dof"][:100], hand_dof=arrays["hand_dof"][:100], hand_span=[0, 99])
-
-
 DRIFT = np.linspace(0.0, 1.0, 3001)
-#: Changes of a file of arrays in the folder, and the error.
-EDITS: dict[str, tuple[str, Callable[[dict[str, Any]], object], str]] = {
-    "far": ("motion/000000", add("object_dof", np.s_[1500:, 0, 0], 5.0), "object must be within 3 m of the world"),
-    "jump": (
-        "motion/000000",
-        add("object_dof", np.s_[1500:, 0, 0], 0.1),
-        "object must not jump, got 100 m/s in frame 1500",
-    ),
-    "spin": ("motion/000000", add("object_dof", np.s_[1500:, 0, 3], 1.0), "object must not jump, got 1e\\+03 rad/s"),
-    "degrees": ("motion/000000", add("object_dof", np.s_[:, 0, 3], 1e4), "angles of object must be in rad"),
-    "below": ("motion/000000", add("object_dof", np.s_[:, 0, 2], -0.5), "object must start above the table"),
-    "end below": ("motion/000000", add("object_dof", np.s_[:, 0, 2], -0.5 * DRIFT), "object must end above the table"),
-    "out of reach": ("motion/000000", add("object_dof", np.s_[:, 0, 1], 1.5 * DRIFT), r"must end within 1\.2 m"),
-    "mug below": ("motion/000000", add("object_dof", np.s_[:, 1, 2], -0.3), "025_mug must start above the table"),
-    "hand away": ("motion/000000", add("hand_dof", np.s_[:, 2], 1.3), "hand must come within 1 m of the object"),
-    "hand jumps": ("motion/000000", add("hand_dof", np.s_[1000:, 0], 0.2), "the hand must not jump"),
-    "fingers": ("motion/000000", add("hand_dof", np.s_[:, 10], 7.0), "finger angles must be at most"),
-    "no hand": ("motion/000000", lambda arrays: arrays.update(hand_span=[-1, -1]), "hand_span must be frames"),
-    "a hand": ("motion/000002", lambda arrays: arrays.update(hand_span=[0, 9]), "hand_span must be -1"),
-    "short": ("motion/000000", shorten, r"must last 0\.5 to 60 s, got 99 ms"),
-    "text": ("motion/000000", lambda arrays: arrays.update(hand_dof=arrays["hand_dof"].astype(str)), "must be numbers"),
-    "grasp away": (
-        "objects/box/grasps",
-        add("grasps", np.s_[3, 0, 3], 1.0),
-        r"within 0\.05 m of the object, .* grasp 3",
-    ),
-    "stretched": ("objects/box/grasps", add("grasps", np.s_[3, 0, 0], 0.5), "without a rotation in grasp 3"),
-    "last row": ("objects/box/grasps", add("grasps", np.s_[3, 3, 3], 1.0), "without a rotation in grasp 3"),
+MOTION, GRASPS = "motion/000000", "objects/box/grasps"
+#: File, array, place and value that is added in a file of arrays in the folder, and the error.
+EDITS: dict[str, tuple[str, str, Any, Any, str]] = {
+    "far": (MOTION, "object_dof", np.s_[1500:, 0, 0], 5.0, "object must be within 3 m of the world"),
+    "jump": (MOTION, "object_dof", np.s_[1500:, 0, 0], 0.1, "object must not jump, got 100 m/s in frame 1500"),
+    "spin": (MOTION, "object_dof", np.s_[1500:, 0, 3], 1.0, "object must not jump, got 1e\\+03 rad/s"),
+    "degrees": (MOTION, "object_dof", np.s_[:, 0, 3], 1e4, "angles of object must be in rad"),
+    "end below": (MOTION, "object_dof", np.s_[:, 0, 2], -0.5 * DRIFT, "object must end above the table"),
+    "hand away": (MOTION, "hand_dof", np.s_[:, 2], 1.3, "hand must come within 1 m of the object"),
+    "hand jumps": (MOTION, "hand_dof", np.s_[1000:, 0], 0.2, "the hand must not jump"),
+    "fingers": (MOTION, "hand_dof", np.s_[:, 10], 7.0, "finger angles must be at most"),
+    "no hand": (MOTION, "hand_span", np.s_[1], -4000, "hand_span must be frames"),
+    "a hand": ("motion/000002", "hand_span", np.s_[:], 9, "hand_span must be -1"),
+    "grasp away": (GRASPS, "grasps", np.s_[3, 0, 3], 1.0, r"within 0\.05 m of the object, .* grasp 3"),
+    "stretched": (GRASPS, "grasps", np.s_[3, 0, 0], 0.5, "without a rotation in grasp 3"),
 }
 
 
 @pytest.mark.parametrize("kind", EDITS)
 def test_impossible_values_in_edited_files(kind: str, scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    file, change, message = EDITS[kind]
+    file, key, place, value, message = EDITS[kind]
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
     path = folder / f"{file}.npz"
     arrays = dict(np.load(path))
-    change(arrays)
+    arrays[key][place] += value
     np.savez(path, **arrays)
     with pytest.raises(DataFormatError, match=message):
         CustomSceneFolder(folder).check()
@@ -353,19 +284,7 @@ def test_impossible_values_in_edited_files(kind: str, scenes: CustomSceneFolder,
 @pytest.mark.parametrize(
     ("name", "before", "after", "message"),
     [
-        (
-            "model_normalized.urdf",
-            'mass value="0.2"',
-            'mass value="0.4"',
-            r"mass must be 0\.2 as in scenes\.json, got 0\.4",
-        ),
-        (
-            "model_normalized.urdf",
-            'mass value="0.2"',
-            'mass value="nan"',
-            "value of <mass> must be a number from 0 to 1000",
-        ),
-        ("model_normalized.urdf", "0.9", "1.1", r"friction must be 0\.9 as in scenes\.json, got 1\.1"),
+        ("model_normalized.urdf", 'mass value="0.2"', 'mass value="nan"', "<mass> must be a number from 0 to 1000"),
         ("model_normalized_convex.obj", " 0.0", " 9.0", "largest extent must be 0.005 to 0.7 m"),
     ],
 )
@@ -381,20 +300,10 @@ def test_impossible_models(
         CustomSceneFolder(folder).check()
 
 
-def test_fingerprints_change_with_the_files(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    folder = tmp_path / "copy"
-    shutil.copytree(scenes.folder, folder)
-    before = CustomDataset(scenes.folder).compute_fingerprint(0)
-    assert CustomDataset(folder).compute_fingerprint(0) == before
-    urdf = folder / "objects" / "box" / "model_normalized.urdf"
-    urdf.write_text(urdf.read_text().replace("0.9", "0.8"))
-    assert CustomDataset(folder).compute_fingerprint(0) != before
-
-
 def test_configuration_of_the_frame(scenes: CustomSceneFolder) -> None:
     """A recording in the table's frame gives the same motion of object and hand as one in the world frame."""
     builder = CustomSceneFolder(scenes.folder)
-    builder.add_motion(table_frame(), "box", "carl", MotionConfig(frame="table"), recording="table")
+    builder.add_motion(moved(BOTH, BELOW), "box", "carl", MotionConfig(frame="table"), recording="table")
     dataset = CustomDataset(scenes.folder)
     first, last = dataset.load_scene(0), dataset.load_scene(dataset.n_scenes - 1)
     np.testing.assert_allclose(last.object_dof[:, 0], first.object_dof[:, 0], atol=1e-5)

@@ -9,7 +9,7 @@ import pytest
 from handover_marl.assets.building.custom_scenes.motion_tables import MotionConfig, make_trajectory, read_motion_table
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError
+from handover_marl.errors import DataFormatError, HandoverError
 from tests.custom_scenes import make_recording, write_csv
 
 NO = slice(0, 0)
@@ -30,69 +30,23 @@ def with_rows(rows: Any) -> dict[str, Any]:
     return {name: value[rows] for name, value in make_recording().items()}
 
 
-def times(factor: float, key: str = "time") -> dict[str, Any]:
-    recording = make_recording()
-    recording[key] = recording[key] * factor
-    return recording
-
-
-def in_mm() -> dict[str, Any]:
-    recording = make_recording()
-    recording["object"] = recording["object"] * np.array([1e3, 1e3, 1e3, 1.0, 1.0, 1.0, 1.0])
-    return recording
-
-
-def swapped() -> dict[str, Any]:
-    recording = make_recording()
-    recording["time"] = recording["time"][::-1]
-    return recording
-
-
 def with_fingers(value: float, shape: tuple[int, ...] = (181, 45)) -> dict[str, Any]:
     return {**make_recording(), "fingers": np.full(shape, value)}
 
 
 FAULTS: dict[str, tuple[Any, str]] = {
-    "no time": (without("time"), "time is missing"),
     "no object": (without("object"), "object is missing"),
-    "NaN in time": (change("time", 5, NO, np.nan), "time must be finite, got nan in row 6"),
-    "infinite time": (change("time", 5, NO, np.inf), "time must be finite"),
-    "time goes back": (change("time", 30, NO, 0.1), r"time must increase, got 0\.1 in row 31 after 0\.48"),
-    "repeated time": (change("time", 30, NO, 29 / 60), "time must increase"),
-    "time descends": (swapped(), "time must increase"),
-    "time in ms": (times(1000.0), r"must last 0\.5 to 60 s, got 3000 s.*time='ms'"),
-    "too short": (with_rows(slice(0, 10)), r"must last 0\.5 to 60 s"),
-    "one row": (with_rows(slice(0, 1)), "at least 2 rows"),
+    "NaN in time": (change("time", 5, NO, np.nan), "time must be finite and increase, got nan in row 6"),
+    "time goes back": (change("time", 30, NO, 0.1), r"time must be .* increase, got 0\.1 in row 31 after 0\.48"),
     "rows are missing": (with_rows(np.r_[0:60, 100:181]), r"gap between rows 60 and 61 must be at most 0\.2 s"),
-    "no object at the start": (
-        change("object", slice(0, 3), slice(None), np.nan),
-        "last row, got none in row 1",
-    ),
-    "no object at the end": (change("object", slice(178, None), 0, np.nan), "first and the last row"),
-    "object lost for long": (
-        change("object", slice(50, 90), 2, np.nan),
-        r"no pose from row 51 to 90, for 0\.683 s",
-    ),
+    "no object at the start": (change("object", slice(0, 3), slice(None), np.nan), "last row, got none in row 1"),
+    "object lost for long": (change("object", slice(50, 90), 2, np.inf), r"no pose from row 51 to 90, for 0\.683 s"),
     "object never there": (change("object", slice(None), slice(None), np.nan), "first and the last row"),
-    "infinite object": (change("object", 7, 1, np.inf), "object must be finite, got infinity in row 8"),
-    "no quaternion": (change("object", slice(None), slice(3, None), 0.0), "must have norm 1, got 0 in row 1"),
     "long quaternion": (change("object", 9, 6, 2.0), "quaternion of object must have norm 1, got 2 in row 10"),
-    "wrist without quaternion": (change("wrist", 9, slice(3, None), 0.0), "quaternion of wrist must have norm 1"),
-    "object jumps": (change("object", 100, 0, 3.0), r"object must not jump, got 144 m/s between rows 100 and 101"),
-    "wrist jumps": (change("wrist", 100, 2, 0.0), "wrist must not jump"),
-    "in mm": (in_mm(), r"must (be within 3 m|not jump).*length='mm'"),
-    "object is a point": (
-        {**make_recording(), "object": np.zeros((181, 3))},
-        r"shape \(181, 7\), got \(181, 3\)",
-    ),
-    "object has other rows": ({**make_recording(), "object": np.zeros((180, 7))}, r"must have shape \(181, 7\)"),
     "object is text": ({**make_recording(), "object": np.full((181, 7), "a")}, "must be an array of numbers"),
-    "object is complex": ({**make_recording(), "object": np.ones((181, 7)) * 1j}, "must be an array of numbers"),
-    "time has two columns": ({**make_recording(), "time": np.zeros((181, 2))}, r"time must have shape \(T,\)"),
     "no wrist at all": (change("wrist", slice(None), slice(None), np.nan), "wrist must have poses in at least 2 rows"),
     "fingers of another size": (with_fingers(0.0, (181, 40)), r"fingers must have shape \(181, 45\)"),
-    "fingers in degrees": (with_fingers(90.0), "angles in rad, got 90"),
-    "NaN fingers": (with_fingers(np.nan), "fingers must be finite where the wrist is"),
+    "fingers in degrees": (with_fingers(90.0), "angles in rad where the wrist is, got 90"),
     "fingers without a wrist": ({**without("wrist"), "fingers": np.zeros((181, 45))}, "fingers need a wrist"),
 }
 
@@ -111,11 +65,8 @@ def edit(path: Path, before: str, after: str) -> Path:
 
 CSV_FAULTS = {
     "missing column": ("object_qw", "object_q", "column 'object_qw' is missing"),
-    "unknown column": ("object_qw", "object_qw,object_r", "not a CSV file of numbers"),
     "repeated column": ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
-    "no time column": ("time", "zeit", "missing"),
     "text in a cell": ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
-    "row with fewer cells": ("0.6,0.25,", "0.6", "not a CSV file of numbers"),
     "semicolons": (",", ";", "missing|not a CSV"),
 }
 
@@ -134,27 +85,9 @@ def test_objects_are_not_unpickled(tmp_path: Path) -> None:
         read_motion_table(tmp_path / "motion.npz", MotionConfig())
 
 
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(DataNotFoundError, match="does not exist"):
-        read_motion_table(tmp_path / "gone.csv", MotionConfig())
-
-
 @pytest.mark.parametrize(
     "options",
-    [
-        {"frame": "camera"},
-        {"frame": (0.0,) * 6},
-        {"frame": (0.0,) * 7},
-        {"frame": (np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
-        {"frame": (200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)},
-        {"length": "inch"},
-        {"time": "min"},
-        {"quaternion": "wzyx"},
-        {"fingers": "degrees"},
-        {"max_gap": -1.0},
-        {"max_gap": 9.0},
-        {"max_gap": "long"},
-    ],
+    [{"frame": "camera"}, {"frame": (0.0,) * 6}, {"frame": (0.0,) * 7}, {"length": "inch"}, {"max_gap": 9.0}],
     ids=str,
 )
 def test_wrong_options(options: dict[str, Any]) -> None:
@@ -172,9 +105,9 @@ def test_a_hand_that_appears_later() -> None:
     table = read_motion_table(change("wrist", slice(0, 12), slice(None), np.nan), MotionConfig())
     assert (table.wrist_rows, table.repairs) == ((12, 181), ())
     trajectory = make_trajectory(table, (), make_hand_geometry(6, "right"), np.zeros((169, 45)))
-    assert trajectory.hand_span == (200, 3000)
-    assert not trajectory.hand_dof[:200].any()
-    assert trajectory.hand_dof[200:, :3].all()
+    assert trajectory["hand_span"].tolist() == [200, 3000]
+    assert not trajectory["hand_dof"][:200].any()
+    assert trajectory["hand_dof"][200:, :3].all()
 
 
 def test_csv_and_npz_files_are_equal(tmp_path: Path) -> None:
@@ -205,10 +138,11 @@ def test_units_frames_and_orders() -> None:
 def test_resampling_to_1_khz(rate: float) -> None:
     recording = make_recording(rate)
     trajectory = make_trajectory(read_motion_table(recording, MotionConfig()), (), None, None)
-    times = np.arange(len(trajectory.object_dof)) / 1000.0
+    objects = trajectory["object_dof"]
+    times = np.arange(len(objects)) / 1000.0
     assert times[-1] == pytest.approx(recording["time"][-1], abs=1e-3)
     for axis in range(3):
         expected = np.interp(times, recording["time"], recording["object"][:, axis])
-        np.testing.assert_allclose(trajectory.object_dof[:, 0, axis], expected, atol=1e-3)
-    assert not trajectory.hand_dof.any()
-    assert trajectory.hand_span == (-1, -1)
+        np.testing.assert_allclose(objects[:, 0, axis], expected, atol=1e-3)
+    assert not trajectory["hand_dof"].any()
+    assert trajectory["hand_span"].tolist() == [-1, -1]

@@ -13,7 +13,7 @@ pytest.importorskip("igl", reason="needs the extra `planning`")
 pytest.importorskip("embreex", reason="needs the extra `vision`")
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.learning.imitation.gaddpg.data_generation import (
     DataGenerator,
     DataGeneratorConfig,
@@ -23,7 +23,6 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     make_plans,
 )
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-from handover_marl.learning.imitation.gaddpg.grasp_costs import GraspCostConfig
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.receivers import make
 from tests.learning.training.scripts import script
@@ -39,8 +38,7 @@ QUICK: dict[str, Any] = {
     "batch_size": 4,
     "val_scenes": 1,
     "workers": 1,
-    "costs": GraspCostConfig(validated=False),
-    "expert": GraspExpertConfig(use_planner=False, candidates=3),
+    "expert": GraspExpertConfig(use_validation=False, use_planner=False, candidates=3),
 }
 
 
@@ -49,6 +47,7 @@ def train(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return script("train_gaddpg", monkeypatch)
 
 
+@pytest.mark.slow
 def test_interrupted_run_is_resumed(
     tmp_path: Path, train: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -81,7 +80,7 @@ def test_interrupted_run_is_resumed(
 
 def test_states_depend_on_the_seed_only() -> None:
     scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:2]
-    generator = DataGenerator(DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"]))
+    generator = DataGenerator(DataGeneratorConfig(scenes, "synthetic", expert=QUICK["expert"]))
     plans = {number: plan for number in range(3) if len((plan := generator.plan(number)).goals)}
     both, other = (
         generator.collect_states(RolloutTask(list(plans), list(plans.values()), repetition), None)
@@ -94,9 +93,10 @@ def test_states_depend_on_the_seed_only() -> None:
     assert len(other.remaining) != len(both.remaining) or not np.array_equal(other.goals, both.goals)
 
 
+@pytest.mark.slow
 def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
     scenes = list_shared_scenes(SyntheticDataset(robot="panda_camera"), ("s0", "s3"))[:1]
-    config = DataGeneratorConfig(scenes, "synthetic", costs=QUICK["costs"], expert=QUICK["expert"])
+    config = DataGeneratorConfig(scenes, "synthetic", expert=QUICK["expert"])
     made = []
     for workers in (1, 2):
         plans = make_plans(tmp_path / f"plans {workers}", config, 2, workers)
@@ -105,10 +105,3 @@ def test_plans_and_states_do_not_depend_on_workers(tmp_path: Path) -> None:
         made.append([*(array for plan in plans.values() for array in plan), *states])
     for first, second in zip(*made, strict=True):
         np.testing.assert_array_equal(first, second)
-
-
-def test_numbers_out_of_range_are_refused(tmp_path: Path, train: ModuleType) -> None:
-    with pytest.raises(OptionError, match="episodes must be at least 1, got 0"):
-        train.Args(**{**QUICK, "episodes": 0, "out": str(tmp_path)})
-    with pytest.raises(OptionError, match="setups"):
-        list_shared_scenes(SyntheticDataset(), ())

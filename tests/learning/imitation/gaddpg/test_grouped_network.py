@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches, StateAugmentationConfig  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches  # noqa: E402
 from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402  # noqa: E402
     GaddpgLearner,
     GaddpgLearnerConfig,
@@ -19,8 +19,6 @@ from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402  # n
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, stack_states  # noqa: E402
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig  # noqa: E402
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
-
-SAME = StateAugmentationConfig(position_std=0.0, rotation_std=0.0, counter_range=0, max_neighbors=64)
 
 
 def cloud(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
@@ -55,7 +53,7 @@ def network() -> GaddpgNetwork:
 
 def test_grouped_network_equals_the_network() -> None:
     states, clouds = some_states()
-    batch = ImitationBatches(states, ApproachFieldConfig(), SAME).select(np.arange(4), None)
+    batch = ImitationBatches(states, max_neighbors=64).select(np.arange(4), None)
     made = network()
     with torch.no_grad():
         shown = torch.from_numpy(np.stack([filled(points) for points in clouds]))
@@ -90,10 +88,11 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_thread")
 def test_resumed_learner_continues_exactly() -> None:
     states, _ = some_states()
-    batches = ImitationBatches(states, ApproachFieldConfig(), StateAugmentationConfig())
+    batches = ImitationBatches(states)
 
     def make_learner(seed: int) -> GaddpgLearner:
         torch.manual_seed(seed)

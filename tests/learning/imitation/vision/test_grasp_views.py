@@ -9,11 +9,11 @@ from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataNotFoundError
 from handover_marl.learning.imitation.samples import get_samples_path
 from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
-from handover_marl.learning.imitation.vision.view_files import ViewDatasetConfig, generate_views
 from handover_marl.learning.imitation.vision.views import (
     GraspViewConfig,
     GraspViews,
     ViewRenderer,
+    generate_views,
     read_hand_spheres,
     read_object_pose,
 )
@@ -45,20 +45,18 @@ def labels(context: PolicyContext) -> GraspLabeller:
 
 
 @pytest.fixture(scope="module")
-def maker(context: PolicyContext, labels: GraspLabeller) -> ViewRenderer:
+def maker() -> ViewRenderer:
     return ViewRenderer(
-        context,
-        ArmInWorld.for_panda(context.panda_urdf, context.panda),
-        labels,
-        GraspViewConfig(n_object_points=64, max_hand_points=32, max_grasps=24),
+        GraspViewConfig("synthetic", count=30, n_object_points=64, max_hand_points=32, max_grasps=24, labels=QUICK)
     )
 
 
 @pytest.fixture(scope="module")
 def views(maker: ViewRenderer) -> GraspViews:
-    return maker.render_random(SCENE, 30, np.random.default_rng(0))
+    return maker.render_scene(9)
 
 
+@pytest.mark.slow
 def test_views_contain_object_and_hand(views: GraspViews) -> None:
     count = len(views.object_points)
     assert count > 20
@@ -83,7 +81,7 @@ def test_motion_is_the_recorded_one(maker: ViewRenderer, context: PolicyContext)
     path = SCENE.object_dof[:, 0, :3].astype(float)
     frame = int(np.argmax(np.linalg.norm(path[500:] - path[:-500], axis=1)))
     joints = np.array(context.panda.start_joints[:7])
-    seen = maker.render_poses(SCENE, [(frame, joints)], np.random.default_rng(0))
+    seen = maker.render(SCENE, [(maker.label_frames(SCENE, [frame])[frame], joints)], np.random.default_rng(0))
     assert len(seen.object_points) == 1
     turn = Rotation.from_quat(ArmInWorld.for_panda(context.panda_urdf, context.panda).compute_hand_pose(joints)[3:])
     np.testing.assert_allclose(turn.apply(seen.object_motion[0]), path[frame + 500] - path[frame], atol=2e-3)
@@ -113,10 +111,9 @@ def test_offset_grasps_are_clear_of_the_hand_and_cost_more(labels: GraspLabeller
     assert (labels.compute_qualities(more, hand, pose)[count:] > labels.config.min_quality).all()
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_workers_and_are_kept(tmp_path: Path) -> None:
-    source = ViewDatasetConfig(
-        "synthetic", count=3, config=GraspViewConfig(n_object_points=16, max_hand_points=8, max_grasps=4), labels=QUICK
-    )
+    source = GraspViewConfig("synthetic", count=3, n_object_points=16, max_hand_points=8, max_grasps=4, labels=QUICK)
     scenes = (9, 14)
     one, two = (generate_views(source, scenes, tmp_path / str(workers), workers) for workers in (1, 2))
     for first, second in zip(one, two, strict=True):

@@ -18,7 +18,7 @@ import handover_marl
 from handover_marl.config import PandaConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError, ResetNeededError, SimulationError
+from handover_marl.errors import OptionError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, RolloutEnd
 from handover_marl.simulation.mujoco.batches import warp_group
@@ -158,6 +158,7 @@ def grasps() -> npt.NDArray[np.float64]:
     return read_device_poses(worlds, [0, 1, 2])
 
 
+@pytest.mark.slow
 def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None:
     worlds = start_batch_worlds(load_small_objects())
     for world in worlds:
@@ -169,6 +170,7 @@ def test_grasps_agree_with_the_c_engine(grasps: npt.NDArray[np.float64]) -> None
     assert difference[2].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_world_does_not_depend_on_the_others_or_on_steps_after_its_end(grasps: npt.NDArray[np.float64]) -> None:
     scenes = load_small_objects()
     worlds = start_device_worlds([scenes[0], *scenes[1:]])
@@ -227,11 +229,6 @@ def test_a_state_that_is_not_finite_raises_an_error() -> None:
     worlds.reset(0, scenes[0], place_object(scenes[0], (0.4, np.nan, 1.0), 1), PANDA.start_joints)
     with pytest.raises(SimulationError, match="Nan"):
         simulate(worlds, scenes, [2])
-
-
-def test_worlds_without_a_scene_are_refused() -> None:
-    with pytest.raises(ResetNeededError):
-        WarpWorlds(CONFIG, CAPACITY, TENSORS).read_state(TENSORS.asarray([0]))
 
 
 def test_options_of_vector_env() -> None:

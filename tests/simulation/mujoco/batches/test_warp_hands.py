@@ -15,7 +15,13 @@ from handover_marl.simulation.mujoco.batches.warp_worlds import HandBatch
 from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import WXYZ
-from handover_marl.simulation.reference_tracking import HandTrajectory, ReferenceMotion
+from handover_marl.simulation.reference_tracking import (
+    BodyTrajectory,
+    ReferenceMotion,
+    list_hand_motors,
+    select_keypoint_links,
+    track_references,
+)
 
 SCENES = [SyntheticDataset().load_scene(number) for number in (209, 5, 31)]
 COUNT = len(SCENES)
@@ -28,7 +34,7 @@ def test_hands_move_as_alone() -> None:
     singles = []
     for row, scene in enumerate(SCENES):
         start = ReferenceMotion(scene.object_dof[:1], scene.hand_dof[:1], np.array([row != 1]))
-        singles.append(HandTrajectory(read_tree(scene.assets.hand), HandConfig(), start))
+        singles.append(BodyTrajectory(list_hand_motors(HandConfig()), start.hand[0] if row != 1 else None))
         hands.reset(row, scene.assets.hand, start.hand[0] if row != 1 else None)
     for first, taken in ((300, [60, 60, 60]), (360, [60, 20, 0]), (420, [60, 60, 60])):
         part = slice(first, first + 60)
@@ -46,12 +52,14 @@ def test_hands_move_as_alone() -> None:
             if taken[row] == 0:
                 continue
             last = taken[row] - 1
-            parts = (motion.objects, motion.hand, motion.hand_present)
-            single.set_reference(ReferenceMotion(*(part[: last + 1] for part in parts)))
+            track_references([(single, motion.hand[: last + 1], motion.hand_present[: last + 1])])
             assert bool(hands.present[row]) == single.is_present_after(last)
             if single.is_present_after(last):
                 np.testing.assert_allclose(hands.joints[row], single.get_joints(last), atol=1e-12)
-                np.testing.assert_allclose(keypoints[row], single.compute_keypoints(last), atol=1e-6)
+                tree = read_tree(SCENES[row].assets.hand)
+                origins, _ = tree.compute_link_frames(single.get_joints(last)[None])
+                expected = origins[0, select_keypoint_links(tree.moving_links)]
+                np.testing.assert_allclose(keypoints[row], expected, atol=1e-6)
     links = np.array([6, 9, 12, 51])
     positions, quaternions = hands.compute_link_poses(ROWS, hands.joints[:, None], TENSORS.asarray(links))
     for row, scene in enumerate(SCENES):

@@ -19,11 +19,10 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
-from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import TUNING, ModelPadding
+from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
@@ -51,7 +50,7 @@ def test_all_jacobians_are_dense() -> None:
     many = replace(ASSETS, objects=ASSETS.objects * 9)
     scenes = [load_scene_model(assets, CONFIG) for assets in (ASSETS, many)]
     scenes.append(load_scene_model(ASSETS, CONFIG, padding=ModelPadding(objects=9, hulls=20)))
-    gripper = GripperModelBuilder(ASSETS.objects[0], ASSETS.panda, CONFIG, TUNING).spec.compile()
+    gripper = GripperModelBuilder(ASSETS.objects[0], ASSETS.panda, CONFIG).spec.compile()
     models = [gripper, *(model for scene in scenes for model in (scene.model, scene.robot_only.model))]
     assert max(model.nv for model in models) > 60
     assert [mujoco.mj_isSparse(model) for model in models] == [0] * len(models)
@@ -95,17 +94,6 @@ def test_joint_limits_equal_the_urdfs(scene: SceneModel) -> None:
     assert not scene.model.jnt_limited[PANDA_DOF:].any(), "objects have no limits"
 
 
-def test_hand_kinematics(scene: SceneModel) -> None:
-    tree = read_tree(ASSETS.hand)
-    joints, kinematics = RNG.uniform(-1.0, 1.0, (5, tree.n_dof)), HandKinematics(ASSETS.hand, scene.hand_links)
-    places, turns = kinematics.compute_poses(joints)
-    poses = tree.compute_link_poses(joints, scene.hand_links.tolist())
-    np.testing.assert_allclose(places, poses[..., :3], atol=1e-9)
-    np.testing.assert_allclose(np.abs((np.roll(turns, -1, axis=-1) * poses[..., 3:]).sum(axis=-1)), 1.0, atol=1e-9)
-    np.testing.assert_array_equal(kinematics.compute_poses(joints[3:4])[0][0], places[3])
-    assert kinematics.compute_poses(joints[:0])[0].shape == (0, len(scene.hand_links), 3)
-
-
 def meet(model: "mujoco.MjModel", first: int, second: int) -> bool:
     """Return whether the masks of two bodies let them collide."""
     types, affinities = model.body_contype, model.body_conaffinity
@@ -140,24 +128,6 @@ def test_both_pandas(client: BulletClient, real_data: Path) -> None:
             np.testing.assert_allclose(np.sort(scene.model.body_inertia[body]), np.sort(info[2]), rtol=1e-5, atol=1e-12)
 
 
-def test_models_are_cached_by_their_files(scene: SceneModel) -> None:
-    assert load_scene_model(SyntheticDataset().load_scene(209).assets, CONFIG) is scene
-
-
-def test_hulls_equal_those_of_their_vertices(scene: SceneModel) -> None:
-    parts = load_link_parts(ASSETS.panda, read_tree(ASSETS.panda))
-    hulls = [part for own in parts.values() for part in own if part.kind == "hull"]
-    spec = mujoco.MjSpec()
-    for number, part in enumerate(hulls):
-        mesh = spec.add_mesh(name=str(number), uservert=part.vertices.ravel())
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=str(number))
-    expected, found = spec.compile(), scene.robot_only.model
-    assert found.nmesh == expected.nmesh == len(hulls)
-    for name in ("vert", "graph", "pos", "quat", "polynormal", "polyvert", "face", "vertadr"):
-        np.testing.assert_array_equal(getattr(found, f"mesh_{name}"), getattr(expected, f"mesh_{name}"), err_msg=name)
-
-
 def test_models_that_cannot_be_read(tmp_path: Path) -> None:
     broken = tmp_path / "object.urdf"
     assets = SceneAssets(ASSETS.table, ASSETS.panda, (broken,), ASSETS.hand)
@@ -166,20 +136,6 @@ def test_models_that_cannot_be_read(tmp_path: Path) -> None:
     broken.write_text("<robot/>")
     with pytest.raises(SimulationError, match=r"object\.urdf"):
         load_scene_model(assets, CONFIG)
-
-
-def test_robot_only_models_have_the_same_body_numbers_and_bounding_spheres() -> None:
-    scene = load_scene_model(SyntheticDataset().load_scene(209).assets, PhysicsConfig())
-    links = scene.robot_only.links.tolist()
-    assert [scene.model.body(link).name for link in links] == [scene.robot_only.model.body(link).name for link in links]
-    assert len(links) >= 9
-    model = scene.robot_only.model
-    data = mujoco.MjData(model)
-    data.qpos[:] += 0.1
-    mujoco.mj_kinematics(model, data)
-    poses = np.concatenate([data.xpos, data.xquat[:, [1, 2, 3, 0]]], axis=1)[links]
-    centers = scene.robot_only.motion_bounds.compute_sphere_centers(poses)
-    np.testing.assert_allclose(data.site_xpos[scene.robot_only.spheres], centers, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)

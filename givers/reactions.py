@@ -1,0 +1,317 @@
+"""Givers that react to the robot: that help it, wait for it, withdraw from it or release the object early."""
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from handover_marl.config import CheckedConfig, bounded
+from handover_marl.episode.observations import Observation
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, widen
+from handover_marl.geometry.panda import FINGERTIPS
+from handover_marl.geometry.poses import compute_dot_products, compute_lengths, rotate_points, transform_points
+from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
+from handover_marl.givers.array_giver import ArrayGiver, compute_gripper_object_distances
+from handover_marl.policies.batch import Actions
+
+#: Flags (r,).
+Flags: TypeAlias = AnyArray
+
+
+class HandoverPoseVariation:
+    """Schedule of the scale of givers' deviations, which changes whenever the gripper has not approached for 2 s.
+
+    Args:
+        count: Number of episodes.
+        arrays: Creator of the arrays.
+
+    Attributes:
+        scale: Factors (n,), from -0.5 to 1, by which givers multiply their deviation from the recorded
+            handover pose; 0 gives the recorded pose.
+        timeout: Time without an approach after which `scale` changes (s).
+        min_approach: Decrease of the distance from gripper to object that counts as an approach (m).
+        scales: Values that `scale` takes one after the other; the first follows the last.
+    """
+
+    timeout = 2.0
+    min_approach = 0.02
+    scales = (1.0, 0.0, 0.5, -0.5)
+
+    def __init__(self, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._xp, self._scales = arrays.xp, arrays.asarray(self.scales)
+        self.scale = arrays.full(count, self.scales[0])
+        self._timeouts, self._min_distance = arrays.zeros(count, "int64"), arrays.full(count, math.inf)
+        self._since = arrays.full(count, math.nan)
+
+    def reset(self, row: int) -> None:
+        """Start an episode."""
+        self.scale[row], self._timeouts[row] = self.scales[0], 0
+        self._min_distance[row], self._since[row] = math.inf, math.nan
+
+    def update(self, rows: AnyIndices, observation: Observation) -> None:
+        """Update `scale` of the episodes `rows`, whose hands are at their handover poses."""
+        xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
+        since, closest = self._since[rows], self._min_distance[rows]
+        nearer = xp.isnan(since) | (distance < closest - self.min_approach)
+        late = ~nearer & (now - since >= self.timeout)
+        self._timeouts[rows] += late
+        number = self._timeouts[rows] % len(self.scales)
+        self.scale[rows] = xp.where(late, self._scales[number], self.scale[rows])
+        self._since[rows] = xp.where(nearer | late, now, since)
+        self._min_distance[rows] = xp.where(nearer, distance, xp.where(late, math.inf, closest))
+
+
+@dataclass(frozen=True)
+class CooperativeConfig(CheckedConfig):
+    """Configuration of `CooperativeGiver`.
+
+    Attributes:
+        approach_share: Share of the distance to the gripper by which the object is moved.
+        min_distance: Distance from gripper to object below which the object is not moved closer (m).
+        max_displacement: Largest displacement of the object from its recorded position (m).
+        max_rotation: Largest rotation of hand and object from their recorded orientation (rad).
+        rate: Playback rate minus 1; positive values are faster than recorded.
+        withdrawal: Distance by which the hand withdraws after the release (m).
+    """
+
+    approach_share: float = bounded(0.3, 0.0, 1.0)
+    min_distance: float = bounded(0.45, 0.0, 2.0)
+    max_displacement: float = bounded(0.25, 0.0, 0.3)
+    max_rotation: float = bounded(0.8, 0.0, 1.0)
+    rate: float = bounded(0.0, -0.8, 1.0)
+    withdrawal: float = bounded(0.15, 0.0, 0.3)
+
+
+class CooperativeGiver(ArrayGiver):
+    """Giver that offers the object towards the gripper, waits for a grasp, releases and withdraws.
+
+    While the recorded hand moves to its handover pose, the hand turns behind the object as seen from the gripper and
+    moves towards the gripper. The pose is fixed once the recorded hand has stopped or the gripper is near, because
+    robots take resting objects best. `HandoverPoseVariation` varies the pose if the gripper does not approach. The hand
+    releases the object when both fingers have stopped on the object, and withdraws after any release.
+
+    Args:
+        context: Robot and task, which this giver does not use.
+        options: Numbers in `CooperativeConfig`.
+
+    Attributes:
+        near_distance: Distance from gripper to object at which the pose is fixed (m).
+        arrival_tolerance: Remaining motion of the recorded wrist below which the hand counts as stopped (m).
+        grasp_time: Time for which the fingers must rest on the object before the release (s).
+    """
+
+    name = "cooperative"
+    near_distance = 0.25
+    arrival_tolerance = 0.01
+    grasp_time = 0.2
+    default_config = CooperativeConfig()
+    config: CooperativeConfig
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._displacement, self._rotation, self._withdrawn = (arrays.zeros((count, 3)) for _ in range(3))
+        self._is_fixed, self._is_withdrawn = (arrays.zeros(count, "bool") for _ in range(2))
+        self._pose_variation = HandoverPoseVariation(count, arrays)
+        self._grasped_since = arrays.full(count, math.nan)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without deviation from the recording."""
+        self._displacement[row] = self._rotation[row] = 0.0
+        self._is_fixed[row] = self._is_withdrawn[row] = False
+        self._grasped_since[row] = math.nan
+        self._pose_variation.reset(row)
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
+        xp = self._arrays.xp
+        released = observation["released"][:, 0] != 0.0
+        present = observation["hand_present"][:, 0] != 0.0
+        near = compute_gripper_object_distances(observation) < self.near_distance
+        chooses = xp.nonzero(~released & present & ~self._is_fixed[rows])[0]
+        if len(chooses):
+            self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
+        self._is_fixed[rows] |= ~released & (near | self._has_arrived(observation))
+        waiting = xp.nonzero(~released & self._is_fixed[rows])[0]
+        if len(waiting):
+            self._pose_variation.update(rows[waiting], {key: value[waiting] for key, value in observation.items()})
+        scale = self._pose_variation.scale[rows, None]
+        displacement = scale * self._displacement[rows]
+        self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)
+        return self.make_actions(
+            rows,
+            xp.where(released, 0.0, self.config.rate),
+            displacement=xp.where(released[:, None], self._withdrawn[rows], displacement),
+            rotation=scale * self._rotation[rows],
+            release=~released & self._are_grasped(rows, ~released, near, observation),
+        )
+
+    def _has_arrived(self, observation: Observation) -> Flags:
+        """Return whether each recorded hand has stopped at its handover pose."""
+        xp, wrist = self._arrays.xp, observation["replay_wrist_poses"][..., :3]
+        moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
+        return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
+
+    def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
+        """Choose the deviations from the recorded poses half a second ahead."""
+        xp, config = self._arrays.xp, self.config
+        gripper = widen(observation["gripper_pose"][:, :3])
+        wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
+        item = widen(observation["replay_object_poses"][:, -1, :3])
+        direction = gripper - item
+        rotation = self._rotate_towards(item - wrist, direction)
+        distance = compute_lengths(direction)
+        wanted = xp.minimum(config.approach_share * distance, distance - config.min_distance)
+        length = wanted.clip(0.0, config.max_displacement)
+        target = item + direction / distance.clip(1e-6)[:, None] * length[:, None]
+        # The rotation moves the object about the wrist; the displacement compensates for it.
+        moved = rotate_points(quaternions_from_rotation_vectors(rotation), item - wrist)
+        self._displacement[rows], self._rotation[rows] = target - moved - wrist, rotation
+
+    def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
+        """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
+        xp = self._arrays.xp
+        axes = xp.linalg.cross(arms, directions)
+        size = compute_lengths(axes)
+        angle = xp.atan2(size, compute_dot_products(arms, directions)).clip(max=self.config.max_rotation)
+        is_turned = size >= 1e-9
+        return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
+
+    def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
+        """Return whether fingers have rested on each object for long enough."""
+        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
+        resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
+        since = self._grasped_since[rows]
+        since = xp.where(held, xp.where(resting, xp.where(xp.isnan(since), now, since), math.nan), since)
+        self._grasped_since[rows] = since
+        return resting & (now - since >= self.grasp_time)
+
+    def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
+        """Set the displacement of the hands that begin to withdraw."""
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        self._withdrawn[rows] = self._arrays.xp.where(begins[:, None], withdrawal, self._withdrawn[rows])
+        self._is_withdrawn[rows] |= begins
+
+
+@dataclass(frozen=True)
+class StopWhenNearConfig(CheckedConfig):
+    """Configuration of `StopWhenNearGiver`.
+
+    Attributes:
+        distance: Distance from the Panda's hand link to the object's origin below which the recording pauses (m).
+    """
+
+    distance: float = bounded(0.35, 0.0, 1.5)
+
+
+class StopWhenNearGiver(ArrayGiver):
+    """Giver that pauses the recording while the gripper is near the object.
+
+    GenH2R has such a giver (Wang et al., CVPR 2024).
+    """
+
+    name = "stop_when_near"
+    default_config = StopWhenNearConfig()
+    config: StopWhenNearConfig
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        return self.make_pauses(rows, compute_gripper_object_distances(observation) < self.config.distance)
+
+
+@dataclass(frozen=True)
+class WithdrawingConfig(CheckedConfig):
+    """Configuration of `WithdrawingGiver`.
+
+    Attributes:
+        max_speed: Speed of the gripper towards the wrist above which the hand withdraws (m/s).
+        max_distance: Distance from gripper to wrist beyond which the hand does not withdraw (m).
+        withdrawal: Distance by which the hand withdraws (m).
+        return_after: Time after which the hand returns, unless the gripper approaches fast (s).
+    """
+
+    max_speed: float = bounded(0.25, 0.0, 2.0)
+    max_distance: float = bounded(0.45, 0.0, 1.5)
+    withdrawal: float = bounded(0.15, 0.0, 0.3)
+    return_after: float = bounded(0.8, 0.0, 13.0)
+
+
+class WithdrawingGiver(ArrayGiver):
+    """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
+
+    name = "withdrawing"
+    default_config = WithdrawingConfig()
+    config: WithdrawingConfig
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._last_distance, self._until = arrays.full(count, math.nan), arrays.full(count, -1.0)
+        self._displacement = arrays.zeros((count, 3))
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode without deviation from the recording."""
+        self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
+        away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
+        distance = widen(compute_lengths(away))
+        speed = (self._last_distance[rows] - distance) / self.control_period
+        self._last_distance[rows] = distance
+        # Before the second decision the speed is nan, which is not above the limit.
+        is_present = observation["hand_present"][:, 0] != 0.0
+        withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
+        until = xp.where(withdraws, now + config.return_after, self._until[rows])
+        withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
+        displacement = xp.where(withdraws[:, None], withdrawal, self._displacement[rows])
+        self._until[rows], self._displacement[rows] = until, displacement
+        return self.make_actions(rows, displacement=xp.where((now < until)[:, None], displacement, 0.0))
+
+
+@dataclass(frozen=True)
+class EarlyReleaseConfig(CheckedConfig):
+    """Configuration of `EarlyReleaseGiver`.
+
+    Attributes:
+        distance: Distance from the middle between the robot's fingertips to the object's origin below which the
+            gripper is near (m).
+        max_delay: Largest time from the arrival of the gripper to the release (s).
+    """
+
+    distance: float = bounded(0.1, 0.0, 0.5)
+    max_delay: float = bounded(0.5, 0.0, 13.0)
+
+
+class EarlyReleaseGiver(ArrayGiver):
+    """Giver that replays the recording and releases the object soon after the gripper has come near.
+
+    The release does not depend on a grasp, so the robot must close its fingers in time. The rules of the task
+    apply too: a grasp that is firm earlier leads to a release.
+    """
+
+    name = "early_release"
+    control_period = 0.02
+    default_config = EarlyReleaseConfig()
+    config: EarlyReleaseConfig
+
+    def allocate(self, count: int, arrays: ArrayFactory) -> None:
+        """Create the arrays of n episodes."""
+        self._delay, self._near_since = arrays.zeros(count), arrays.full(count, math.nan)
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start an episode with a random delay."""
+        self._delay[row] = self.config.max_delay * np.random.default_rng(seed).random()
+        self._near_since[row] = math.nan
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
+        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
+        distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])
+        is_near = (distance < self.config.distance) & (observation["holding"][:, 0] != 0.0)
+        since = self._near_since[rows]
+        since = self._near_since[rows] = xp.where(xp.isnan(since) & is_near, now, since)
+        return self.make_actions(rows, release=now - since >= self._delay[rows])

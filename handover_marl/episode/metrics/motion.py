@@ -1,0 +1,299 @@
+"""Motion trace of an episode, the callback that records it, and quantities of sampled motion.
+
+The quantities are speeds, activities, jerk, smoothness and protective distances.
+"""
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import HAND_DOF, TIME_STEP
+from handover_marl.episode.callbacks import EpisodeCallback
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
+from handover_marl.geometry.panda import HAND_LINK
+from handover_marl.simulation.clearance import ClearanceMonitor
+from handover_marl.simulation.engines import make_distance_query
+from handover_marl.simulation.reference_tracking import WRIST_LINK
+
+if TYPE_CHECKING:
+    from handover_marl.episode.episode import Episode
+
+Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+#: Physics steps between two samples of an episode's trace (20 ms); the first sample is the start.
+SAMPLE_STEPS = 20
+_SMOOTHING_SAMPLES = 3  # speeds are averaged over 60 ms
+_SHORTEST_PAUSE = 0.25  # s, shorter pauses do not divide an activity
+# The third derivative of polynomials of this degree, fitted to this many samples (260 ms), has half power at 6.3 Hz:
+# it keeps reaching movements and suppresses noise.
+_JERK_DEGREE, _JERK_SAMPLES = 5, 13
+# Spectral arc length: highest frequency (Hz), share of the largest amplitude below which both ends of the spectrum are
+# cut off, and padding of the profile with zeros to 2^_PADDING times the next power of two.
+_CUTOFF, _THRESHOLD, _PADDING = 10.0, 0.05, 4
+#: Time from the detection of a person to the start of the robot's braking (s), as assumed for protective distances.
+REACTION_TIME = 0.1
+#: Deceleration of the gripper while the robot brakes (m/s^2): the limit of the Panda's translational acceleration
+#: in the interface specification of Franka Robotics.
+BRAKING_DECELERATION = 13.0
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeTrace:
+    """Motion trace of an episode, sampled at equal intervals from its start; world frame.
+
+    Attributes:
+        gripper: (n, 3) positions of the Panda's hand link (m).
+        fingers: (n, 2) positions of the finger joints (m).
+        wrist: (n, 3) positions of the person's wrist (m), NaN without a hand.
+        steps: Number of physics steps of the episode.
+        release_step: Physics step after which the person released the object; None without a
+            release.
+        max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
+        min_distance: Smallest distance between robot and human hand (m), 0 after contact, None
+            without a hand.
+        max_hand_force: Largest sum of the normal forces between robot and human hand in one physics
+            step (N); None without contact.
+        hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
+            times the duration of a step (N s); None without contact.
+        contact_step: First physics step in which the robot touched the object; None without contact.
+        object_impulse: Sum over the physics steps until the release of the normal forces between robot and
+            object, times the duration of a step (N s).
+        min_separation_margin: Smallest distance between robot and human hand minus the protective distance
+            of `compute_protective_distances` (m); None without a hand.
+        side: Side of the human hand, "right" or "left".
+        sample_steps: Physics steps between two samples.
+    """
+
+    gripper: Array
+    fingers: Array
+    wrist: Array
+    steps: int
+    release_step: int | None
+    max_object_force: float
+    min_distance: float | None
+    max_hand_force: float | None = None
+    hand_impulse: float | None = None
+    contact_step: int | None = None
+    object_impulse: float = 0.0
+    min_separation_margin: float | None = None
+    side: str = "right"
+    sample_steps: int = SAMPLE_STEPS
+
+    @property
+    def period(self) -> float:
+        """Time between two samples (s)."""
+        return self.sample_steps * TIME_STEP
+
+    @property
+    def duration(self) -> float:
+        """Duration of the episode (s)."""
+        return self.steps * TIME_STEP
+
+    @property
+    def release_time(self) -> float | None:
+        """Time of the release of the object (s), or None without a release."""
+        return None if self.release_step is None else self.release_step * TIME_STEP
+
+    def count_samples_until(self, step: int) -> int:
+        """Return the number of samples up to a physics step, both ends included."""
+        return min(step // self.sample_steps + 1, len(self.gripper))
+
+
+class TraceRecorder(EpisodeCallback):
+    """Recorder of the motion trace of each episode.
+
+    Attributes:
+        trace: Motion trace of the last episode; set at the end of the episode.
+    """
+
+    trace: EpisodeTrace
+
+    def __init__(self) -> None:
+        self._monitors: dict[Path, ClearanceMonitor] = {}
+
+    def on_reset(self, episode: "Episode") -> None:
+        """Discard the records of the last episode."""
+        self._robot: list[npt.NDArray[np.float32]] = []
+        self._hand: list[npt.NDArray[np.float32] | None] = []
+        self._max_object_force, self._object_impulse = 0.0, 0.0
+        self._contact_step: int | None = None
+        self._hand_forces: list[float] = []
+        self._sample(episode)
+
+    def on_step(self, episode: "Episode") -> None:
+        """Record contacts in every step, and joint positions every `SAMPLE_STEPS` steps."""
+        contacts = episode.contacts
+        self._max_object_force = max(self._max_object_force, contacts.robot_object_force)
+        if contacts.robot_touches_object:
+            if self._contact_step is None:
+                self._contact_step = episode.steps
+            if episode.release_step is None or episode.steps <= episode.release_step:
+                self._object_impulse += contacts.robot_object_force * TIME_STEP
+        if contacts.robot_touches_hand:
+            self._hand_forces.append(contacts.robot_hand_force)
+        if episode.steps % SAMPLE_STEPS == 0:
+            self._sample(episode)
+
+    def on_end(self, episode: "Episode") -> None:
+        """Build the motion trace of the episode; the last step counts for the smallest distance."""
+        n_samples = len(self._robot)
+        self._sample(episode)
+        panda, assets = episode.config.physics.panda, episode.scene.assets
+        robot = np.array(self._robot, dtype=np.float64)
+        has_hand = np.array([hand is not None for hand in self._hand])
+        hand = np.array([row for row in self._hand if row is not None], dtype=np.float64).reshape(-1, HAND_DOF)
+        robot_frames = compute_link_trajectory(assets.panda, robot, [*panda.base_position, *panda.base_orientation])
+        wrist = np.full((len(robot), 3), np.nan)
+        min_distance: float | None = None
+        min_margin: float | None = None
+        if has_hand.any():
+            hand_frames = compute_link_trajectory(assets.hand, hand)
+            wrist[has_hand] = hand_frames.get_positions(WRIST_LINK)
+            if assets.panda not in self._monitors:
+                query = make_distance_query(assets.panda, panda)
+                self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)
+            monitor, gripper = self._monitors[assets.panda], robot_frames.get_positions(HAND_LINK)
+            motion = assets.hand, robot[has_hand], hand, robot_frames.select(has_hand), hand_frames
+            min_distance = 0.0 if self._hand_forces else monitor.compute_min_distance(*motion)
+            protective = self._compute_protective_distances(wrist, gripper, n_samples)
+            min_margin = monitor.compute_min_margin(*motion, protective[has_hand])
+            if self._hand_forces:
+                min_margin = min(min_margin, -float(protective[-1]))
+        self.trace = EpisodeTrace(
+            gripper=robot_frames.get_positions(HAND_LINK)[:n_samples],
+            fingers=robot[:n_samples, 7:],
+            wrist=wrist[:n_samples],
+            steps=episode.steps,
+            release_step=episode.release_step,
+            max_object_force=self._max_object_force,
+            min_distance=min_distance,
+            max_hand_force=max(self._hand_forces, default=None),
+            hand_impulse=sum(self._hand_forces) * TIME_STEP if self._hand_forces else None,
+            contact_step=self._contact_step,
+            object_impulse=self._object_impulse,
+            min_separation_margin=min_margin,
+            side=episode.scene.info.side,
+        )
+
+    def close(self) -> None:
+        """Free the simulation that measures distances between robot and human hand."""
+        for monitor in self._monitors.values():
+            monitor.close()
+        self._monitors.clear()
+
+    @staticmethod
+    def _compute_protective_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
+        """Return the protective distance at each sample; the last step has the speeds of the last sample."""
+        period = SAMPLE_STEPS * TIME_STEP
+        speeds = (compute_speeds(positions[:n_samples], period) for positions in (wrist, gripper))
+        distances = compute_protective_distances(*speeds)
+        return np.append(distances, distances[-1])
+
+    def _sample(self, episode: "Episode") -> None:
+        joints = episode.world.read_agent_joints()
+        self._robot.append(joints.robot)
+        self._hand.append(joints.hand)
+
+
+def compute_speeds(positions: Array, period: float) -> Array:
+    """Compute (n,) speeds of (n, k) positions, averaged over 60 ms; 0 if a position is NaN.
+
+    Args:
+        positions: (n, k) positions (m).
+        period: Time between two positions (s).
+    """
+    if len(positions) < 2:
+        return np.zeros(len(positions))
+    speed = np.linalg.norm(np.gradient(positions, period, axis=0), axis=1)
+    speed = np.nan_to_num(speed, nan=0.0)
+    padded = np.pad(speed, _SMOOTHING_SAMPLES // 2, mode="edge")
+    return np.convolve(padded, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), mode="valid")
+
+
+def compute_rms_jerk(positions: Array, period: float) -> float | None:
+    """Compute the root mean square of the jerk of a motion; None for fewer than 13 positions.
+
+    The jerk is the third derivative of a polynomial of fifth degree, such as a minimum-jerk motion,
+    fitted to 13 positions. The first and the last six positions have no such fit.
+
+    Args:
+        positions: (n, k) positions (m).
+        period: Time between two positions (s).
+    """
+    if len(positions) < _JERK_SAMPLES:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(positions, _JERK_SAMPLES, axis=0)
+    jerk = windows @ _compute_jerk_weights() / period**3
+    return float(np.sqrt(np.mean(np.sum(jerk**2, axis=1))))
+
+
+@functools.cache
+def _compute_jerk_weights() -> Array:
+    """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
+    offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
+    weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
+    return weights
+
+
+def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
+    """Compute the spectral arc length of a speed profile: at most 0, closer to 0 if smoother.
+
+    It is minus the length of the normalised amplitude spectrum; None if all speeds are zero.
+
+    Args:
+        speed: (n,) speeds at equal intervals.
+        rate: Sampling rate (Hz).
+    """
+    if len(speed) == 0 or not np.any(speed):
+        return None
+    length = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)
+    amplitude = np.abs(np.fft.rfft(speed, length))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate)
+    amplitude = amplitude / amplitude.max()
+    is_low = frequency <= _CUTOFF
+    amplitude, frequency = amplitude[is_low], frequency[is_low]
+    large = np.flatnonzero(amplitude >= _THRESHOLD)
+    part = slice(large[0], large[-1] + 1)
+    amplitude, frequency = amplitude[part], frequency[part]
+    if len(frequency) < 2:
+        return 0.0
+    across = np.diff(frequency) / (frequency[-1] - frequency[0])
+    return float(-np.sum(np.hypot(across, np.diff(amplitude))))
+
+
+def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
+    """Return first and last sample of each period of activity; pauses below 0.25 s do not split it.
+
+    Args:
+        active: (n,) whether the agent is active at each sample.
+        period: Time between two samples (s).
+    """
+    runs: list[tuple[int, int]] = []
+    for sample in np.flatnonzero(active).tolist():
+        if runs and (sample - runs[-1][1]) * period <= _SHORTEST_PAUSE:
+            runs[-1] = (runs[-1][0], sample)
+        else:
+            runs.append((sample, sample))
+    return runs
+
+
+def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> Array:
+    """Compute the protective separation distances (n,) of person and robot (m) by ISO/TS 15066:2016, 5.5.4.
+
+    The distance is the sum of the paths of the person until the robot stands still, of the robot until it starts
+    to brake, and of the robot while it brakes with constant deceleration. Both are assumed to move towards each
+    other. The intrusion distance and the position uncertainties of the standard are zero in simulation.
+
+    Args:
+        person_speeds: (n,) speeds of the person (m/s).
+        robot_speeds: (n,) speeds of the robot (m/s).
+    """
+    braking_time = robot_speeds / BRAKING_DECELERATION
+    person = person_speeds * (REACTION_TIME + braking_time)
+    distances: Array = person + robot_speeds * REACTION_TIME + 0.5 * robot_speeds * braking_time
+    return distances

@@ -1,0 +1,467 @@
+"""Results of episodes, official result folders, and small files with the outcomes of all scenes of an evaluation.
+
+A result folder has `config.yaml` and one `IDX.npz` per scene, with IDX its index in the split. Official keys: `action`
+(T, 9), `elapsed_time` (T,) policy time of every step (s), `elapsed_frame` = T, `result` the status flags. Files of this
+library hold the other fields of `EpisodeResult` too, which official readers ignore.
+
+An episode file is JSON without the actions. The key `metadata` holds the identity of the evaluation, `common` the
+values that all episodes share, `columns` the keys of the other values, and `episodes` one row for each scene. Keys and
+units are those of the episodes in `report.json`.
+"""
+
+import io
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from types import NoneType
+from typing import Any, TypeAlias, get_args, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+
+from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.episode.callbacks import ActionRecorder, EpisodeCallback
+from handover_marl.episode.metrics.fluency import FluencyMetrics
+from handover_marl.episode.referee import EpisodeStatus
+from handover_marl.errors import ResultsError
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.metadata import (
+    CONFIG_FILE,
+    ResultMetadata,
+    check_metadata,
+    format_config,
+    read_result_metadata,
+)
+from handover_marl.execution.files import create_exclusively, remove_stale_temporaries, shorten_text, write_atomically
+from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.policies.policy import Policy
+
+#: Report files beside the results of the scenes.
+REPORT_JSON = "report.json"
+REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
+#: Folders of replay pages and of demonstrations in a result folder, and the file that describes all demonstrations.
+REPLAYS, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "demonstrations", "metadata.json"
+_MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an episode file
+_FLUENCY_PREFIX = "fluency_"
+_MAX_TEXT = 10_000  # characters of a description
+_MAX_NUMBER, _MAX_OBJECTS, _MAX_SCENES = 1e9, 1000, 10_000_000
+# Smallest and largest possible values.
+_LIMITS: dict[str, tuple[float, float]] = {
+    "index": (0, _MAX_SCENES - 1),
+    "status": (1, 15),
+    "steps": (1, _MAX_NUMBER),
+    "plan_s": (0.0, _MAX_NUMBER),
+    "scene_id": (0, _MAX_SCENES - 1),
+    "release_step": (0, _MAX_NUMBER),
+    "n_objects": (1, _MAX_OBJECTS),
+}
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """Result of one simulated scene: outcome, times and metrics.
+
+    Attributes:
+        index: Position of the scene in its split; names the official result file.
+        status: Outcome flags.
+        steps: Physics steps (1 ms) until the end of the episode.
+        plan_s: Wall-clock time spent in the receiver's policy (s).
+        scene_id: Scene number, or None if unknown (results of HandoverSim's code).
+        release_step: Physics step whose contacts made the giver release the object, or None.
+        object_name: YCB class of the object handed over, or None if unknown.
+        subject: Person recorded in the scene, or None if unknown.
+        side: Hand that gives the object, "right" or "left", or None if unknown.
+        n_objects: Number of objects on the table, or None if unknown.
+        models: Description of the hand model and of other substitutes for HandoverSim's models, or
+            None if unknown.
+        fingerprint: Hash of the scene's data files, or None if unknown.
+        machine: Machine on which `plan_s` was measured, or None if unknown.
+        fluency: Metrics beyond the official ones, or None if unknown.
+    """
+
+    index: int
+    status: EpisodeStatus
+    steps: int
+    plan_s: float
+    scene_id: int | None = None
+    release_step: int | None = None
+    object_name: str | None = None
+    subject: str | None = None
+    side: str | None = None
+    n_objects: int | None = None
+    models: str | None = None
+    fingerprint: str | None = None
+    machine: str | None = None
+    fluency: FluencyMetrics | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether the handover was completed."""
+        return self.status == EpisodeStatus.SUCCESS
+
+    @property
+    def speed_score(self) -> float:
+        """Term of the metric average success: 1 - t / 13 s after t s, 0 for a failure."""
+        return 1.0 - self.steps / OFFICIAL_CONFIG.protocol.horizon_steps if self.success else 0.0
+
+
+# Type of each field that HandoverSim's files lack.
+_EXTRAS: dict[str, type] = {
+    name: get_args(hint)[0]
+    for name, hint in get_type_hints(EpisodeResult).items()
+    if NoneType in get_args(hint) and name != "fluency"
+}
+_METRICS = tuple(field.name for field in fields(FluencyMetrics))
+_STATUSES = {EpisodeStatus(bits).label: bits for bits in range(1, 16)}
+
+
+#: Callback that records an episode while it is simulated, and function that encodes the last recording as one file,
+#: given the episode's result; empty if no file is needed.
+EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult], bytes]]
+
+
+class EpisodeWriter(ABC):
+    """Writer of one file for each episode.
+
+    The main process writes; worker processes hold a pickled copy, which only creates recorders.
+    """
+
+    @abstractmethod
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of episodes in one worker process.
+
+        Args:
+            config: Resolved configuration of the evaluation.
+            receiver: The robot's policy in this process.
+        """
+
+    @abstractmethod
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the file of an episode."""
+
+    def contains(self, result: EpisodeResult) -> bool:
+        """Return whether the file of an episode exists already or is not needed.
+
+        Episodes without their file are simulated again.
+        """
+        return self.get_path(result).is_file()
+
+    def write(self, result: EpisodeResult, content: bytes) -> None:
+        """Write the file of an episode, unless its recorder returned nothing.
+
+        Raises:
+            ResultsError: The file cannot be written.
+        """
+        if content:
+            write_atomically(self.get_path(result), content)
+
+
+def get_result_path(folder: Path, index: int) -> Path:
+    """Return the path of a scene's result file or demonstration, given the scene's index in the split."""
+    return folder / f"{index:03d}.npz"
+
+
+def get_replay_path(folder: Path, scene_id: int) -> Path:
+    """Return the path of a scene's replay page."""
+    return folder / REPLAYS / f"{scene_id:03d}.html"
+
+
+def find_numbered(folder: Path, suffix: str) -> dict[int, Path]:
+    """Return the files 000, 001, ... of a folder with a suffix, by number in ascending order."""
+    paths = [path for path in folder.glob(f"[0-9]*{suffix}") if path.stem.isdecimal()]
+    found = [(int(path.stem), path) for path in paths if path.stem == f"{int(path.stem):03d}"]
+    return dict(sorted(found))
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """Return the paths of all files that are kept beside the results: replay pages and demonstrations."""
+    demonstrations = folder / DEMONSTRATIONS
+    paths = [*find_numbered(folder / REPLAYS, ".html").values(), *find_numbered(demonstrations, ".npz").values()]
+    return [*paths, *demonstrations.glob(DEMONSTRATIONS_METADATA)]
+
+
+def prepare_subfolder(path: Path) -> None:
+    """Create the folder of recordings in a result folder; remove files that killed processes left there.
+
+    Raises:
+        ResultsError: The folder cannot be created.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+        remove_stale_temporaries(path)
+    except OSError as error:
+        raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
+
+
+class ResultFolder(EpisodeWriter):
+    """Result folder of one evaluation, and the writer of its official result files.
+
+    Args:
+        path: Path of the folder; created with its parents if missing.
+        metadata: Identity of the evaluation.
+        config: World and rules of the evaluation.
+        fresh: Whether to delete the results of an earlier evaluation first.
+
+    Raises:
+        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG, fresh: bool = False
+    ) -> None:
+        self.path = path
+        prepare_result_folder(path, metadata, format_config(metadata, config), fresh)
+
+    def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
+        """Read the result of a scene; None if the result file is missing or damaged.
+
+        Args:
+            index: Index of the scene in the split.
+            fingerprint: Hash of the scene's present data.
+
+        Raises:
+            ResultsError: The result was computed from other data.
+        """
+        path = get_result_path(self.path, index)
+        try:
+            result = read_result(path) if path.is_file() else None
+        except ResultsError:
+            return None
+        if result is not None and result.fingerprint != fingerprint:
+            raise ResultsError(f"{path} was computed from data that differ from the data folder; choose another folder")
+        return result
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of actions and policy times in one worker process."""
+        recorder = ActionRecorder()
+        return recorder, lambda result: encode_result(result, recorder.actions, recorder.times)
+
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the official result file of a scene."""
+        return get_result_path(self.path, result.index)
+
+
+def encode_result(
+    result: EpisodeResult, actions: npt.NDArray[np.float32], elapsed_time: npt.NDArray[np.float64]
+) -> bytes:
+    """Return the content of a scene's official result file.
+
+    Args:
+        result: Outcome of the episode.
+        actions: (T, 9) action of every physics step.
+        elapsed_time: (T,) policy time at every physics step (s), zero between decisions.
+    """
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {
+        "action": actions,
+        "elapsed_time": elapsed_time,
+        "elapsed_frame": np.int64(result.steps),
+        "result": np.int64(result.status),
+        **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
+        **{
+            _FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64)
+            for key, value in (asdict(result.fluency) if result.fluency else {}).items()
+        },
+    }
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def prepare_result_folder(path: Path, metadata: ResultMetadata, config: str, fresh: bool = False) -> None:
+    """Create the result folder of an evaluation, or check that an existing one belongs to it.
+
+    Args:
+        path: Path of the folder; created with its parents if missing.
+        metadata: Identity of the evaluation.
+        config: Content of its `config.yaml`.
+        fresh: Whether to delete the results of an earlier evaluation first.
+
+    Raises:
+        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
+        if entries and CONFIG_FILE not in entries:
+            raise ResultsError(
+                f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
+            )
+        if fresh and entries:
+            # Other programs use files of that name; their folders must not be cleared.
+            read_result_metadata(path)
+            reports = [path / name for name in (CONFIG_FILE, *REPORT_FILES)]
+            for old in (*find_numbered(path, ".npz").values(), *find_recordings(path), *reports):
+                old.unlink(missing_ok=True)
+    except OSError as error:
+        raise ResultsError(f"cannot use {path} as result folder: {error.strerror or error}") from error
+    # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
+    create_exclusively(path / CONFIG_FILE, config)
+    different = read_result_metadata(path).describe_differences(metadata, "in the folder", "now")
+    if different:
+        raise ResultsError(
+            f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its results "
+            "with fresh=True (--fresh)"
+        )
+
+
+def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
+    """Read all results of a folder, ordered by index.
+
+    Raises:
+        ResultsError: A file is damaged, or the folder has no results although `allow_empty` is False.
+    """
+    files = find_numbered(path, ".npz").values()
+    if not files and not allow_empty:
+        raise ResultsError(f"{path} has no result files (000.npz, 001.npz, ...)")
+    results = [read_result(file) for file in files]
+    _check_scenes_differ(results, path)
+    return results
+
+
+def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
+    """Check that no two results that were read from a path are of the same scene."""
+    known: dict[int, int] = {}
+    for result in results:
+        if result.scene_id is not None and known.setdefault(result.scene_id, result.index) != result.index:
+            raise ResultsError(
+                f"{path}: {known[result.scene_id]:03d}.npz and {result.index:03d}.npz are both of scene "
+                f"{result.scene_id}; delete the one that was copied"
+            )
+
+
+def check_scalar(name: str, value: Any, kind: type) -> Any:
+    """Convert a value that was read from a file to a Python number or text.
+
+    Raises:
+        TypeError: The value is of another type.
+        ValueError: The text has control characters or is too long.
+    """
+    scalar = value.item() if isinstance(value, np.generic) else value
+    if type(scalar) is not kind:
+        raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
+    # Control characters could change a terminal that prints the report.
+    if isinstance(scalar, str) and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT):
+        raise ValueError(
+            f"{name} must be text without control characters, at most {_MAX_TEXT} characters, got {ascii(scalar)[:100]}"
+        )
+    return scalar
+
+
+def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Load all arrays of a result file.
+
+    Raises:
+        ResultsError: The file is damaged or too large.
+    """
+    try:
+        return read_arrays(path, largest=_MAX_BYTES)
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
+        raise _make_read_error(path, error) from error
+
+
+def read_result(path: Path) -> EpisodeResult:
+    """Read a result file.
+
+    Raises:
+        ResultsError: The file is damaged, or its values are impossible.
+    """
+    arrays = load_result_arrays(path)
+    try:
+        values: dict[str, Any] = {key.removeprefix(_FLUENCY_PREFIX): array[()] for key, array in arrays.items()}
+        values |= {"status": values["result"], "steps": values["elapsed_frame"], "index": int(path.stem)}
+        return _parse_result({**values, "plan_s": np.sum(arrays["elapsed_time"])})
+    except Exception as error:  # arrays may have any shape and type
+        raise _make_read_error(path, error) from error
+
+
+def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
+    """Return the result of an episode from values that were read from a file.
+
+    Args:
+        values: Fields of `EpisodeResult` and of `FluencyMetrics` by name, as Python or NumPy scalars; unknown ones may
+            be None or missing.
+
+    Raises:
+        KeyError, TypeError, ValueError: A value is missing, of another type or impossible.
+    """
+    known: dict[str, Any] = {key: int(values[key]) for key in ("status", "steps")} | {"plan_s": float(values["plan_s"])}
+    kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
+    known |= {key: check_scalar(key, values[key], kind) for key, kind in kinds.items()}
+    for key, (low, high) in _LIMITS.items():
+        if key in known and not low <= known[key] <= high:
+            raise ValueError(f"impossible {key} {shorten_text(known[key])}")
+    status = EpisodeStatus(known["status"])
+    if status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS:
+        raise ValueError(f"impossible status {known['status']}")
+    metrics = {name: float(np.nan if values.get(name) is None else values[name]) for name in _METRICS}
+    if np.any(np.abs(list(metrics.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
+        raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
+    if not all(map(np.isnan, metrics.values())):
+        unknown: Any = {name: None if np.isnan(value) else value for name, value in metrics.items()}
+        known["fluency"] = FluencyMetrics(**unknown)
+    return EpisodeResult(**{**known, "status": status})
+
+
+def _make_read_error(path: Path, error: Exception) -> ResultsError:
+    if isinstance(error, PermissionError):
+        return ResultsError(f"{path} cannot be read ({error.strerror or error}); check its rights")
+    return ResultsError(
+        f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
+    )
+
+
+def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
+    """Return the values of an episode as JSON types, by key; metrics are in the dictionary `fluency`."""
+    return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
+
+
+def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResult]) -> str:
+    """Return the content of an episode file.
+
+    Planning times are rounded to 0.1 ms, and metrics to four significant digits.
+
+    Args:
+        metadata: Identity of the evaluation.
+        episodes: One result per scene.
+    """
+    rows = []
+    for episode in episodes:
+        values = describe_episode(episode)
+        del values["status"]
+        fluency = values.pop("fluency") or dict.fromkeys(_METRICS)
+        metrics = {key: None if value is None else float(f"{value:.4g}") for key, value in fluency.items()}
+        # The cells that most readers look for come first.
+        first = {key: values.pop(key) for key in ("index", "scene_id", "outcome")}
+        rows.append({**first, **values, "plan_s": round(episode.plan_s, 4), **metrics})
+    common = {key: value for key, value in rows[0].items() if all(row[key] == value for row in rows)}
+    common.pop("index", None)  # of an evaluation of one scene
+    columns = [key for key in rows[0] if key not in common]
+    known = {key: value for key, value in common.items() if value is not None}
+    header = {"metadata": metadata.to_dict(), "common": known, "columns": columns}
+    lines = ",\n".join(f"  {json.dumps([row[key] for key in columns])}" for row in rows)
+    return f'{json.dumps(header, indent=1)[:-2]},\n "episodes": [\n{lines}\n ]\n}}\n'
+
+
+def read_episode_file(path: Path) -> tuple[ResultMetadata, list[EpisodeResult]]:
+    """Read an episode file: the identity of the evaluation, and its results ordered by index.
+
+    Raises:
+        ResultsError: The file cannot be read, or its values are impossible.
+    """
+    try:
+        content = json.loads(read_plain_file(path, _MAX_BYTES))
+        metadata = ResultMetadata(**content["metadata"])
+        rows = [dict(zip(content["columns"], row, strict=True)) | content["common"] for row in content["episodes"]]
+        results = [_parse_result({**row, "status": _STATUSES[row["outcome"]]}) for row in rows]
+        if not rows or len({result.index for result in results}) < len(rows):
+            raise ValueError("episodes must have at least one row, and each index once")
+    except Exception as error:  # the file may have any content
+        raise ResultsError(
+            f"{path}: not a readable episode file ({type(error).__name__}: {shorten_text(error)}); pass a result "
+            "folder, or a file of docs/results/data/episodes"
+        ) from error
+    check_metadata(metadata, path)
+    _check_scenes_differ(results, path)
+    return metadata, sorted(results, key=lambda result: result.index)

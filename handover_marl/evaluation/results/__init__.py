@@ -1,1 +1,0 @@
-"""Results of evaluations, and their folders on disk."""

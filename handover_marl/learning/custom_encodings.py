@@ -1,0 +1,291 @@
+"""User-defined features and action schemes: classes, functions with a declared size, or text `module:name`."""
+
+import copy
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from handover_marl.config import PANDA_DOF
+from handover_marl.episode.observations import Observation
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE
+from handover_marl.errors import EncodingError, HandoverError, OptionError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
+from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
+from handover_marl.learning.array_features import ArrayFeatures
+from handover_marl.learning.array_schemes import ArrayScheme
+from handover_marl.policies.policy import PolicyContext
+
+FEATURES, SCHEME = "features", "action scheme"
+_ACTION_SIZES = {"giver": GIVER_ACTION_SIZE, "receiver": PANDA_DOF}
+_MAX_SIZE = 1_000_000
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+Vector = npt.NDArray[np.float32]
+
+
+def declare_size(size: int) -> Callable[[_Function], _Function]:
+    """Return a decorator that declares the number of features, or of outputs of an action scheme.
+
+    Args:
+        size: Number of features that the function returns, or of outputs that it decodes.
+
+    Raises:
+        OptionError: The size is not an integer of at least 1.
+    """
+    _check_size("size", size)
+
+    def decorate(function: _Function) -> _Function:
+        function.size = size  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def is_reference(choice: object) -> bool:
+    """Return whether a choice is text of the form `module:name`."""
+    return isinstance(choice, str) and ":" in choice
+
+
+class FeatureExtractor(ABC):
+    """Base class of user-defined features, functions from one agent's observation to a vector.
+
+    Attributes:
+        agent: Agent whose observations are used, "giver" or "receiver"; None for either.
+        size: Number of features; or `space`, a one-dimensional float32 `gymnasium.spaces.Box`, declares
+            their number and bounds.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+    """
+
+    agent: str | None = None
+    size: int
+
+    def __init__(self, context: PolicyContext) -> None:
+        self.context = context
+
+    def reset(self) -> None:  # noqa: B027
+        """Clear values that are stored from the previous episode; features without memory need not override it."""
+
+    @abstractmethod
+    def __call__(self, observation: Observation) -> Vector:
+        """Return the features (size,) of an observation, finite float32 numbers.
+
+        Args:
+            observation: Element of the agent's observation space: world frame, m, rad, s, quaternions
+                xyzw.
+        """
+
+
+#: Name of built-in features, `module:name`, a class, or a function with a declared size.
+FeaturesLike: TypeAlias = str | type[FeatureExtractor] | Callable[[Observation], Any]
+#: Function from outputs (size,) in [-1, 1] and an observation to an action.
+SchemeFunction: TypeAlias = Callable[[Outputs, Observation], Action]
+#: Name of a built-in scheme, `module:name`, a class, or a function with a declared size.
+SchemeLike: TypeAlias = str | type[ActionScheme] | SchemeFunction
+
+
+class CustomFeatures(ArrayFeatures):
+    """User-defined features, one function for each episode; called one after another with NumPy arrays, and checked.
+
+    Args:
+        agent: "giver" or "receiver".
+        choice: Class, instance, or function that declares its size or space.
+        context: Robot, task and known grasps of the objects.
+        count: Number n of episodes.
+        arrays: Creator of the feature vectors.
+        name: Name of the features; default: the name of the class or function.
+
+    Attributes:
+        name: Name of the features.
+        space: Space of the feature vectors, one-dimensional, float32.
+
+    Raises:
+        OptionError: The size is missing or malformed, or the features are for the other agent.
+        EncodingError: The constructor of the class fails.
+    """
+
+    uses_camera = True
+
+    def __init__(
+        self, agent: str, choice: Any, context: PolicyContext, count: int, arrays: ArrayFactory, name: str = ""
+    ) -> None:
+        if not callable(choice):
+            raise OptionError(f"{FEATURES} must be a name, a class or a function, got {choice!r}")
+        self.name, self._arrays = name or _get_name(choice), arrays
+        self._functions = _make_instances(FEATURES, agent, choice, context, count)
+        space = getattr(self._functions[0], "space", None)
+        if space is None:
+            size = _read_size(f"{FEATURES} {self.name!r}", "features", self._functions[0])
+            space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        if not isinstance(space, spaces.Box) or space.dtype != np.float32 or len(space.shape) != 1:
+            raise OptionError(f"space of {FEATURES} {self.name!r} must be a one-dimensional float32 Box, got {space!r}")
+        self.space = space
+
+    def reset(self, row: int) -> None:
+        """Clear the values that the features store from the previous episode, if there are any."""
+        reset = getattr(self._functions[row], "reset", None)
+        if callable(reset):
+            reset()
+
+    def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the feature vectors (r, m).
+
+        Raises:
+            EncodingError: The features fail, or return anything but an element of their space.
+        """
+        what, found = f"{FEATURES} {self.name!r}", []
+        for row, one in _split_episodes(rows, observation):
+            values = _check_vector(what, _run(what, self._functions[row], one), self.space.shape)
+            outside = (values < self.space.low) | (values > self.space.high)
+            if outside.any():
+                bad = int(np.argmax(outside))
+                raise EncodingError(f"{what} must be within their space, got {values[bad]} in component {bad}")
+            found.append(values)
+        return self._arrays.asarray(np.stack(found))
+
+
+class _FunctionScheme(ActionScheme):
+    """Action scheme of a function from outputs and observation to an action."""
+
+    def __init__(self, function: Any) -> None:
+        self._function, self.size = function, function.size  # type: ignore[misc]
+        self.reset()
+
+    def compute_action(self, observation: Observation) -> Action:
+        action: Action = self._function(self.outputs, observation)
+        return action
+
+
+class CustomScheme(ArrayScheme):
+    """User-defined action schemes, one for each episode; called one after another, and their actions are checked.
+
+    Args:
+        agent: "giver" or "receiver".
+        choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
+        context: Robot, task and known grasps of the objects.
+        count: Number n of episodes.
+        arrays: Creator of the actions.
+        name: Name of the scheme; default: the name of the class or function.
+
+    Raises:
+        OptionError: The size is missing or malformed, the scheme is for the other agent, or the class
+            is no `ActionScheme`.
+        EncodingError: The constructor of the class fails.
+    """
+
+    def __init__(
+        self, agent: str, choice: Any, context: PolicyContext, count: int, arrays: ArrayFactory, name: str = ""
+    ) -> None:
+        if not callable(choice) or (isinstance(choice, type) and not issubclass(choice, ActionScheme)):
+            raise OptionError(
+                f"{SCHEME} must be a name, a subclass of handover_marl.learning.action_scheme.ActionScheme or a "
+                f"function, got {choice!r}"
+            )
+        self.agent, self.name = agent, name or _get_name(choice)  # type: ignore[misc]
+        self._what, self._arrays = f"{SCHEME} {self.name!r}", arrays
+        self.size = _read_size(self._what, "outputs", choice)
+        found = _make_instances(SCHEME, agent, choice, context, count)
+        self._schemes: Sequence[ActionScheme] = found if isinstance(choice, type) else list(map(_FunctionScheme, found))
+        self.wait = self._schemes[0].wait
+
+    def reset(self, row: int) -> None:
+        """Clear the state of the previous episode."""
+        _run(self._what, self._schemes[row].reset)
+
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether the network must be evaluated now, in each of r episodes."""
+        own = _split_episodes(rows, observation)
+        return self._arrays.asarray([bool(_run(self._what, self._schemes[row].needs_outputs, one)) for row, one in own])
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size), clipped to [-1, 1] unless a user-defined class does otherwise."""
+        for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
+            _run(self._what, self._schemes[row].set_outputs, own)
+
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the agent's actions (r, ...) for the current outputs.
+
+        Raises:
+            EncodingError: A scheme fails, or returns anything but a finite float32 action.
+        """
+        shape, found = (_ACTION_SIZES[self.agent],), []
+        for row, one in _split_episodes(rows, observation):
+            action = _run(self._what, self._schemes[row].compute_action, one)
+            found.append(_check_vector(f"action of {self._what}", action, shape))
+        return self._arrays.asarray(np.stack(found))
+
+
+def _check_size(name: str, size: object) -> int:
+    if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _MAX_SIZE:
+        raise OptionError(f"{name} must be an integer from 1 to {_MAX_SIZE}, got {size!r}")
+    return size
+
+
+def _read_size(what: str, unit: str, choice: object) -> int:
+    """Return the declared number of features or outputs."""
+    size = getattr(choice, "size", None)
+    if size is None:
+        raise OptionError(
+            f"{what} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
+            "function"
+        )
+    return _check_size(f"size of {what}", size)
+
+
+def _get_name(choice: object) -> str:
+    """Return the name of user-defined features or of a user-defined action scheme, for errors and files."""
+    name = getattr(choice, "name", None)
+    return name if isinstance(name, str) else str(getattr(choice, "__qualname__", None) or type(choice).__qualname__)
+
+
+def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
+    """Return a function or scheme for each episode, which share no memory."""
+    what, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
+    if isinstance(declared, str) and declared != agent:
+        raise OptionError(f"{what} must be for the {agent}, got some for the {declared}; change its attribute agent")
+    if not isinstance(choice, type):
+        return [copy.deepcopy(choice) if hasattr(choice, "reset") else choice for _ in range(count)]
+    if inspect.isabstract(choice):
+        missing = ", ".join(sorted(choice.__abstractmethods__))  # type: ignore[attr-defined]
+        raise OptionError(f"{what} must define {missing}; add the missing methods")
+    try:
+        given = (context,) if "context" in inspect.signature(choice).parameters else ()
+        return [choice(*given) for _ in range(count)]
+    except Exception as error:  # code of the user
+        raise EncodingError(f"{what} cannot be made ({type(error).__name__}: {error})") from error
+
+
+def _check_vector(what: str, values: object, shape: tuple[int, ...]) -> Vector:
+    """Check that user-defined code returned a finite float32 array, and return it."""
+    if type(values) is not np.ndarray or values.shape != shape or values.dtype != np.float32:
+        got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+        raise EncodingError(
+            f"{what} must be a float32 array of shape {shape}, got {got}; convert with numpy.asarray(values, "
+            "dtype=numpy.float32), or declare another size"
+        )
+    if not np.isfinite(values).all():
+        bad = int(np.argmin(np.isfinite(values)))
+        raise EncodingError(f"{what} must be finite, got {values[bad]} in component {bad}")
+    return values
+
+
+def _run(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return the result of a user-defined function, or raise an `EncodingError` that names it."""
+    try:
+        return function(*arguments)
+    except HandoverError:
+        raise
+    except Exception as error:  # code of the user
+        raise EncodingError(f"{what} failed ({type(error).__name__}: {error})") from error
+
+
+def _split_episodes(rows: AnyArray, observation: Observation) -> Iterator[tuple[int, Observation]]:
+    """Yield the indices (r,) of episodes with a copy of the observation of each as NumPy arrays."""
+    own = {key: to_numpy(values) for key, values in observation.items()}
+    for number, row in enumerate(rows.tolist()):
+        yield row, {key: values[number].copy() for key, values in own.items()}
