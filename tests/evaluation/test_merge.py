@@ -153,6 +153,11 @@ def test_cross_play(tmp_path: Path) -> None:
     merged = handover_marl.merge(parts, tmp_path / "merged")
     assert str(merged) == str(whole)
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    table = parts[1] / "crossplay.csv"
+    lines = table.read_text().splitlines(keepends=True)
+    table.write_text("".join(lines[:-1]))
+    with pytest.raises(ResultsError, match=r"shards of different cross-plays: .* have other pairs"):
+        handover_marl.merge(parts, tmp_path / "again")
     table = parts[0] / "crossplay.csv"
     table.write_text("a,b\n" + table.read_text())
     with pytest.raises(ResultsError, match=r"crossplay\.csv: not a cross-play table"):
