@@ -34,7 +34,7 @@ _NAMES = {
     "envs.transition": ("Transition",),
     "envs.vector.vector_env": ("vector_env",),
     "envs.wrappers.encode": ("encode",),
-    "envs.wrappers.flatten": ("flatten",),
+    "envs.wrappers.wrapper": ("flatten",),
     "envs.wrappers.freeze": ("freeze",),
     "episode.camera_observations": ("CameraCapture",),
     "episode.referee": ("EpisodeStatus",),

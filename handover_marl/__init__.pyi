@@ -12,8 +12,8 @@ from handover_marl.envs.rewards import TermWeights as TermWeights
 from handover_marl.envs.transition import Transition as Transition
 from handover_marl.envs.vector.vector_env import vector_env as vector_env
 from handover_marl.envs.wrappers.encode import encode as encode
-from handover_marl.envs.wrappers.flatten import flatten as flatten
 from handover_marl.envs.wrappers.freeze import freeze as freeze
+from handover_marl.envs.wrappers.wrapper import flatten as flatten
 from handover_marl.episode.camera_observations import CameraCapture as CameraCapture
 from handover_marl.episode.referee import EpisodeStatus as EpisodeStatus
 from handover_marl.evaluation.benchmark import benchmark as benchmark

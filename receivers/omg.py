@@ -66,6 +66,8 @@ class OmgReceiver(PhasedReceiver):
 
     Attributes:
         world_from_base: (7,) world pose of the robot's base, in whose frame plans are given.
+        has_planned: Whether the receiver has planned in this episode, successfully or not.
+        plan: Planned trajectory of this episode; None before planning, or if no grasp is reachable.
     """
 
     name = "omg"
@@ -86,19 +88,9 @@ class OmgReceiver(PhasedReceiver):
         self._library = GraspLibrary(context.grasps)
         self._planner: Planner | None = None
         self._ik_solver: IkSolver | None = None
-        self._has_planned = False
-        self._plan: Plan | None = None
+        self.has_planned = False
+        self.plan: Plan | None = None
         self._retreat_ms = 0
-
-    @property
-    def has_planned(self) -> bool:
-        """Whether the receiver has planned in this episode, successfully or not."""
-        return self._has_planned
-
-    @property
-    def plan(self) -> Plan | None:
-        """Planned trajectory of this episode; None before planning, or if no grasp is reachable."""
-        return self._plan
 
     @property
     def arm(self) -> ArmKinematics:
@@ -108,9 +100,9 @@ class OmgReceiver(PhasedReceiver):
     @property
     def planned_goal(self) -> Array | None:
         """(w, 7) world poses of the hand link at all waypoints, None once the fingers close."""
-        if self._plan is None or self._retreat:
+        if self.plan is None or self._retreat:
             return None
-        chain = self.arm.compute_chain_frames(self._plan.trajectory)
+        chain = self.arm.compute_chain_frames(self.plan.trajectory)
         hand = poses_from_rotations(chain.origins[-1].T, np.moveaxis(chain.rotations[-1], -1, 0))
         return np.asarray(compose(np.broadcast_to(self.world_from_base, hand.shape), hand))
 
@@ -122,7 +114,7 @@ class OmgReceiver(PhasedReceiver):
             self._planner = Planner(self.context.panda_urdf, start, self.config)
             self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
         self._start_timing()
-        self._has_planned, self._plan = False, None
+        self.has_planned, self.plan = False, None
 
     def act(self, observation: Observation) -> Action:
         """Return the next nine target joint positions."""
@@ -130,12 +122,12 @@ class OmgReceiver(PhasedReceiver):
         elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
             return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, self._wait_ms)
-        if not self._has_planned:
-            self._plan, self._has_planned = self._make_plan(observation), True
-        if self._plan is None:
+        if not self.has_planned:
+            self.plan, self.has_planned = self._make_plan(observation), True
+        if self.plan is None:
             return self._command(np.array(WAITING_JOINTS[:ARM_DOF]), OPEN, math.inf)
         number = elapsed // self.step_ms
-        path = self._plan.trajectory
+        path = self.plan.trajectory
         if number < len(path):
             return self._command(path[number], OPEN, self._compute_waypoint_start(number + 1))
         closed_ms = self._compute_waypoint_start(len(path)) + CLOSE_MS

@@ -31,10 +31,7 @@ SEARCH_SPACE = {
     "risk": (0.4, 1.0),
     "approach_standoff": (0.04, 0.12),
     "approach_max_object_speed": (0.1, 0.8),
-    "approach_commit_distance": (0.03, 0.1),
-    "prediction_velocity_horizon": (0.1, 0.4),
     "retreat_speed": (0.6, 2.4),
-    "selection_switch_margin": (0.1, 0.6),
 }
 _DIGITS = 3
 _NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that folder names do not contain

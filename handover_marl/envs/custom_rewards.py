@@ -12,7 +12,7 @@ from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.rewards import REWARDS, Terms, TermWeights, WeightedTerms, is_finite_number
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.observations import add_episode_axis
-from handover_marl.errors import HandoverError, OptionError, ResetNeededError, RewardError, check_name
+from handover_marl.errors import HandoverError, OptionError, RewardError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW
 from handover_marl.policies.registry import import_reference
 
@@ -211,7 +211,7 @@ class CustomRewardSource:
     def __init__(self, function: CustomReward) -> None:
         self._function = function
         self._name = str(getattr(function, "__qualname__", None) or type(function).__qualname__)
-        self._start: dict[str, Terms] | None = None
+        self._start: dict[str, Terms] = {}
 
     def start(self, transition: Transition) -> dict[str, Terms]:
         """Start an episode; return the terms, all 0, by agent.
@@ -222,7 +222,7 @@ class CustomRewardSource:
         reset = getattr(self._function, "reset", None)
         if callable(reset):
             self._run(reset, transition)
-        if self._start is None:
+        if not self._start:
             declared = getattr(self._function, "terms", None)
             # A copy, so that this call leaves nothing in the function's memory.
             found = self._run(copy.deepcopy(self._function), transition) if declared is None else declared
@@ -234,12 +234,9 @@ class CustomRewardSource:
         """Return the checked terms of a control step by agent; terms that are not returned are 0.
 
         Raises:
-            ResetNeededError: No episode is running.
             RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is
                 no finite number.
         """
-        if self._start is None:
-            raise ResetNeededError("no episode is running; call start() before compute()")
         found = self._run(self._function, transition)
         self._check_agents(found)
         terms = {agent: dict(own) for agent, own in self._start.items()}

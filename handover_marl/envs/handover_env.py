@@ -86,6 +86,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         config: Configuration, with the resolved setup.
         dataset: Dataset of the scenes.
         scene_ids: Numbers of the scenes that `reset` draws from, ascending.
+        np_random: Random generator from which `reset` draws scenes.
 
     Raises:
         UnknownNameError: There is no such setup, split, dataset, physics, robot, observation mode,
@@ -120,7 +121,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._largest_class = max(self.dataset.object_names)
         self._observation: Observation | None = None
         self._partner: EpisodeAgent | None = None
-        self._rng: np.random.Generator | None = None
+        self.np_random, _ = seeding.np_random(None)
         self._cycles = 0
         self._observation_spaces = {
             GIVER: giver_observation_space(world_config.giver, self._largest_class),
@@ -146,13 +147,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     def policy_context(self) -> PolicyContext:
         """Robot, rules, objects and grasps for constructors of policies that act here."""
         return make_policy_context(self.dataset, self.config.world_config, self.config.setup)
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """Random generator from which `reset` draws scenes."""
-        if self._rng is None:
-            self._rng, _ = seeding.np_random(None)
-        return self._rng
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return the agent's observation space."""
@@ -182,8 +176,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         # If anything fails below, no episode is running.
         self._stop()
         if seed is not None:
-            self._rng, _ = seeding.np_random(seed)
-        scene = self.dataset.load_scene(self._choose_scene(options))
+            self.np_random, _ = seeding.np_random(seed)
+        scene_id = check_scene_option(options or {}, self.scene_ids, self._split_name)
+        scene_id = int(self.np_random.choice(self.scene_ids)) if scene_id is None else scene_id
+        scene = self.dataset.load_scene(scene_id)
         self._episode.reset(scene, draw_robot_seed(self.np_random, self.config.world_config))
         self._episode.seed_camera(spawn_camera_seed(self.np_random))
         self._cycles = 0
@@ -216,7 +212,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._advance({RECEIVER: robot_target, GIVER: giver_action})
         self._cycles += 1
         if self.render_mode == "human":
-            self._sleep_until_real_time(started)
+            # The window shows real time.
+            time.sleep(max(0.0, self.config.control_steps * TIME_STEP - (time.monotonic() - started)))
         status = self._episode.status
         observations = self._observe()
         terminated = bool(status & ~EpisodeStatus.TIMEOUT)
@@ -249,7 +246,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             ResetNeededError: No episode has been started.
         """
-        return np.asarray(spaces.flatten(state_space(self._largest_class), self._require_observation()))
+        if self._observation is None:
+            raise ResetNeededError("no observation yet; call reset() first")
+        return np.asarray(spaces.flatten(state_space(self._largest_class), self._observation))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
@@ -320,10 +319,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
                 until = min(end, partner.due)
             episode.advance(actions[RECEIVER], until - episode.steps, actions[GIVER])
 
-    def _choose_scene(self, options: dict[str, Any] | None) -> int:
-        chosen = check_scene_option(options or {}, self.scene_ids, self._split_name)
-        return int(self.np_random.choice(self.scene_ids)) if chosen is None else chosen
-
     def _observe(self) -> Observations:
         state = self._observation = self._episode.observe()
         views = {GIVER: self._episode.observe_giver(state), RECEIVER: state}
@@ -332,11 +327,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         obs_mode = self.config.obs_mode
         camera = self._episode.observe_camera(obs_mode)
         return {GIVER: copies[GIVER], RECEIVER: select_receiver_observation(copies[RECEIVER], camera, obs_mode)}
-
-    def _require_observation(self) -> Observation:
-        if self._observation is None:
-            raise ResetNeededError("no observation yet; call reset() first")
-        return self._observation
 
     def _make_infos(self) -> dict[str, Info]:
         episode = self._episode
@@ -348,11 +338,6 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             "release": -1 if episode.release_reason is None else RELEASE_REASONS.index(episode.release_reason),
         }
         return {agent: dict(info) for agent in AGENTS}
-
-    def _sleep_until_real_time(self, started: float) -> None:
-        wait = self.config.control_steps * TIME_STEP - (time.monotonic() - started)
-        if wait > 0:
-            time.sleep(wait)
 
 
 def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:

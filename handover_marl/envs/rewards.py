@@ -37,12 +37,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-import numpy as np
-
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
-from handover_marl.geometry.arrays import AnyArray, AnyIndices, ArrayFactory, as_arrays, get_namespace, widen
+from handover_marl.geometry.arrays import (
+    AnyArray,
+    AnyIndices,
+    ArrayFactory,
+    as_arrays,
+    get_namespace,
+    make_constant,
+    widen,
+)
 from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import compute_lengths, inverse_transform_points, transform_points
 from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
@@ -95,7 +101,7 @@ def compute_outcome(outcome: EpisodeStatus, steps: Steps) -> AnyArray:
 
 def compute_distance_potential(steps: Steps, states: AnyArray) -> AnyArray:
     """Return 1 minus the distance of fingertips and object (m), 1 while it is grasped, in states (r, 19)."""
-    fingertips = transform_points(states[:, _GRIPPER], np.array(FINGERTIPS))
+    fingertips = transform_points(states[:, _GRIPPER], make_constant(FINGERTIPS, states))
     is_grasped = states[:, _GRASPED]
     return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
 

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import ResetNeededError
 from handover_marl.simulation.contacts import Contacts
 
 Observations = Mapping[str, Observation]
+_NO_CONTACTS = Contacts()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +47,12 @@ class Transition:
     next_observations: Observations
     actions: Mapping[str, npt.NDArray[np.float32]]
     infos: Mapping[str, Mapping[str, float]]
-    contacts: Contacts
-    status: EpisodeStatus
     duration: float
-    step: int
-    terminated: bool
-    truncated: bool
+    contacts: Contacts = _NO_CONTACTS
+    status: EpisodeStatus = EpisodeStatus.RUNNING
+    step: int = 0
+    terminated: bool = False
+    truncated: bool = False
 
     @property
     def state(self) -> Observation:
@@ -79,7 +79,7 @@ class TransitionRecorder:
 
     def __init__(self, control_period: float) -> None:
         self._control_period = control_period
-        self._last: Observations | None = None
+        self._last: Observations = {}
         self._step = 0
 
     def start(self, observations: Observations, infos: Mapping[str, Mapping[str, float]]) -> Transition:
@@ -89,22 +89,11 @@ class TransitionRecorder:
             observations: First observations by agent.
             infos: First infos by agent.
         """
-        self._last, self._step = copy_read_only(observations), 0
-        start = self._last
+        start = self._last = copy_read_only(observations)
+        self._step = 0
         joints = start[RECEIVER]["robot_joint_position"].astype(np.float32)
-        actions = {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}
-        return Transition(
-            observations=start,
-            next_observations=start,
-            actions=copy_read_only({"": actions})[""],
-            infos=infos,
-            contacts=Contacts(),
-            status=EpisodeStatus.RUNNING,
-            duration=self._control_period,
-            step=0,
-            terminated=False,
-            truncated=False,
-        )
+        actions = copy_read_only({"": {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}})[""]
+        return Transition(start, start, actions, infos, self._control_period)
 
     def record(
         self, observations: Observations, actions: Mapping[str, npt.NDArray[np.float32]], **outcome: Any
@@ -116,12 +105,7 @@ class TransitionRecorder:
             actions: Actions by agent.
             outcome: Fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the
                 transition.
-
-        Raises:
-            ResetNeededError: No episode has been started.
         """
-        if self._last is None:
-            raise ResetNeededError("no episode is running; call reset() before step()")
         before, after = self._last, copy_read_only(observations)
         duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])
         step, self._last, self._step = self._step, after, self._step + 1

@@ -61,17 +61,17 @@ def merge(
     if target.resolve() in [path.resolve() for path in paths]:
         raise ResultsError(f"{target} is one of the shards; choose another output folder")
     if any((path / CROSSPLAY_CSV).exists() for path in paths):
-        pairs, *others = (_read_pairs(path / CROSSPLAY_CSV) for path in paths)
-        for path, other in zip(paths[1:], others, strict=True):
-            if sorted(other) != sorted(pairs):
+        pairs = _read_pairs(paths[0] / CROSSPLAY_CSV)
+        for path in paths[1:]:
+            if sorted(_read_pairs(path / CROSSPLAY_CSV)) != sorted(pairs):
                 raise ResultsError(f"these are shards of different cross-plays: {paths[0]} and {path} have other pairs")
         reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
         return crossplay
     if any((path / AGREEMENT_FILE).exists() for path in paths):
-        compared = [physics for physics in PHYSICS if physics != EXACT and (paths[0] / physics).is_dir()]
-        exact, other, *_ = _merge_subfolders(paths, target, (EXACT, *compared))
+        others = [physics for physics in PHYSICS if physics != EXACT and (paths[0] / physics).is_dir()]
+        exact, other, *_ = _merge_subfolders(paths, target, (EXACT, *others))
         agreement = Agreement(exact, other)
         agreement.write(target)
         return agreement

@@ -200,7 +200,8 @@ class CustomScheme(ArrayScheme):
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return whether the network must be evaluated now, in each of r episodes."""
         own = _split_episodes(rows, observation)
-        return self._arrays.asarray([bool(_run(self._what, self._schemes[row].needs_outputs, one)) for row, one in own])
+        needs = [bool(_run(self._what, self._schemes[row].needs_outputs, one)) for row, one in own]
+        return self._arrays.asarray(needs, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
         """Store new network outputs (r, size), clipped to [-1, 1] unless a user-defined class does otherwise."""

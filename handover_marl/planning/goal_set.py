@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.poses import compose
 from handover_marl.planning.ik_solvers import solve_ik
-from handover_marl.planning.planner_config import GoalSelectionConfig, PlannerConfig
+from handover_marl.planning.planner_config import PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost
 
 Array = npt.NDArray[np.float64]
@@ -21,6 +21,46 @@ Limits = tuple[Array, Array]
 
 _N_FINGERS = 2
 _LAST_JOINT = 6
+
+# The following values are the authors'.
+# Arm configurations at which inverse kinematics starts (rad), in addition to the start of the trajectory.
+_IK_SEEDS = (
+    (2.5, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
+    (2.8, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
+    (2.0, 0.23, -2.89, -1.69, 0.056, 1.46, -1.27),
+    (2.5, 0.83, -2.89, -1.69, 0.056, 1.46, -1.27),
+    (0.049, 1.22, -1.87, -0.67, 2.12, 0.99, -0.85),
+    (-2.28, -0.43, 2.47, -1.35, 0.62, 2.28, -0.27),
+    (-2.02, -1.29, 2.20, -0.83, 0.22, 1.18, 0.74),
+    (-2.2, 0.03, -2.89, -1.69, 0.056, 1.46, -1.27),
+    (-2.5, -0.71, -2.73, -0.82, -0.7, 0.62, -0.56),
+    (-2.0, -0.71, -2.73, -0.82, -0.7, 0.62, -0.56),
+    (-2.66, -0.55, 2.06, -1.77, 0.96, 1.77, -1.35),
+    (1.51, -1.48, -1.12, -1.55, -1.57, 1.15, 0.24),
+)
+# Number of Newton steps of inverse kinematics, and its error in each component of position (m) and rotation vector.
+_MAX_ITERATIONS, _TOLERANCE = 100, 1e-6
+# Distance of the standoff pose from the grasp, back along the hand's z axis (m).
+_STANDOFF = 0.08
+#: Number of poses on the approach (tail) from standoff to grasp, both included.
+N_TAIL = 5
+# Norm of the joint differences on an approach (rad); on a longer one inverse kinematics has jumped.
+_MAX_TAIL_NORM = 2.0
+# Rotation of the hand relative to its start (rad), and z component of the hand's x axis in the base frame, at some
+# points of the straight joint path to the grasp.
+_MAX_ROTATION, _MIN_HAND_X_Z, _N_PATH_CHECKS = np.radians(120.0), -0.3, 5
+#: Distance below which a point of the robot collides with an object (m).
+COLLISION_DISTANCE = 0.01
+# Number of colliding pairs of robot point and object at a standoff.
+_MAX_COLLISIONS = 5
+# Distance between the standoffs of two goals (rad), and number of goals in a goal set.
+_MIN_GOAL_DISTANCE, _MAX_GOALS = 0.5, 100
+# Number of selection rounds for which the optimal fixed learning rate is computed, and the experts' rates as multiples.
+_N_ROUNDS, _LEARNING_RATES = 50, (0.25, 0.5, 1.0, 4.0, 16.0)
+# Number of waypoints by which the start of the evaluated straight path moves along the trajectory in each round.
+_LOOKAHEAD_RATE = 0.6
+# Weight of the straight path's squared length in joint space.
+_SMOOTHNESS_WEIGHT = 0.003
 #: Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
 UNCHECKED = 5
 
@@ -103,7 +143,7 @@ class GoalSetBuilder:
         config: PlannerConfig,
     ) -> None:
         self._arm, self._body, self._gripper, self._start, self._limits = arm, body, gripper, start, limits
-        self._config, self._hand, self._unchecked_last = config.goals, config.hand, config.unchecked_last
+        self._hand, self._unchecked_last = config.hand, config.unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the gripper can grasp an object by grasps (n, 7) in the base frame.
@@ -132,29 +172,28 @@ class GoalSetBuilder:
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
         """Return the tails from all IK seeds to all grasps for which IK converges."""
-        config = self._config
-        seeds = np.array([self._start, *config.ik_seeds])
+        seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
         joints, solved = self._solve(self._tail_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
         numbers, rows = numbers[solved], [joints[solved]]
         # The grasp is solved from the standoff, then each pose on the way back from the previous.
-        for step in (config.n_tail - 1, *range(config.n_tail - 2, -1, -1)):
+        for step in (N_TAIL - 1, *range(N_TAIL - 2, -1, -1)):
             joints, solved = self._solve(self._tail_poses(grasps, step), numbers, rows[-1])
             numbers, rows = numbers[solved], [*(row[solved] for row in rows), joints[solved]]
-        tails = np.stack([rows[-1], *rows[-2:0:-1]], axis=1) if len(numbers) else np.zeros((0, config.n_tail, 7))
-        is_short = np.linalg.norm(np.diff(tails, axis=1), axis=(1, 2)) < config.max_tail_norm
+        tails = np.stack([rows[-1], *rows[-2:0:-1]], axis=1) if len(numbers) else np.zeros((0, N_TAIL, 7))
+        is_short = np.linalg.norm(np.diff(tails, axis=1), axis=(1, 2)) < _MAX_TAIL_NORM
         return GoalSet(tails[is_short], numbers[is_short], np.full(int(is_short.sum()), np.inf))
 
     def _tail_poses(self, grasps: Array, step: int) -> Array:
         """Return the hand poses (n, 7) at one step of the tails."""
-        back = self._config.standoff / self._config.n_tail * (self._config.n_tail - 1 - step)
+        back = _STANDOFF / N_TAIL * (N_TAIL - 1 - step)
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Solve IK for the poses with the given indices, one seed each."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
-        tolerance, iterations = self._config.tolerance, self._config.max_iterations
-        return solve_ik(self._arm, poses[numbers, :3], rotations[numbers], seeds, self._limits, tolerance, iterations)
+        targets = poses[numbers, :3], rotations[numbers]
+        return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)
 
     def _add_wrist_flips(self, goals: GoalSet) -> GoalSet:
         """Append the same grasps with the last joint rotated by pi, within its limits."""
@@ -172,13 +211,12 @@ class GoalSetBuilder:
 
     def _is_rotated_little(self, goals: Array) -> npt.NDArray[np.bool_]:
         """Return whether (g,) the hand stays upright on the straight joint line to each goal."""
-        config = self._config
-        shares = np.arange(1, config.n_path_checks + 1) / (config.n_path_checks + 1)
+        shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
         rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
         first = self._arm.compute_chain_frames(self._start[None]).rotations[-1][..., 0]
         cosine = (np.einsum("ij,ijn->n", first, rotations) - 1.0) / 2.0
-        is_allowed = (cosine >= np.cos(config.max_rotation)) & (rotations[2, 0] >= config.min_hand_x_z)
+        is_allowed = (cosine >= np.cos(_MAX_ROTATION)) & (rotations[2, 0] >= _MIN_HAND_X_Z)
         return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
@@ -188,8 +226,8 @@ class GoalSetBuilder:
         hits = np.zeros(len(standoffs), dtype=np.int_)
         for obstacle in obstacles:
             distances = obstacle.compute_distances(points.reshape(3, -1).astype(np.float32))
-            hits += (distances.reshape(points.shape[1:]) < self._config.collision_distance).sum(axis=0)
-        is_free: npt.NDArray[np.bool_] = hits <= self._config.max_collisions
+            hits += (distances.reshape(points.shape[1:]) < COLLISION_DISTANCE).sum(axis=0)
+        is_free: npt.NDArray[np.bool_] = hits <= _MAX_COLLISIONS
         if self._unchecked_last:
             is_free[-UNCHECKED:] = True
         return is_free
@@ -199,9 +237,9 @@ class GoalSetBuilder:
         kept: list[int] = []
         for number, standoff in enumerate(goals.standoffs):
             distances = np.linalg.norm(goals.standoffs[kept] - standoff, axis=1)
-            if (distances >= self._config.min_goal_distance).all():
+            if (distances >= _MIN_GOAL_DISTANCE).all():
                 kept.append(number)
-        order = np.random.default_rng(0).permutation(len(kept))[: self._config.max_goals]
+        order = np.random.default_rng(0).permutation(len(kept))[:_MAX_GOALS]
         return goals.select(np.array(kept, dtype=np.int_)[order])
 
 
@@ -216,7 +254,6 @@ class GoalSelector:
         goals: (g, 7) goal configurations (rad).
         goal_costs: (g,) cost of each goal in addition to the cost of the path to it.
         n_waypoints: Number of waypoints of a trajectory.
-        config: Learning rates and weights.
         unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
     """
 
@@ -226,15 +263,14 @@ class GoalSelector:
         goals: Array,
         goal_costs: Array,
         n_waypoints: int,
-        config: GoalSelectionConfig,
         unchecked_last: bool,
     ) -> None:
         self._cost, self._goals, self._goal_costs = cost, goals, goal_costs
-        self._n_waypoints, self._config, self._unchecked_last = n_waypoints, config, unchecked_last
+        self._n_waypoints, self._unchecked_last = n_waypoints, unchecked_last
         count = len(goals)
-        self._rates = np.array(config.learning_rates) * np.sqrt(np.log(count + 1) / config.n_rounds)
-        self._experts = np.full((len(config.learning_rates), count), 1.0 / count)
-        self._expert_weights = np.full(len(config.learning_rates), 1.0 / len(config.learning_rates))
+        self._rates = np.array(_LEARNING_RATES) * np.sqrt(np.log(count + 1) / _N_ROUNDS)
+        self._experts = np.full((len(_LEARNING_RATES), count), 1.0 / count)
+        self._expert_weights = np.full(len(_LEARNING_RATES), 1.0 / len(_LEARNING_RATES))
 
     def select_first(self, trajectory: Array) -> int:
         """Return the index of the goal that is cheapest to reach from the first waypoint of a trajectory (w, 7)."""
@@ -254,12 +290,12 @@ class GoalSelector:
 
     def _costs(self, trajectory: Array, round_number: int) -> Array:
         """Return the costs (g,) of straight paths from a waypoint, with a norm of 1."""
-        first = min(int(self._config.lookahead_rate * round_number), self._n_waypoints - 1)
+        first = min(int(_LOOKAHEAD_RATE * round_number), self._n_waypoints - 1)
         here, count = trajectory[first], self._n_waypoints - first
         tails = np.zeros((len(self._goals), count), dtype=bool)
         tails[-1 if self._unchecked_last else slice(None), -self._cost.n_tail :] = True
         obstacle_costs = self._cost.evaluate_lines(here, self._goals, count, tails)
-        smoothness = self._config.smoothness_weight * ((self._goals - here) ** 2).sum(axis=1)
+        smoothness = _SMOOTHNESS_WEIGHT * ((self._goals - here) ** 2).sum(axis=1)
         costs = obstacle_costs + smoothness + self._goal_costs
         return np.asarray(costs / max(float(np.linalg.norm(costs)), np.finfo(np.float64).tiny))
 

@@ -54,13 +54,6 @@ class Capsules:
         return nearest
 
 
-def sample_capsule_spheres(capsules: Capsules, count: int) -> Spheres:
-    """Approximate each capsule by `count` spheres, evenly spaced along its axis."""
-    shares = np.linspace(0.0, 1.0, count)[:, None, None]
-    centers = capsules.starts + shares * (capsules.ends - capsules.starts)
-    return Spheres(centers.reshape(-1, 3), np.tile(capsules.radii, count))
-
-
 def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
     """Return capsules in the world that approximate the person's hand, or None without a hand.
 
@@ -123,12 +116,14 @@ class HandTracker:
             measured = (points - self.points).mean(axis=0) / step
             self.velocity = kept * self.velocity + (1.0 - kept) * measured
         self._time, self.points = time, points
-        fingers = sample_capsule_spheres(capsules, _SPHERES_PER_CAPSULE)
+        # Spheres are evenly spaced along the axis of each capsule.
+        shares = np.linspace(0.0, 1.0, _SPHERES_PER_CAPSULE)[:, None, None]
+        fingers = (capsules.starts + shares * (capsules.ends - capsules.starts)).reshape(-1, 3)
         across = points[_INDEX] - points[_LITTLE]
         across = _HEEL_WIDTH * across / max(float(np.linalg.norm(across)), 1e-6)
         heel = points[_WRIST] + np.array([-1.0, 0.0, 1.0])[:, None] * across
-        centers = np.concatenate([fingers.centers, heel])
-        self.spheres = Spheres(centers, np.append(fingers.radii, np.full(3, _HEEL_RADIUS)))
+        radii = np.append(np.tile(capsules.radii, _SPHERES_PER_CAPSULE), np.full(3, _HEEL_RADIUS))
+        self.spheres = Spheres(np.concatenate([fingers, heel]), radii)
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the present world pose (7,) of a frame that is fixed to the person's hand.

@@ -17,14 +17,34 @@ from handover_marl.geometry.distance_field import sample_distance_field
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import IDENTITY
-from handover_marl.planning.goal_set import GoalSelector, GoalSet, GoalSetBuilder, Limits
+from handover_marl.planning.goal_set import COLLISION_DISTANCE, N_TAIL, GoalSelector, GoalSet, GoalSetBuilder, Limits
 from handover_marl.planning.hand_tracker import Capsules
-from handover_marl.planning.planner_config import ChompConfig, CostConfig, HandAvoidanceConfig, PlannerConfig
-from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
+from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.trajectory_cost import WAYPOINT_PERIOD, Obstacle, ObstacleCost, sample_body_points
 
 Array = npt.NDArray[np.float64]
 
 _HAND_CELL = 0.01  # m
+
+# Values of the authors unless stated otherwise.
+# Joint limits are narrowed by this amount on each side (rad).
+_LIMIT_PADDING = 0.2
+# Number of collision points on each link, and of points on the robot's hand and on each finger from which clearances
+# to the person's hand are computed (own value).
+_N_POINTS_PER_LINK, _N_GRIPPER_POINTS = 15, 60
+# Number of optimization steps with goal selection, and of further ones with the last selected goal.
+_N_SELECTION_STEPS, _N_FIXED_GOAL_STEPS = 50, 20
+# Weight of the obstacle cost's gradient, and largest absolute value of an entry of the weighted gradient.
+_OBSTACLE_WEIGHT, _MAX_GRADIENT = 1.0, 10.0
+# Initial weight of the smoothness cost's gradient, and factor by which it grows in every optimization step.
+_SMOOTHNESS_WEIGHT, _SMOOTHNESS_GROWTH = 0.1, 1.02
+# Factor on the covariant gradient in each step.
+_STEP_SIZE = 0.1
+# Number of projections onto the joint limits in a step, and norm of violations below which none is made (rad).
+_MAX_LIMIT_PROJECTIONS, _LIMIT_TOLERANCE = 10, 1e-2
+# A trajectory ends the optimization early up to this number of colliding pairs of body point and object, joint distance
+# of the last waypoint from the goal (rad), smoothness cost and joint limit violation (rad).
+_MAX_COLLISIONS, _GOAL_TOLERANCE, _MAX_SMOOTHNESS_COST, _MAX_LIMIT_VIOLATION = 5, 0.01, 35.0, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,60 +85,52 @@ class Planner:
     def __init__(self, panda_urdf: Path, start: Array, config: PlannerConfig) -> None:
         self.config = config
         self.arm = ArmKinematics(read_tree(panda_urdf))
-        padding = config.goals.limit_padding
         joints = self.arm.n_joints
         self._limits = (
-            np.array(LOWER_LIMITS[:joints]) + padding,
-            np.array(UPPER_LIMITS[:joints]) - padding,
+            np.array(LOWER_LIMITS[:joints]) + _LIMIT_PADDING,
+            np.array(UPPER_LIMITS[:joints]) - _LIMIT_PADDING,
         )
-        self._body = sample_body_points(panda_urdf, tuple(self.arm.link_names), config.n_points_per_link)
-        self._gripper = sample_body_points(panda_urdf, (HAND_LINK, *FINGER_LINKS), config.n_gripper_points)
+        self._body = sample_body_points(panda_urdf, tuple(self.arm.link_names), _N_POINTS_PER_LINK)
+        self._gripper = sample_body_points(panda_urdf, (HAND_LINK, *FINGER_LINKS), _N_GRIPPER_POINTS)
         self._start = start
-        self._builder = self._make_builder(start)
 
     def set_start(self, start: Array) -> None:
         """Set the configuration (7,) in rad at which planned trajectories start."""
-        self._start, self._builder = start, self._make_builder(start)
-
-    def _make_builder(self, start: Array) -> GoalSetBuilder:
-        return GoalSetBuilder(self.arm, self._body, self._gripper, start, self._limits, self.config)
+        self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
         """Compute a trajectory to one of the grasps (n, 7) in the base frame; None if none can be reached."""
         config = self.config
         person = None if hand is None or config.hand is None else make_hand_obstacle(hand, config.hand)
-        goals = self._builder.build(grasps, objects, person)
+        builder = GoalSetBuilder(self.arm, self._body, self._gripper, self._start, self._limits, config)
+        goals = builder.build(grasps, objects, person)
         if not len(goals):
             return None
         obstacles = [*objects] if person is None else [*objects, person]
-        cost = ObstacleCost(self.arm, self._body, obstacles, config.goals.n_tail, config.costs)
-        chomp = Chomp(cost, self._start, self._limits, config.chomp, config.costs)
-        n_waypoints, goal_costs = config.chomp.n_waypoints, self._clearance_costs(goals)
-        selector = GoalSelector(cost, goals.goals, goal_costs, n_waypoints, config.selection, config.unchecked_last)
+        cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL)
+        n_waypoints, goal_costs = config.chomp.n_waypoints, np.zeros(len(goals))
+        if config.hand is not None:
+            # Missing clearance to the person's hand has a cost.
+            goal_costs = config.hand.clearance_cost * np.maximum(0.0, config.hand.padding - goals.clearances)
+        chomp = Chomp(cost, self._start, self._limits, n_waypoints)
+        selector = GoalSelector(cost, goals.goals, goal_costs, n_waypoints, config.unchecked_last)
         return self._optimize(goals, selector, chomp)
 
     def _optimize(self, goals: GoalSet, selector: GoalSelector, chomp: "Chomp") -> Plan:
         """Compute a plan by alternating goal selection and trajectory steps."""
-        config = self.config.chomp
-        first = make_initial_trajectory(self._start, goals.goals[0], config.n_waypoints)
+        n_waypoints = self.config.chomp.n_waypoints
+        first = make_initial_trajectory(self._start, goals.goals[0], n_waypoints)
         chosen = selector.select_first(first)
-        trajectory = make_initial_trajectory(self._start, goals.goals[chosen], config.n_waypoints)
-        max_steps = config.n_selection_steps + config.n_fixed_goal_steps
+        trajectory = make_initial_trajectory(self._start, goals.goals[chosen], n_waypoints)
+        max_steps = _N_SELECTION_STEPS + _N_FIXED_GOAL_STEPS
         for step in range(max_steps):
-            if step < config.n_selection_steps:
+            if step < _N_SELECTION_STEPS:
                 chosen = selector.select_next(trajectory, step + 1)
             goal = goals.goals[chosen]
-            if step > 0 and chomp.is_finished(trajectory, goal, self.config.goals.collision_distance):
+            if step > 0 and chomp.is_finished(trajectory, goal):
                 return Plan(self._start, goals, chosen, trajectory, step)
             trajectory = chomp.step(trajectory, goals.tails[chosen], step + 1)
         return Plan(self._start, goals, chosen, trajectory, max_steps)
-
-    def _clearance_costs(self, goals: GoalSet) -> Array:
-        """Return the cost (g,) of each goal's missing clearance to the person's hand."""
-        hand = self.config.hand
-        if hand is None:
-            return np.zeros(len(goals))
-        return hand.clearance_cost * np.maximum(0.0, hand.padding - goals.clearances)
 
 
 def make_hand_obstacle(hand: Capsules, config: HandAvoidanceConfig) -> Obstacle:
@@ -143,27 +155,22 @@ class Chomp:
         cost: Obstacle cost of trajectories.
         start: (7,) configuration before the first waypoint (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        config: Step size and termination.
-        costs: Weights of obstacle and smoothness costs.
+        n_waypoints: Number of waypoints of a trajectory.
     """
 
-    def __init__(
-        self, cost: ObstacleCost, start: Array, limits: Limits, config: ChompConfig, costs: CostConfig
-    ) -> None:
+    def __init__(self, cost: ObstacleCost, start: Array, limits: Limits, n_waypoints: int) -> None:
         self._cost, self._start, self._limits = cost, start, limits
-        self._config, self._costs = config, costs
-        count = config.n_waypoints
-        difference = (np.eye(count) - np.eye(count, k=-1)) / costs.time_step
+        difference = (np.eye(n_waypoints) - np.eye(n_waypoints, k=-1)) / WAYPOINT_PERIOD
         self._metric = difference.T @ difference
         self._inverse_metric = np.linalg.inv(self._metric)
         # Smoothness is half the squared norm of the differences, the first of which has the start.
-        self._start_gradient = difference.T @ np.concatenate([[-1.0 / costs.time_step], np.zeros(count - 1)])
+        self._start_gradient = difference.T @ np.concatenate([[-1.0 / WAYPOINT_PERIOD], np.zeros(n_waypoints - 1)])
         ends = self._inverse_metric[:, -cost.n_tail :]
         self._tail_correction = ends @ np.linalg.inv(ends[-cost.n_tail :])
 
     def compute_smoothness_cost(self, trajectory: Array) -> float:
         """Return half the sum of squared joint velocities of a trajectory (w, 7)."""
-        steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / self._costs.time_step
+        steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / WAYPOINT_PERIOD
         return float(0.5 * (steps**2).sum())
 
     def compute_smoothness_gradient(self, trajectory: Array) -> Array:
@@ -173,10 +180,10 @@ class Chomp:
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
         """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""
         smooth = self.compute_smoothness_gradient(trajectory)
-        near = self._costs.obstacle_weight * self._cost.compute_gradient(trajectory, self._start, tail[-1])
-        near = np.clip(near, -self._costs.max_gradient, self._costs.max_gradient)
-        weight = self._costs.smoothness_weight * self._costs.smoothness_growth**number
-        descent = self._config.step_size * (self._inverse_metric @ (near + weight * smooth))
+        near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
+        near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
+        weight = _SMOOTHNESS_WEIGHT * _SMOOTHNESS_GROWTH**number
+        descent = _STEP_SIZE * (self._inverse_metric @ (near + weight * smooth))
         error = trajectory[-len(tail) :] - tail
         moved = trajectory - descent + self._tail_correction @ (descent[-len(tail) :] - error)
         return self._project_to_limits(moved)
@@ -186,17 +193,13 @@ class Chomp:
         low, high = self._limits
         return np.maximum(low - trajectory, 0.0) + np.minimum(high - trajectory, 0.0)
 
-    def is_finished(self, trajectory: Array, goal: Array, collision_distance: float) -> bool:
-        """Return whether the optimization of a trajectory (w, 7) to a grasp (7,) may end early.
-
-        A body point nearer than `collision_distance` (m) to an obstacle collides.
-        """
-        config = self._config
+    def is_finished(self, trajectory: Array, goal: Array) -> bool:
+        """Return whether the optimization of a trajectory (w, 7) to a grasp (7,) may end early."""
         return (
-            float(np.linalg.norm(trajectory[-1] - goal)) < config.goal_tolerance
-            and self.compute_smoothness_cost(trajectory) < config.max_smoothness_cost
-            and float(np.abs(self.compute_limit_violation(trajectory)).max()) <= config.max_limit_violation
-            and self._cost.count_collisions(trajectory, collision_distance) <= config.max_collisions
+            float(np.linalg.norm(trajectory[-1] - goal)) < _GOAL_TOLERANCE
+            and self.compute_smoothness_cost(trajectory) < _MAX_SMOOTHNESS_COST
+            and float(np.abs(self.compute_limit_violation(trajectory)).max()) <= _MAX_LIMIT_VIOLATION
+            and self._cost.count_collisions(trajectory, COLLISION_DISTANCE) <= _MAX_COLLISIONS
         )
 
     def _project_to_limits(self, trajectory: Array) -> Array:
@@ -204,9 +207,9 @@ class Chomp:
 
         The tail moves too; the next step repairs it.
         """
-        for _ in range(self._config.max_limit_projections):
+        for _ in range(_MAX_LIMIT_PROJECTIONS):
             violation = self.compute_limit_violation(trajectory)
-            if np.linalg.norm(violation) <= self._config.limit_tolerance:
+            if np.linalg.norm(violation) <= _LIMIT_TOLERANCE:
                 break
             smooth = self._inverse_metric @ violation
             worst = np.unravel_index(np.abs(violation).argmax(), violation.shape)

@@ -13,7 +13,6 @@ from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body
 from handover_marl.geometry.distance_field import DistanceField
 from handover_marl.geometry.model_files.meshes import read_link_vertices
 from handover_marl.planning.clearance import find_farthest_points
-from handover_marl.planning.planner_config import CostConfig
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
@@ -21,6 +20,8 @@ Floats = npt.NDArray[np.float32]
 # Number of links in the gradient: arm and hand. The fingers follow the hand.
 _N_GRADIENT_LINKS = 8
 _EPSILON = 1e-8
+#: Time between waypoints (s), which only scales velocities and accelerations (the authors' value).
+WAYPOINT_PERIOD = 0.1
 
 
 def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
@@ -111,14 +112,12 @@ class ObstacleCost:
         body: (m, 3) points on each link of the arm, in the link's frame (m).
         obstacles: Obstacles in the robot's base frame.
         n_tail: Number of last waypoints, the approach to the grasp, at which only obstacles with `in_tail` have a cost.
-        config: Time step, padding and weights of the costs.
     """
 
     arm: ArmKinematics
     body: Sequence[Array]
     obstacles: Sequence[Obstacle]
     n_tail: int
-    config: CostConfig
 
     def evaluate_lines(self, start: Array, goals: Array, count: int, tails: npt.NDArray[np.bool_]) -> Array:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
@@ -129,7 +128,7 @@ class ObstacleCost:
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
         points = self._points(line.reshape(-1, 7)).reshape(3, -1, count + 1, len(goals))
-        speed = np.linalg.norm(np.diff(points, axis=2), axis=0) / self.config.time_step
+        speed = np.linalg.norm(np.diff(points, axis=2), axis=0) / WAYPOINT_PERIOD
         costs = self._costs(points[:, :, 1:], tails.T)
         return np.asarray((costs * speed).sum(axis=(0, 1), dtype=np.float64))
 
@@ -159,8 +158,8 @@ class ObstacleCost:
         waypoint = np.arange(len(trajectory)) + 1
         before, here, after = (moving[:, index, waypoint + step] for step in (-1, 0, 1))
         force = self._workspace_gradient(
-            (here - before) / self.config.time_step,
-            (before - 2.0 * here + after) / self.config.time_step**2,
+            (here - before) / WAYPOINT_PERIOD,
+            (before - 2.0 * here + after) / WAYPOINT_PERIOD**2,
             costs[index, waypoint - 1],
             gradients[:, index, waypoint - 1],
         )

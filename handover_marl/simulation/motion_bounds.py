@@ -112,8 +112,8 @@ class RobotMotionBounds:
             centers: Centers (..., m, 3) of spheres around the bodies (m); inf for absent bodies.
             radii: Radii (m,) of the spheres around the bodies (m).
         """
-        gaps = _norm(centers[..., None, :] - robot_centers[..., None, :, :]) - self._radii
-        return np.asarray((gaps.min(axis=-1) - radii < _MARGIN).any(axis=-1))
+        distances = self._distances(centers[..., None, :, :], robot_centers)[..., 0, :]
+        return np.asarray((distances - radii < _MARGIN).any(axis=-1))
 
     def _distances(self, points: Array, robot_centers: Array) -> Array:
         """Return distances (..., n, m) of points (..., n, m, 3) to the nearest robot sphere (m)."""

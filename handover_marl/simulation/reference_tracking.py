@@ -106,8 +106,12 @@ class BodyTrajectory:
 
     def __init__(self, motors: Sequence[MotorConfig], start: npt.NDArray[np.float32] | None) -> None:
         self.gains = np.array([motor.position_gain for motor in motors])
+        self.reset(start)
+
+    def reset(self, start: npt.NDArray[np.float32] | None) -> None:
+        """Set the body to its start, at rest; see the arguments of the class."""
         self.present = np.full(2, start is not None)
-        self.joints: Array = np.zeros((2, len(motors)))
+        self.joints: Array = np.zeros((2, len(self.gains)))
         if start is not None:
             self.joints[:] = start
 
@@ -139,19 +143,22 @@ def track_references(references: Sequence[TrackedReference]) -> None:
     """
     moving: dict[tuple[int, ...], list[tuple[BodyTrajectory, int, Array, Array]]] = {}
     for body, targets, presence in references:
-        present = np.ones(len(targets), dtype=bool) if presence is None else presence
-        wanted = targets.astype(np.float64)
+        wanted, n_steps = targets.astype(np.float64), len(targets)
         position = body.joints[-1] if body.present[-1] else None
-        body.joints = np.concatenate([body.joints[-2:], np.zeros(wanted.shape)])
-        body.present = np.concatenate([body.present[-2:], present])
-        cuts = (np.flatnonzero(np.diff(present)) + 1).tolist()
-        for first, last in zip([0, *cuts], [*cuts, len(present)], strict=True):
-            if present[first]:
+        joints, present = np.zeros((n_steps + 2, wanted.shape[1])), np.ones(n_steps + 2, dtype=bool)
+        joints[:2], present[:2] = body.joints[-2:], body.present[-2:]
+        cuts: list[int] = []
+        if presence is not None:
+            present[2:] = presence
+            cuts = (np.flatnonzero(presence[1:] != presence[:-1]) + 1).tolist()
+        body.joints, body.present = joints, present
+        for first, last in zip([0, *cuts], [*cuts, n_steps], strict=True):
+            if present[first + 2]:
                 # A body appears at its target.
                 start, part = wanted[first] if position is None else position, wanted[first:last]
                 if (part == start).all():
                     # The recurrence gives the same for joints at rest, only slower.
-                    body.joints[first + 2 : last + 2] = part
+                    joints[first + 2 : last + 2] = part
                 else:
                     moving.setdefault(part.shape, []).append((body, first + 2, start, part))
             position = None

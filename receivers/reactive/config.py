@@ -27,12 +27,8 @@ class GraspSelectorConfig(CheckedConfig):
         hard_min_clearance: Lower bound of the decreasing minimum clearance (m).
         offset_delay: Time without a good grasp after which offset grasps are added (s).
         offset_cost: Additional cost of an offset grasp, which is not validated (s).
-        unstable_cost: Cost of a grasp that has failed its validation in simulation (s).
         partial_hold_cost: Cost of a grasp that holds the object from none of the offset poses in
             its validation (s); proportionally less for a grasp that holds from some.
-        fingertip_cost: Cost of a grasp that holds the object by the tip or edge of a finger (s).
-        desired_pad_margin: Distance of contacts from the tip and edges of a finger pad at which
-            `fingertip_cost` vanishes (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -44,10 +40,7 @@ class GraspSelectorConfig(CheckedConfig):
     hard_min_clearance: float = 0.002
     offset_delay: float = 0.5
     offset_cost: float = 1.5
-    unstable_cost: float = 5.0
     partial_hold_cost: float = 2.0
-    fingertip_cost: float = 4.0
-    desired_pad_margin: float = bounded(0.008, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -61,12 +54,10 @@ class ApproachConfig(CheckedConfig):
         lateral_tolerance: Maximum lateral distance at the grasp (m).
         rotation_tolerance: Maximum rotation error at the grasp (rad).
         speed: Maximum speed along the approach axis (m/s).
-        deceleration: Deceleration before the grasp (m/s^2).
         max_object_speed: Speed of the object above which the gripper does not come closer (m/s).
         max_held_still_speed: Value of `max_object_speed` for an object that is held almost still in the air (m/s).
         close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
             gripper if the object is held almost still in the air.
-        axial_tolerance: Maximum axial distance at which the fingers close (m).
         close_period: Control period while the fingers close (s).
         empty_finger_position: Finger position below which the fingers hold nothing (m).
     """
@@ -77,11 +68,9 @@ class ApproachConfig(CheckedConfig):
     lateral_tolerance: float = 0.005
     rotation_tolerance: float = 0.12
     speed: float = 0.45
-    deceleration: float = 2.0
     max_object_speed: float = 0.2
     max_held_still_speed: float = 0.6
     close_speed: float = 0.08
-    axial_tolerance: float = 0.006
     close_period: float = bounded(0.01, *PERIODS)
     empty_finger_position: float = 0.0015
 
@@ -169,27 +158,16 @@ def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
         raise OptionError(f"risk must be a number from 0 to 1, got {risk!r}")
     # 1/4 at risk 0, 1 at 0.5 and 4 at 1.
     pace = 4.0 ** (2.0 * risk - 1.0)
-    approach, retreat, selection, separation = config.approach, config.retreat, config.selection, config.separation
-    return replace(
-        config,
-        approach=replace(
-            approach,
-            speed=pace * approach.speed,
-            max_object_speed=pace * approach.max_object_speed,
-            close_speed=pace * approach.close_speed,
-            max_held_still_speed=pace * approach.max_held_still_speed,
-            lateral_tolerance=approach.lateral_tolerance * max(1.0, pace) ** 0.5,
-            rotation_tolerance=approach.rotation_tolerance * max(1.0, pace) ** 0.5,
-        ),
-        retreat=replace(retreat, speed=pace * retreat.speed, acceleration=pace * retreat.acceleration),
-        separation=replace(
-            separation,
-            time_constant=separation.time_constant / pace,
-            approach_time_constant=separation.approach_time_constant / pace,
-        ),
-        selection=replace(
-            selection,
-            clearance_cost=selection.clearance_cost / pace,
-            partial_hold_cost=selection.partial_hold_cost / pace,
-        ),
-    )
+    tolerance = max(1.0, pace) ** 0.5
+    speeds = dict.fromkeys(("speed", "max_object_speed", "close_speed", "max_held_still_speed"), pace)
+    factors = {
+        "approach": speeds | {"lateral_tolerance": tolerance, "rotation_tolerance": tolerance},
+        "retreat": {"speed": pace, "acceleration": pace},
+        "separation": {"time_constant": 1.0 / pace, "approach_time_constant": 1.0 / pace},
+        "selection": {"clearance_cost": 1.0 / pace, "partial_hold_cost": 1.0 / pace},
+    }
+    for name, own in factors.items():
+        section = getattr(config, name)
+        changed = replace(section, **{key: factor * getattr(section, key) for key, factor in own.items()})
+        config = replace(config, **{name: changed})
+    return config

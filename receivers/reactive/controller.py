@@ -31,7 +31,7 @@ _CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
 _CLOSE_GAIN, _CLOSE_ACCELERATION = 10.0, 100.0
 # Backing out after a missed grasp: distance (m), speed (m/s), maximum time, and time for which the fingers open (s).
 _BACKOUT_DISTANCE, _BACKOUT_SPEED, _BACKOUT_TIMEOUT, _OPENING_TIME = 0.1, 0.3, 1.0, 0.1
-# Amount by which joint limits are narrowed on each side (rad).
+#: Amount by which joint limits are narrowed on each side (rad).
 LIMIT_PADDING = 0.03
 _BACKOUT_ROTATION_WEIGHT = 0.3  # m/rad
 _BACKOUT_END = 0.3  # share of the distance that may remain

@@ -24,6 +24,9 @@ Array = npt.NDArray[np.float64]
 # Extent of the fingers in the hand link's frame (m): tip and root along z, half width along x, and
 # inner side along y when they are open.
 _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
+# Costs of a grasp that has failed its validation, and of one that holds the object by the tip or edge of a finger (s);
+# distance of contacts from the tip and edges of a pad at which the latter vanishes (m).
+_UNSTABLE_COST, _FINGERTIP_COST, _DESIRED_PAD_MARGIN = 5.0, 4.0, 0.008
 # Minimum distance of an offset grasp's contacts from the tip and edges of a finger pad (m).
 _MIN_OFFSET_PAD_MARGIN = 0.004
 # Depth behind the first contact up to which surface points are touched by a soft pad (m).
@@ -128,6 +131,6 @@ def compute_pad_margins(poses: Array, points: Array) -> Array:
 def compute_hold_costs(grasps: ValidatedGrasps, pad_margins: Array, config: GraspSelectorConfig) -> Array:
     """Return the costs (n,) in s of grasps with pad margins (n,), higher the less likely they hold the object."""
     rates = grasps.success_rates
-    costs: Array = config.unstable_cost * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
-    costs += config.fingertip_cost * np.maximum(0.0, 1.0 - pad_margins / config.desired_pad_margin)
+    costs: Array = _UNSTABLE_COST * (rates == 0.0) + config.partial_hold_cost * (1.0 - rates)
+    costs += _FINGERTIP_COST * np.maximum(0.0, 1.0 - pad_margins / _DESIRED_PAD_MARGIN)
     return costs

@@ -36,6 +36,8 @@ _LATERAL_FUNNEL, _ROTATION_FUNNEL = 0.3, 1.0
 # Gain on the remaining joint error (1/s), maximum joint speed besides the one that follows the object (rad/s), and
 # maximum change of the seed of inverse kinematics towards the selected configuration (rad).
 _POSITION_GAIN, _MAX_JOINT_SPEED, _MAX_POSTURE_CHANGE = 20.0, 1.3, 0.05
+# Axial distance from the grasp at which the fingers close (m), and deceleration before the grasp (m/s^2).
+_AXIAL_TOLERANCE, _DECELERATION = 0.006, 2.0
 # Distance from the grasp within which the fingers close around an object that the person has released already (m).
 _CATCH_DISTANCE = 0.02
 # Time without progress after which a grasp is given up (s).
@@ -174,7 +176,7 @@ class ApproachController:
             waypoint = goal.standoff_joints if goal.via_joints is None else goal.via_joints
             return self._motion.move_to(waypoint, self._selector.surface)
         self._check_progress(axial + lateral)
-        is_at_grasp = abs(axial) < factor * config.axial_tolerance and lateral < factor * config.lateral_tolerance
+        is_at_grasp = abs(axial) < factor * _AXIAL_TOLERANCE and lateral < factor * config.lateral_tolerance
         if scene.is_known_released:
             # It falls: only fingers that are around it already can catch it.
             return goal if self.is_catchable(goal) else self._approach_straight(goal, 0.0)
@@ -222,8 +224,8 @@ class ApproachController:
         is_aligned &= rotation < factor * (config.rotation_tolerance + _ROTATION_FUNNEL * before)
         if is_aligned and speed < (config.max_held_still_speed if motion.is_held_still else config.max_object_speed):
             period = self._motion.servo.period
-            half = 0.5 * config.deceleration * period
-            braking_speed = float(np.sqrt(half**2 + 2.0 * config.deceleration * before)) - half
+            half = 0.5 * _DECELERATION * period
+            braking_speed = float(np.sqrt(half**2 + 2.0 * _DECELERATION * before)) - half
             return max(0.0, before - min(config.speed, braking_speed) * period)
         if is_aligned and axial < config.standoff and speed < 2.0 * config.max_object_speed:
             return before

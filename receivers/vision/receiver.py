@@ -5,7 +5,6 @@ motion are the same as in `reactive`. The receiver uses neither true poses nor o
 infers from its fingers whether the person has released the object.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,9 +57,6 @@ class VisionReceiver(ControllerReceiver):
         self._predictor, self._weights_hash = _make_predictor(weights, grasp_predictor, context.setup)
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
         self._scene: PointCloudSceneEstimate | None = None
-
-    def prepare(self, object_names: Sequence[str]) -> None:
-        """Do nothing; the receiver uses no models of objects."""
 
     @property
     def label(self) -> str:

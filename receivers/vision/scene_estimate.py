@@ -10,8 +10,7 @@ from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
-from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker
-from handover_marl.receivers.vision.object_tracking import PointMap
+from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, PointMap
 
 Array = npt.NDArray[np.float64]
 

@@ -120,7 +120,7 @@ def test_help_in_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 def test_modules_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Policies are imported from the working folder, but folders there do not count as optional packages."""
-    (tmp_path / "robots.py").write_text("from handover_marl.receivers.hold import HoldReceiver as Mine\n")
+    (tmp_path / "robots.py").write_text("from handover_marl.receivers.baselines import HoldReceiver as Mine\n")
     for name, file in (("minari", "__init__.py"), ("igl", "data.txt"), ("warp", "__init__.py")):
         (tmp_path / name).mkdir()
         (tmp_path / name / file).touch()

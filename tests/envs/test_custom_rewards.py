@@ -13,12 +13,11 @@ from handover_marl.config import PandaConfig
 from handover_marl.envs.custom_rewards import (
     combine_rewards,
     declare_terms,
-    make_reward_source,
     resolve_rewards,
     set_discount,
 )
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.rewards import SHAPED, SPARSE, TermWeights
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights
 from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, ResetNeededError, RewardError, UnknownNameError
@@ -227,11 +226,6 @@ def test_failures_are_named(make: Make) -> None:
         make(lambda transition: transition.state["nothing"]).reset(seed=0)
 
 
-def test_rewards_need_a_start() -> None:
-    with pytest.raises(ResetNeededError, match=r"call start\(\)"):
-        make_reward_source(Counter(), (0.0, 0.0, 0.0)).compute(None)  # type: ignore[arg-type]
-
-
 def test_values_of_rewards() -> None:
     assert resolve_rewards("sparse") is SPARSE
     assert resolve_rewards(f"{MODULE}:approach") is approach
@@ -286,25 +280,27 @@ def test_every_constructor_accepts_own_rewards(make: Make) -> None:
 
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
-@pytest.mark.parametrize("agent", ["receiver", None])
-def test_vector_environments_have_the_rewards_of_single_ones(physics: str, agent: str | None, make: Make) -> None:
+@pytest.mark.parametrize(
+    "rewards",
+    [
+        combine_rewards(approach, Counter(), TermWeights({"gripper_jerk": -1.0})),
+        TermWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0)),
+    ],
+    ids=["combination", "terms"],
+)
+def test_vector_environments_have_the_rewards_of_single_ones(physics: str, rewards: Any, make: Make) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
-    rewards = combine_rewards(
-        approach, Counter(), TermWeights(receiver={"gripper_jerk": -1.0, "object_force": -1.0, "clearance": 1.0})
-    )
-    options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4}
-    envs = handover_marl.vector_env(2, agent, "replay" if agent else None, threads=1, rewards=rewards, **options)
+    options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4, "rewards": rewards}
+    envs = handover_marl.vector_env(2, None, threads=1, **options)
     envs.reset(seed=5)
-    still = {"giver": np.zeros((2, 8), np.float32), "receiver": np.tile(START + np.float32(0.1), (2, 1))}
-    alone = make(rewards, split="train", **options)
+    still = {"giver": np.full((2, 8), 0.05, np.float32), "receiver": np.tile(START + np.float32(0.1), (2, 1))}
+    alone = make(split="train", **options)
     alone.reset(seed=6)
     for _ in range(4):
-        _, found, _, _, infos = envs.step(still["receiver"] if agent else still)
-        own, own_infos = (found, infos) if agent else (found["receiver"], infos["receiver"])
+        _, found, _, _, infos = envs.step(still)
         _, expected, _, _, expected_infos = alone.step({key: value[1] for key, value in still.items()})
-        assert own[1] == expected["receiver"]
-        for key, value in terms_of(expected_infos, "receiver").items():
-            assert own_infos[f"reward/{key}"][1] == value
-        if agent is None:
-            assert infos["giver"]["reward/count"].tolist() == [expected_infos["giver"]["reward/count"]] * 2
+        for agent in ("giver", "receiver"):
+            assert found[agent][1] == expected[agent]
+            for key, value in terms_of(expected_infos, agent).items():
+                assert infos[agent][f"reward/{key}"][1] == value
     envs.close()

@@ -13,7 +13,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
-from handover_marl.envs.wrappers.flatten import FlattenedEnv
+from handover_marl.envs.wrappers.wrapper import FlattenedEnv
 from handover_marl.errors import OptionError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val", "max_cycles": 6}

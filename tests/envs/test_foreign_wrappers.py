@@ -13,7 +13,7 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 import handover_marl
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
-from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.errors import OptionError
 from tests.envs.custom_rewards import approach
 
@@ -93,10 +93,10 @@ class Other(BaseParallelWrapper):
 @pytest.mark.parametrize(
     ("make_wrong", "got"),
     [
-        (lambda: Other(make()), "a wrapper of NoneType"),
-        (lambda: HandoverEnv, "the class HandoverEnv"),
-        (lambda: "env", "str"),
-        (lambda: None, "NoneType"),
+        (lambda: Other(make()), "<.*Other.*>"),
+        (lambda: HandoverEnv, "<class .*HandoverEnv.*>"),
+        (lambda: "env", "'env'"),
+        (lambda: None, "None"),
     ],
 )
 def test_other_environments_are_refused(make_wrong: Callable[[], Any], got: str) -> None:
@@ -164,16 +164,7 @@ def test_make_vec_uses_the_vector_environment() -> None:
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, **options)
     assert isinstance(envs, HandoverVectorEnv)
     assert envs.spec is not None
-    singles = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", **options)
-    for vector in (envs, singles):
-        vector.reset(seed=1)
-    for _ in range(7):
-        one, other = (vector.step(np.full((2, 9), 0.1, np.float32)) for vector in (envs, singles))
-        for key in one[0]:
-            np.testing.assert_array_equal(one[0][key], other[0][key])
-        np.testing.assert_array_equal(one[1], other[1])
-    for vector in (envs, singles):
-        vector.close()
+    envs.close()
     giver = gymnasium.make_vec("HandoverMARL/Giver-v0", 1, features="giver", schemes="offer", partner="hold", **OPTIONS)
     assert giver.single_action_space.shape == (7,)
     giver.close()

@@ -9,7 +9,6 @@ import handover_marl
 from handover_marl.config import PandaConfig
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, ReleaseReason
-from handover_marl.errors import ActionError
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
 SCENE = 209
@@ -76,39 +75,3 @@ def test_what_is_not_held_cannot_be_let_go(physics: str) -> None:
     seen, info = act(env, giver(release=1.0), 1)
     assert seen["released"] == 0
     assert info["release"] == info["release_step"] == -1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("physics", PHYSICS)
-def test_random_givers_repeat_from_their_seed(physics: str) -> None:
-    ends = []
-    for _ in range(2):
-        env = make(physics)
-        env.action_space("giver").seed(3)
-        for _ in range(12):
-            action = env.action_space("giver").sample()
-            action[-1] = 0.0
-            seen, _ = act(env, action, 1)
-        ends.append(seen)
-    for key, value in ends[0].items():
-        np.testing.assert_array_equal(value, ends[1][key])
-
-
-@pytest.mark.slow
-def test_the_benchmark_view_has_no_giver_to_ask() -> None:
-    """While the person holds the object, actions that release it or move the hand are refused and have no effect."""
-    view = handover_marl.benchmark_env(split="test", dataset="synthetic")
-    view.reset(options={"scene_id": SCENE})
-    for _ in range(28):
-        view.step({"receiver": START})
-    assert view.unwrapped._episode.object_offered
-    for wanted in (giver(release=1.0), giver(shift=(0.1, 0.0, 0.0)), giver(rate=-1.0)):
-        with pytest.raises(ActionError, match="one action, for the receiver"):
-            view.step({"receiver": START, "giver": wanted})
-        seen, *_, infos = view.step({"receiver": START})
-        assert view.observation_space("receiver").contains(seen["receiver"])
-        assert seen["receiver"]["released"] == 0
-        assert infos["receiver"]["release"] == infos["receiver"]["release_step"] == -1
-        episode = view.unwrapped._episode
-        assert not episode.observe_giver(episode.observe())["deviation"].any()
-    assert infos["receiver"]["steps"] == 3100

@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
 import handover_marl
-from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError
 from handover_marl.receivers import Receiver
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -193,21 +193,6 @@ def test_frozen_receivers_see_what_they_ask_for() -> None:
         observation = env.step(np.zeros(8, dtype=np.float32))[0]
     assert "wrist_object_points" not in observation
     env.close()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"obs_mode": "lidar"}, r"unknown obs_mode 'lidar'; valid: state, state\+pointcloud, pointcloud"),
-        ({"renderer": "cycles"}, "unknown renderer 'cycles'; valid: auto, bullet, rays"),
-        ({"camera_model": "wrong"}, "unknown camera_model 'wrong'; valid: handoversim, pinhole"),
-        ({"robot": "ur5"}, "unknown robot 'ur5'; valid: panda, panda_camera"),
-        ({"camera_noise": "kinect"}, "unknown camera_noise 'kinect'; valid: realsense"),
-    ],
-)
-def test_unknown_names_are_refused(options: dict[str, str], message: str) -> None:
-    with pytest.raises(UnknownNameError, match=message):
-        make(**options)
 
 
 def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,7 +127,7 @@ def test_equal_to_single_environments_to_the_bit(
     chosen = dict(zip(("features", "schemes"), encodings, strict=False))
     together = handover_marl.vector_env(COUNT, agent, partner, autoreset=autoreset, threads=2, **chosen, **options)
     assert_equal(rollout(together, steps), expected)
-    if steps > 3:
+    if steps == MORE_THAN_AN_EPISODE:
         assert any(step.any() for step in expected[4::5] + expected[5::5]), "episodes have ended"
     if options is OWN_REWARDS:
         assert any(step.any() for step in expected[3::5]), "no reward"

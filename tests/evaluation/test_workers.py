@@ -76,7 +76,7 @@ SLEEPING = """
 import os, sys, time
 from pathlib import Path
 import handover_marl
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 class Sleeping(HoldReceiver):
     name = "sleeping"

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.distance_field import sample_distance_field
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
+from handover_marl.planning import goal_set
 from handover_marl.planning.goal_set import GoalSet, GoalSetBuilder, is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules
 from handover_marl.planning.planner import make_hand_obstacle
@@ -19,7 +20,7 @@ CONFIG = PlannerConfig()
 
 
 def make_builder(config: PlannerConfig = CONFIG) -> GoalSetBuilder:
-    body = sample_body_points(URDF, tuple(ARM.link_names), config.n_points_per_link)
+    body = sample_body_points(URDF, tuple(ARM.link_names), 15)
     return GoalSetBuilder(ARM, body, sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60), START, LIMITS, config)
 
 
@@ -38,10 +39,9 @@ def goals() -> GoalSet:
 
 def test_tails_are_straight_and_end_at_the_grasps(goals: GoalSet) -> None:
     assert len(goals) > 5
-    config = CONFIG.goals
-    for step in range(config.n_tail):
+    for step in range(goal_set.N_TAIL):
         chain = ARM.compute_chain_frames(goals.tails[:, step])
-        back = config.standoff / config.n_tail * (config.n_tail - 1 - step)
+        back = goal_set._STANDOFF / goal_set.N_TAIL * (goal_set.N_TAIL - 1 - step)
         wanted = grasps()[goals.grasps]
         axis = chain.rotations[-1][:, 2]
         np.testing.assert_allclose(chain.origins[-1].T, wanted[:, :3] - back * axis.T, atol=1e-5)
@@ -59,7 +59,7 @@ def test_goals_satisfy_all_limits(goals: GoalSet) -> None:
     assert (goals.tails <= LIMITS[1]).all()
     for number, standoff in enumerate(goals.standoffs):
         others = np.delete(goals.standoffs, number, axis=0)
-        assert np.linalg.norm(others - standoff, axis=1).min() >= CONFIG.goals.min_goal_distance
+        assert np.linalg.norm(others - standoff, axis=1).min() >= goal_set._MIN_GOAL_DISTANCE
     first = ARM.compute_chain_frames(START[None]).rotations[-1][..., 0]
     for share in (1 / 6, 0.5, 5 / 6):
         rotated = ARM.compute_chain_frames(START + share * (goals.goals - START)).rotations[-1].transpose(2, 0, 1)

@@ -18,7 +18,7 @@ from handover_marl.policies.hashing import find_package, hash_object, hash_polic
 from handover_marl.policies.policy import Action
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 WEIGHTS = np.arange(3.0)
 

@@ -25,7 +25,7 @@ from handover_marl.givers.variations import ReplayGiver
 from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE, LearnedPolicy
 from handover_marl.policies import registry
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy, split_policy_list
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 DATA = SyntheticDataset()
 HERE = __name__

@@ -30,7 +30,7 @@ CODE = f"""
 from pathlib import Path
 from handover_marl.givers.variations import HurriedGiver
 from handover_marl.learning.custom_encodings import declare_size
-from handover_marl.receivers.hold import HoldReceiver
+from handover_marl.receivers.baselines import HoldReceiver
 
 Path("imported").touch()
 

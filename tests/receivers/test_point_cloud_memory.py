@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
+from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 
 Array = npt.NDArray[np.float64]
 

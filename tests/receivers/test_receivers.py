@@ -29,7 +29,7 @@ def test_unknown_names(fake_data: Path) -> None:
     ("value", "message"),
     [
         ("no_such_module:Thing", "cannot be imported"),
-        ("handover_marl.receivers.hold:Nothing", "cannot be imported"),
+        ("handover_marl.receivers.baselines:Nothing", "cannot be imported"),
         ("pathlib:Path", "must be a subclass"),
     ],
 )

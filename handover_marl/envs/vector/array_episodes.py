@@ -12,9 +12,8 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.vector.reward_batch import RewardBatch
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
-from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
+from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation

@@ -15,9 +15,8 @@ from handover_marl.envs.vector.array_envs import ArrayEnvs
 from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, apply_wrapper
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
-from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
-from handover_marl.envs.wrappers.wrapper import WrappableEnv
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv
 from handover_marl.episode.spaces import STATE, get_camera_data_kind
 from handover_marl.episode.wrist_camera_batch import DEVICE_KINDS
 from handover_marl.errors import OptionError

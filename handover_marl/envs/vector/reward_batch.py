@@ -14,7 +14,7 @@ from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, 
 from handover_marl.envs.rewards import Terms, TermWeights, WeightedTerms
 from handover_marl.envs.transition import TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
-from handover_marl.envs.wrappers.episode_returns import RETURN, RETURN_PREFIX, REWARD_PREFIX
+from handover_marl.envs.wrappers.wrapper import RETURN, RETURN_PREFIX, REWARD_PREFIX
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus

@@ -11,8 +11,8 @@ from gymnasium.utils import EzPickle
 
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.wrappers.episode_returns import REWARD_PREFIX
 from handover_marl.envs.wrappers.wrapper import (
+    REWARD_PREFIX,
     Api,
     ByAgent,
     ParallelStep,
@@ -25,7 +25,7 @@ from handover_marl.episode.spaces import check_vector, has_state
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.learning.features import make_features
-from handover_marl.learning.schemes import make_scheme, outputs_from_action
+from handover_marl.learning.schemes import make_scheme
 
 Vector = npt.NDArray[np.float32]
 
@@ -60,12 +60,6 @@ class EncodedEnv(ParallelWrapper):
         feature_names: Name of the features, by agent.
         scheme_names: Name of the action scheme, by agent.
         choices: Features and action scheme as they were given, by agent.
-
-    Raises:
-        UnknownNameError: There are no such features, or no such scheme.
-        OptionError: There is no such agent, its observations are vectors already, they lack the state
-            that features are computed from, or user-defined features or a user-defined scheme declare no size.
-        EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_encoded_v0"}
@@ -115,26 +109,6 @@ class EncodedEnv(ParallelWrapper):
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
         """Compute the features (m,) of an agent's observation."""
         return self._features[agent](observation)
-
-    def get_last_observation(self, agent: str) -> Observation:
-        """Return the last observation of an agent before it was encoded.
-
-        Raises:
-            ResetNeededError: No episode has been started.
-        """
-        if agent not in self._observations:
-            raise ResetNeededError("no episode is running; call reset() first")
-        return self._observations[agent]
-
-    def outputs_from_action(self, agent: str, action: Vector) -> Vector:
-        """Return the outputs (size,) whose decoded action is closest to a given action of a giver.
-
-        Training by imitation needs these outputs.
-
-        Raises:
-            OptionError: The agent's action scheme cannot be inverted.
-        """
-        return outputs_from_action(self._schemes[agent], action, self.get_last_observation(agent))
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs.
@@ -237,8 +211,8 @@ def encode(
 
     Raises:
         UnknownNameError: There are no such features, no such scheme or API.
-        OptionError: There is no such agent, one choice is given for two agents, the receiver observes
-            camera data without the state, or user-defined features or a user-defined scheme declare no size.
+        OptionError: There is no such agent, its observations are vectors already, one choice is given for two agents,
+            the receiver observes camera data without the state, or user-defined features or schemes declare no size.
         EncodingError: The constructor of user-defined features or of a user-defined scheme fails.
     """
     return convert_api(EncodedEnv(env, features, schemes), api)
@@ -257,10 +231,6 @@ def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, age
     if choices is None:
         choices = {}
     if not isinstance(choices, Mapping):
-        if not isinstance(choices, str) and not callable(choices):
-            raise OptionError(
-                f"{argument} must be a name, a class, a function or a dict of these by agent, got {choices!r}"
-            )
         if len(agents) != 1:
             raise OptionError(f"{argument} must be a dict by agent for {len(agents)} agents, got {choices!r}")
         choices = {agents[0]: choices}

@@ -28,19 +28,15 @@ class FrozenPartnerEnv(ParallelWrapper):
     observations nor its actions.
 
     Args:
-        env: Environment with both agents, neither of them encoded.
-        agent: Agent that is controlled from outside, "receiver" or "giver".
-        partner: Policy of the other agent; default: "replay" for a giver, "yang2021" for a receiver.
+        env: Environment with both agents, see `freeze` for this and the other arguments.
+        agent: Agent that is controlled from outside.
+        partner: Policy of the other agent.
         trust: Whether a policy file may run code.
 
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
         policy: Policy of that agent.
-
-    Raises:
-        UnknownNameError: There is no such agent or policy.
-        OptionError: `env` does not have both agents, or the partner is encoded.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
@@ -77,9 +73,10 @@ class FrozenPartnerEnv(ParallelWrapper):
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
-        observations, infos = self.env.reset(seed=seed, options=options)
+        results = self.env.reset(seed=seed, options=options)
         self.unwrapped.set_partner(self.partner_agent, self.policy, int(self._rng.integers(2**32)))
-        return self._select_live(observations), self._select_live(infos)
+        observations, infos = ({self.live_agent: by_agent[self.live_agent]} for by_agent in results)
+        return observations, infos
 
     def step(self, actions: dict[str, Any]) -> ParallelStep:
         """Let both agents act for one control period; the partner's policy decides at its own control period.
@@ -100,14 +97,9 @@ class FrozenPartnerEnv(ParallelWrapper):
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
             raise ActionError(f"actions must be a dict with one action, for the {live}")
-        observations, rewards, terminations, truncations, infos = self.env.step(
-            {live: actions.get(live), partner: self.unwrapped.act_for_partner()}
-        )
-        select = self._select_live
-        return select(observations), select(rewards), select(terminations), select(truncations), select(infos)
-
-    def _select_live(self, by_agent: ByAgent) -> ByAgent:
-        return {self.live_agent: by_agent[self.live_agent]}
+        results = self.env.step({live: actions.get(live), partner: self.unwrapped.act_for_partner()})
+        observations, rewards, terminations, truncations, infos = ({live: by_agent[live]} for by_agent in results)
+        return observations, rewards, terminations, truncations, infos
 
 
 def freeze(

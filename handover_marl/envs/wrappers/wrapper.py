@@ -1,9 +1,12 @@
-"""Base class of the environment's wrappers, and a Gymnasium adapter for one agent."""
+"""Base class of the environment's wrappers, simple wrappers, and a Gymnasium adapter for one agent."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias
 
 import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
@@ -11,7 +14,12 @@ from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.errors import OptionError, check_name
 
+#: Key of the sum of all reward terms in infos.
+RETURN = "return"
+#: Prefixes of the keys of a reward term, and of its sum.
+REWARD_PREFIX, RETURN_PREFIX = "reward/", "return/"
 ByAgent = dict[str, Any]
+Array = npt.NDArray[Any]
 #: The environment, or any PettingZoo wrapper of it.
 WrappableEnv: TypeAlias = HandoverEnv | BaseParallelWrapper
 ParallelStep = tuple[ByAgent, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, float]]]
@@ -75,18 +83,106 @@ def check_env(env: object) -> None:
     Raises:
         OptionError: It is another kind of environment, or a class.
     """
-    if isinstance(env, HandoverEnv):
-        return
-    if isinstance(env, BaseParallelWrapper):
-        base = env.unwrapped
-        if isinstance(base, HandoverEnv):
-            return
-        got = f"a wrapper of {type(base).__name__}"
-    else:
-        got = f"the class {env.__name__}" if isinstance(env, type) else type(env).__name__
-    raise OptionError(
-        f"env must be made by handover_marl.parallel_env() or a pettingzoo.utils.BaseParallelWrapper of it, got {got}"
-    )
+    base = env.unwrapped if isinstance(env, BaseParallelWrapper) else env
+    if not isinstance(base, HandoverEnv):
+        raise OptionError(
+            "env must be made by handover_marl.parallel_env() or a pettingzoo.utils.BaseParallelWrapper of it, got "
+            f"{env!r}"
+        )
+
+
+class FlattenedEnv(ParallelWrapper):
+    """Wrapper whose observations are vectors in the order of Gymnasium's `flatten`.
+
+    Actions are unchanged. Made by `flatten`.
+
+    Args:
+        env: Environment to flatten; observations that are vectors already are unchanged.
+
+    Raises:
+        OptionError: An agent's observation space cannot be flattened to a vector.
+    """
+
+    metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_flattened_v0"}
+
+    def __init__(self, env: WrappableEnv) -> None:
+        super().__init__(env)
+        EzPickle.__init__(self, env)
+        self._flat: dict[str, spaces.Box] = {}
+        for agent in self.possible_agents:
+            flat = spaces.flatten_space(env.observation_space(agent))
+            if not isinstance(flat, spaces.Box):
+                raise OptionError(f"observation space of the {agent} cannot be flattened to a vector")
+            self._flat[agent] = flat
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Return the space of the agent's flattened observations."""
+        return self._flat[agent]
+
+    def convert_observation(self, agent: str, observation: Any) -> Array:
+        """Flatten an agent's observation to one vector."""
+        vector: Any = spaces.flatten(self.env.observation_space(agent), observation)
+        return np.asarray(vector, dtype=self._flat[agent].dtype)
+
+    def unflatten(self, agent: str, vector: Array) -> Any:
+        """Convert an agent's vector back to the observation of the wrapped environment.
+
+        Raises:
+            OptionError: The vector has another shape than the agent's.
+        """
+        if np.shape(vector) != self._flat[agent].shape:
+            raise OptionError(
+                f"vector of the {agent} must have shape {self._flat[agent].shape}, got {np.shape(vector)}"
+            )
+        return spaces.unflatten(self.env.observation_space(agent), vector)
+
+
+def flatten(env: WrappableEnv) -> FlattenedEnv:
+    """Return an environment with one vector for each agent's observation, unscaled.
+
+    `encode` makes vectors, too: fewer features, scaled for small networks.
+
+    Args:
+        env: `handover_marl.parallel_env(...)`, or `freeze(...)` of it.
+    """
+    return FlattenedEnv(env)
+
+
+class EpisodeReturns(ParallelWrapper):
+    """Wrapper whose infos contain the sum of each reward term since the start of the episode.
+
+    The sum of the term `reward/NAME` is `return/NAME`, and the sum of all terms is `return`. Sums are
+    not discounted; they include rewards before an action scheme first needs outputs.
+
+    Args:
+        env: Environment with reward terms in its infos.
+    """
+
+    def __init__(self, env: WrappableEnv) -> None:
+        super().__init__(env)
+        EzPickle.__init__(self, env)
+        self._sums: dict[str, dict[str, float]] = {}
+
+    def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
+        """Start an episode with sums of 0; arguments and result as in `HandoverEnv.reset`."""
+        observations, infos = super().reset(seed, options)
+        self._sums = {}
+        return observations, self._add_sums(infos, dict.fromkeys(infos, 0.0))
+
+    def step(self, actions: dict[str, Any]) -> ParallelStep:
+        """Let the agents act for one control period; arguments and result as in `HandoverEnv.step`."""
+        observations, rewards, terminations, truncations, infos = super().step(actions)
+        return observations, rewards, terminations, truncations, self._add_sums(infos, rewards)
+
+    def _add_sums(self, infos: ByAgent, rewards: dict[str, float]) -> ByAgent:
+        for agent, info in infos.items():
+            sums = self._sums.setdefault(agent, {RETURN: 0.0})
+            sums[RETURN] += rewards[agent]
+            for key, value in info.items():
+                if key.startswith(REWARD_PREFIX):
+                    name = RETURN_PREFIX + key[len(REWARD_PREFIX) :]
+                    sums[name] = sums.get(name, 0.0) + value
+        return {agent: {**info, **self._sums[agent]} for agent, info in infos.items()}
 
 
 class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):

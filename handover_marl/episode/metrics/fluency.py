@@ -188,7 +188,11 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
     path = trace.wrist[: trace.count_samples_until(end)]
     path = path[~np.isnan(path[:, 0])]
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    is_touched = trace.contact_step is not None and trace.contact_step <= end
+    contact, exchange, contact_speed = trace.contact_step, None, None
+    if contact is not None:
+        # At the last sample up to the contact.
+        contact_speed = float(gripper_speeds[trace.count_samples_until(contact) - 1])
+        exchange = end - contact if contact <= end else None
     gripper_path = float(np.linalg.norm(np.diff(trace.gripper, axis=0), axis=1).sum())
     return FluencyMetrics(
         handover_time=trace.release_time,
@@ -208,26 +212,12 @@ def compute_fluency(trace: EpisodeTrace) -> FluencyMetrics:
         gripper_path=gripper_path,
         gripper_max_speed=float(gripper_speeds.max()),
         gripper_mean_speed=gripper_path / trace.duration,
-        exchange_time=_compute_exchange_time(trace),
-        gripper_contact_speed=_find_contact_speed(trace, gripper_speeds),
-        robot_object_impulse=trace.object_impulse if is_touched else None,
+        exchange_time=None if release_step is None or exchange is None else exchange * TIME_STEP,
+        gripper_contact_speed=contact_speed,
+        robot_object_impulse=None if exchange is None else trace.object_impulse,
         min_separation_margin=trace.min_separation_margin,
         giver_rula=float(compute_rula_arm_scores(path, trace.side).mean()) if len(path) else None,
     )
-
-
-def _compute_exchange_time(trace: EpisodeTrace) -> float | None:
-    """Return the time from the robot's first contact with the object to the release (s), if both happened so."""
-    if trace.release_step is None or trace.contact_step is None or trace.contact_step > trace.release_step:
-        return None
-    return (trace.release_step - trace.contact_step) * TIME_STEP
-
-
-def _find_contact_speed(trace: EpisodeTrace, speeds: npt.NDArray[np.float64]) -> float | None:
-    """Return the gripper's speed at the last sample up to the first contact with the object (m/s)."""
-    if trace.contact_step is None:
-        return None
-    return float(speeds[trace.count_samples_until(trace.contact_step) - 1])
 
 
 def _compute_delay(person: Flags, robot: Flags, trace: EpisodeTrace, release_step: int) -> float | None:

@@ -22,7 +22,7 @@ from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import set_discount
 from handover_marl.envs.vector.vector_env import vector_env
-from handover_marl.envs.wrappers.episode_returns import RETURN_PREFIX, EpisodeReturns
+from handover_marl.envs.wrappers.wrapper import RETURN_PREFIX, EpisodeReturns
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig

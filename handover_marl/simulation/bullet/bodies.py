@@ -48,36 +48,6 @@ def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLik
     client.resetBasePositionAndOrientation(body_id, position.tolist(), orientation.tolist())
 
 
-@dataclass(frozen=True)
-class ContactParameters:
-    """Friction and restitution of a body's links, and damping of its base link.
-
-    Attributes:
-        friction: Lateral and spinning friction coefficient of every link.
-        restitution: Coefficient of restitution of every link.
-        base_damping: Linear and angular damping of the base link.
-    """
-
-    friction: float
-    restitution: float
-    base_damping: float
-
-
-@dataclass(frozen=True)
-class InitialState:
-    """Joint state and base pose of a body after loading.
-
-    Attributes:
-        joints: Positions of the moving joints (m, rad).
-        velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
-        base: (7,) world pose of the base link.
-    """
-
-    joints: Sequence[float] = ()
-    velocities: Sequence[float] | None = None
-    base: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-
-
 class ArticulatedBody:
     """PyBullet body from a URDF file, with a fixed base and a position motor in each moving joint.
 
@@ -91,8 +61,9 @@ class ArticulatedBody:
         urdf: Model file.
         motors: One motor per moving joint, in joint order.
         mask: Collision group and mask of all links.
-        start: Joint state and base pose.
-        contact: Friction, restitution and damping; None keeps the values of the model file.
+        joints: Positions of the moving joints after loading (m, rad).
+        velocities: Velocities of the moving joints (m/s, rad/s); None means that the body is at rest.
+        base: (7,) world pose of the base link.
         flags: Flags of PyBullet's `loadURDF`.
 
     Attributes:
@@ -112,8 +83,9 @@ class ArticulatedBody:
         urdf: Path | str,
         motors: Sequence[MotorConfig],
         mask: int,
-        start: InitialState,
-        contact: ContactParameters | None = None,
+        joints: Sequence[float] = (),
+        velocities: Sequence[float] | None = None,
+        base: npt.ArrayLike = IDENTITY,
         flags: int = 0,
     ) -> None:
         self.client = client
@@ -131,11 +103,9 @@ class ArticulatedBody:
         self._velocity_gains = to_float32_list([motor.velocity_gain for motor in motors])
         self._forces = to_float32_list([motor.force for motor in motors])
         self._target: list[float] | None = None
-        reset_base(client, self.id, start.base)
-        self.reset_joints(start.joints, start.velocities)
+        reset_base(client, self.id, base)
+        self.reset_joints(joints, velocities)
         self.set_collision_mask(mask)
-        if contact is not None:
-            self._set_contact_parameters(contact)
 
     def get_link(self, name: str) -> int:
         """Return the number of a link by its URDF name; numbers differ between Panda files.
@@ -176,13 +146,6 @@ class ArticulatedBody:
             forces=self._forces,
         )
 
-    def disable_motors(self) -> None:
-        """Set the force of the body's motors to zero; later targets have no effect."""
-        self._forces = [0.0] * len(self.joints)
-        if self._target is not None:
-            target, self._target = self._target, None
-            self.set_motor_targets(target)
-
     def set_collision_mask(self, mask: int) -> None:
         """Set collision group and collision mask of the base and all links to `mask`."""
         for link in range(-1, self.n_links):
@@ -213,12 +176,6 @@ class ArticulatedBody:
         """Remove the body from the simulation."""
         self.client.removeBody(self.id)
 
-    def _set_contact_parameters(self, contact: ContactParameters) -> None:
-        change, friction = self.client.changeDynamics, contact.friction
-        for link in range(-1, self.n_links):
-            change(self.id, link, lateralFriction=friction, spinningFriction=friction, restitution=contact.restitution)
-        change(self.id, -1, linearDamping=contact.base_damping, angularDamping=contact.base_damping)
-
     def _describe_model(self) -> str:
         model = self.client.getBodyInfo(self.id)[1].decode(errors="replace")
         return f"the model {model!r} loaded as {type(self).__name__}"
@@ -235,8 +192,11 @@ class HandBody(ArticulatedBody):
     """
 
     def __init__(self, client: BulletClient, urdf: Path, start: list[float], config: HandConfig) -> None:
-        contact = ContactParameters(config.friction, config.restitution, config.base_damping)
-        super().__init__(client, urdf, list_hand_motors(config), HAND_MASK, InitialState(start), contact)
+        super().__init__(client, urdf, list_hand_motors(config), HAND_MASK, start)
+        change, friction = client.changeDynamics, config.friction
+        for link in range(-1, self.n_links):
+            change(self.id, link, lateralFriction=friction, spinningFriction=friction, restitution=config.restitution)
+        change(self.id, -1, linearDamping=config.base_damping, angularDamping=config.base_damping)
         self._keypoint_links = select_keypoint_links(self.joints)
 
     def read_keypoints(self) -> npt.NDArray[np.float32]:
@@ -255,12 +215,21 @@ class ObjectBody(ArticulatedBody):
         client: Physics client.
         urdf: Model file.
         mask: Collision group and mask before the release, see `compute_object_masks`.
-        start: Initial positions and velocities of the six joints.
         config: Motors of the six joints.
+        joints: Initial positions of the six joints (m, rad).
+        velocities: Initial velocities of the six joints (m/s, rad/s); None means that the object is at rest.
     """
 
-    def __init__(self, client: BulletClient, urdf: Path, mask: int, start: InitialState, config: ObjectConfig) -> None:
-        super().__init__(client, urdf, list_object_motors(config), mask, start)
+    def __init__(
+        self,
+        client: BulletClient,
+        urdf: Path,
+        mask: int,
+        config: ObjectConfig,
+        joints: Sequence[float],
+        velocities: Sequence[float] | None = None,
+    ) -> None:
+        super().__init__(client, urdf, list_object_motors(config), mask, joints, velocities)
 
     def read_pose(self) -> npt.NDArray[np.float32]:
         """Return the world pose (7,) of the object, xyz (m) and quaternion xyzw, float32."""
@@ -270,7 +239,10 @@ class ObjectBody(ArticulatedBody):
     def release(self) -> None:
         """Disable the object's motors, and enable its collisions with table and other objects."""
         self.set_collision_mask(RELEASED_MASK)
-        self.disable_motors()
+        self._forces = [0.0] * len(self.joints)
+        if self._target is not None:
+            target, self._target = self._target, None
+            self.set_motor_targets(target)
 
 
 def compute_object_masks(class_ids: Sequence[int]) -> list[int]:
@@ -315,9 +287,8 @@ class PandaBody(ArticulatedBody):
     def __init__(self, client: BulletClient, urdf: Path, config: PandaConfig) -> None:
         self._start = to_float32_list(config.start_joints)
         base = to_float32_list([*config.base_position, *config.base_orientation])
-        start = InitialState(self._start, base=base)
         flags = client.URDF_USE_SELF_COLLISION
-        super().__init__(client, urdf, [config.motor] * PANDA_DOF, PANDA_MASK, start, flags=flags)
+        super().__init__(client, urdf, [config.motor] * PANDA_DOF, PANDA_MASK, self._start, base=base, flags=flags)
         self.hand_link = self.get_link(HAND_LINK)
         self.finger_links = (self.get_link(FINGER_LINKS[0]), self.get_link(FINGER_LINKS[1]))
         self._camera_link = self.get_link(CAMERA_LINK) if CAMERA_LINK in self._link_names else None
@@ -387,6 +358,6 @@ def load_workcell(client: BulletClient, assets: SceneAssets, config: PhysicsConf
     client.setGravity(0.0, 0.0, config.gravity)
     client.setPhysicsEngineParameter(fixedTimeStep=TIME_STEP, numSubSteps=1, deterministicOverlappingPairs=1)
     client.loadURDF(str(find_bullet_data("this", "take physics='mujoco'") / "plane_implicit.urdf"))
-    start = InitialState(base=[*to_float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0])
-    table = ArticulatedBody(client, assets.table, (), TABLE_MASK, start)
+    base = [*to_float32_list(config.table_position), 0.0, 0.0, 0.0, 1.0]
+    table = ArticulatedBody(client, assets.table, (), TABLE_MASK, base=base)
     return Workcell(table.id, PandaBody(client, assets.panda, config.panda))

@@ -25,9 +25,6 @@ from handover_marl.geometry.model_files.urdf_xml import parse_urdf
 @contextlib.contextmanager
 def _silence_stderr() -> Iterator[None]:
     """Discard the output of C code on stderr: PyBullet prints its build time at import."""
-    # Programs without a console have no sys.stderr, or one that cannot be flushed.
-    with contextlib.suppress(AttributeError, OSError, ValueError):
-        sys.stderr.flush()
     try:
         original = os.dup(2)
     except OSError:

@@ -6,16 +6,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
-    InitialState,
     ObjectBody,
     compute_object_masks,
     load_workcell,
 )
-from handover_marl.simulation.bullet.rendering import label_bodies, render_overview, render_wrist_camera
+from handover_marl.simulation.bullet.rendering import render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.contacts import Contacts
@@ -45,7 +44,7 @@ class ExactWorld(BulletWorld):
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
             states, masks = start.objects[0].tolist(), compute_object_masks(scene.info.object_ids)
             self._objects = [
-                ObjectBody(self._client, urdf, mask, InitialState(state), self._config.objects)
+                ObjectBody(self._client, urdf, mask, self._config.objects, state)
                 for urdf, mask, state in zip(scene.assets.objects, masks, states, strict=True)
             ]
             self._hand = None
@@ -81,18 +80,11 @@ class ExactWorld(BulletWorld):
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
         return np.stack([body.read_joint_positions() for body in self._objects])
 
-    def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8."""
-        return render_overview(self._client, camera)
-
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
         """Render an image of the wrist camera, at the current or an earlier state of the scene."""
         if snapshot is not None:
             return super().render_wrist_camera(snapshot, color)
-        workcell, objects = self._loaded_workcell, [body.id for body in self._objects]
-        hand = None if self._hand is None else self._hand.id
-        labels = label_bodies(workcell.table_id, workcell.panda.id, objects, hand)
-        return render_wrist_camera(self._client, workcell.panda, labels, color)
+        return render_wrist_camera(self._client, self._loaded_workcell, self._objects, self._hand, color)
 
     def _update_hand(self, target: list[float] | None) -> None:
         """Load the human hand at its first target, and remove it when there is no target."""

@@ -18,10 +18,8 @@ from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
 from handover_marl.simulation.bullet.sleepable_bodies import (
-    HandCollisionModel,
     KinematicHand,
     SleepableObject,
-    load_hand_collision_model,
     read_bounding_spheres,
 )
 from handover_marl.simulation.bullet.world import BulletWorld
@@ -46,7 +44,7 @@ class FastWorld(BulletWorld):
         super().__init__(config, window)
         self._workcell_files: tuple[Path, Path] | None = None
         self._motion_bounds: RobotMotionBounds | None = None
-        self._hand_models: dict[Path, HandCollisionModel] = {}
+        self._hands: dict[Path, KinematicHand] = {}
         self._objects: list[SleepableObject] = []
         self._hand: KinematicHand | None = None
         # Current row and length of the reference motion.
@@ -65,7 +63,7 @@ class FastWorld(BulletWorld):
             self._objects, self._hand = [], None
             if self._workcell is None or files != self._workcell_files:
                 self._workcell = None
-                self._hand_models.clear()
+                self._hands.clear()
                 self._workcell = load_workcell(self._client, assets, self._config)
                 # In the first step of a new client the Panda's contacts with itself differ by 1e-8 m from those in
                 # later steps; after this step a new world behaves like a used one.
@@ -76,11 +74,10 @@ class FastWorld(BulletWorld):
                 )
             panda = self._workcell.panda
             self._reset_broad_phase(panda)
-            if assets.hand not in self._hand_models:
-                self._hand_models[assets.hand] = load_hand_collision_model(self._client, assets.hand)
-            hand_joints = start.hand[0] if start.hand_present[0] else None
-            model = self._hand_models[assets.hand]
-            self._hand = KinematicHand(self._client, model, self._config.hand, hand_joints)
+            if assets.hand not in self._hands:
+                self._hands[assets.hand] = KinematicHand(self._client, assets.hand, self._config.hand)
+            self._hand = self._hands[assets.hand]
+            self._hand.reset(start.hand[0] if start.hand_present[0] else None)
             masks = compute_object_masks(scene.info.object_ids)
             for urdf, mask, state in zip(assets.objects, masks, start.objects[0], strict=True):
                 self._objects.append(SleepableObject(self._client, urdf, mask, state, self._config.objects))

@@ -9,14 +9,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, CameraConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.poses import multiply_quaternions
 from handover_marl.simulation.bullet.bodies import (
     HandBody,
-    InitialState,
     ObjectBody,
-    PandaBody,
+    Workcell,
     compute_object_masks,
     load_workcell,
 )
@@ -28,38 +27,26 @@ from handover_marl.simulation.camera.optics import FAR, FIELD_OF_VIEW, IMAGE_SIZ
 _LINK_FROM_VIEW = np.array([-4.3297803e-17, -0.70710677, -0.70710677, 4.3297803e-17], dtype=np.float32)
 
 
-def render_overview(client: BulletClient, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-    """Render an RGB image (height, width, 3), uint8, from an overview camera beside the scene."""
-    view = client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
-    projection = client.computeProjectionMatrixFOV(
-        camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
-    )
-    width, height, pixels, _, _ = client.getCameraImage(
-        camera.width,
-        camera.height,
-        view,
-        projection,
-        shadow=1,
-        lightDirection=(0.5, -1.0, 2.0),
-        renderer=client.ER_TINY_RENDERER,
-        flags=client.ER_NO_SEGMENTATION_MASK,
-    )
-    rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
-    rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
-    return rgb
-
-
 def render_wrist_camera(
-    client: BulletClient, panda: PandaBody, labels: Mapping[int, SegmentationLabel], color: bool
+    client: BulletClient, workcell: Workcell, objects: Sequence[ObjectBody], hand: HandBody | None, color: bool
 ) -> CameraImage:
     """Render an image of the wrist camera in the current state of a physics client.
 
     Args:
         client: Physics client.
-        panda: Panda with the wrist camera.
-        labels: Segmentation labels by PyBullet body number; other bodies are background.
+        workcell: Table, and Panda with the wrist camera.
+        objects: Objects, the target first.
+        hand: Human hand, if there is one.
         color: Whether to render colours.
     """
+    panda = workcell.panda
+    labels = {
+        workcell.table_id: SegmentationLabel.TABLE,
+        panda.id: SegmentationLabel.ROBOT,
+        **{body.id: SegmentationLabel.OTHER_OBJECT for body in objects[1:]},
+        objects[0].id: SegmentationLabel.TARGET,
+        **({} if hand is None else {hand.id: SegmentationLabel.HAND}),
+    }
     # The camera's housing is nearer than the near plane; hiding it saves most of the rendering time.
     with panda.hide_camera_link():
         width, height, pixels, buffer, numbers = client.getCameraImage(
@@ -79,17 +66,6 @@ def render_wrist_camera(
         segmentation=_label_pixels(np.asarray(numbers).reshape(shape), labels),
         rgb=None if rgba is None else rgba[..., :3].copy(),
     )
-
-
-def label_bodies(table: int, panda: int, objects: Sequence[int], hand: int | None) -> dict[int, SegmentationLabel]:
-    """Return the segmentation labels of bodies by body number; the first object is the target."""
-    labels = {
-        table: SegmentationLabel.TABLE,
-        panda: SegmentationLabel.ROBOT,
-        **dict.fromkeys(objects, SegmentationLabel.OTHER_OBJECT),
-    }
-    labels[objects[0]] = SegmentationLabel.TARGET
-    return labels if hand is None else {**labels, hand: SegmentationLabel.HAND}
 
 
 def _label_pixels(numbers: npt.NDArray[np.int32], labels: Mapping[int, SegmentationLabel]) -> npt.NDArray[np.uint8]:
@@ -131,9 +107,8 @@ class SceneRenderer:
         self.scene = scene
         self._client, self._config = client or connect(), config
         self._workcell = load_workcell(self._client, scene.assets, config)
-        start = InitialState([0.0] * 6)
         self._objects = [
-            ObjectBody(self._client, urdf, mask, start, config.objects)
+            ObjectBody(self._client, urdf, mask, config.objects, [0.0] * OBJECT_DOF)
             for urdf, mask in zip(scene.assets.objects, compute_object_masks(scene.info.object_ids), strict=True)
         ]
         self._hand: HandBody | None = None
@@ -141,15 +116,28 @@ class SceneRenderer:
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
         """Render an RGB image (height, width, 3) of the scene at given joint positions."""
         self.set_joints(snapshot)
-        return render_overview(self._client, camera)
+        view = self._client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
+        projection = self._client.computeProjectionMatrixFOV(
+            camera.vertical_fov, camera.width / camera.height, camera.near, camera.far
+        )
+        width, height, pixels, _, _ = self._client.getCameraImage(
+            camera.width,
+            camera.height,
+            view,
+            projection,
+            shadow=1,
+            lightDirection=(0.5, -1.0, 2.0),
+            renderer=self._client.ER_TINY_RENDERER,
+            flags=self._client.ER_NO_SEGMENTATION_MASK,
+        )
+        rgba = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)
+        rgb: npt.NDArray[np.uint8] = rgba[..., :3].copy()
+        return rgb
 
     def render_wrist_camera(self, snapshot: JointSnapshot, color: bool) -> CameraImage:
         """Render an image of the wrist camera at given joint positions of all bodies."""
         self.set_joints(snapshot)
-        objects = [body.id for body in self._objects]
-        hand = None if self._hand is None else self._hand.id
-        labels = label_bodies(self._workcell.table_id, self._workcell.panda.id, objects, hand)
-        return render_wrist_camera(self._client, self._workcell.panda, labels, color)
+        return render_wrist_camera(self._client, self._workcell, self._objects, self._hand, color)
 
     def set_joints(self, snapshot: JointSnapshot) -> None:
         """Set the joint positions of all bodies."""

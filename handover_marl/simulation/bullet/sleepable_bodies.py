@@ -5,7 +5,6 @@ motion; row -1 is the state before its first step.
 """
 
 import functools
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ import numpy.typing as npt
 
 from handover_marl.config import TIME_STEP, HandConfig, ObjectConfig
 from handover_marl.errors import SimulationError
-from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree, read_tree
+from handover_marl.geometry.kinematic_tree import BoundingSphere, read_tree
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, compose, inverse_transform_points
-from handover_marl.simulation.bullet.bodies import HAND_MASK, InitialState, ObjectBody
+from handover_marl.simulation.bullet.bodies import HAND_MASK, ObjectBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf, pybullet_error
 from handover_marl.simulation.reference_tracking import (
     BASE_JOINTS,
@@ -100,8 +99,8 @@ class SleepableObject(BodyTrajectory):
         """Add the object to the simulation before step `row` of the reference motion."""
         if self.body is None:
             joints, before = self.get_joints(row - 1), self.get_joints(row - 2)
-            start = InitialState(joints.tolist(), ((joints - before) / TIME_STEP).tolist())
-            self.body = ObjectBody(self._client, self._urdf, self._mask, start, self._config)
+            velocities = ((joints - before) / TIME_STEP).tolist()
+            self.body = ObjectBody(self._client, self._urdf, self._mask, self._config, joints.tolist(), velocities)
 
     def read_joints(self, row: int) -> npt.NDArray[np.float32]:
         """Return the object's joints (6,) after step `row` of the reference, float32 (m, rad)."""
@@ -116,35 +115,6 @@ class SleepableObject(BodyTrajectory):
         poses = self._tree.compute_link_poses(self.get_joints(row)[None], [len(self._tree.joints) - 1])
         pose: npt.NDArray[np.float32] = poses[0, 0].astype(np.float32)
         return pose
-
-
-@dataclass(frozen=True, eq=False)
-class HandCollisionModel:
-    """Kinematic tree and collision shapes of a human hand, loaded into one PyBullet client.
-
-    Attributes:
-        tree: Kinematic tree of the model.
-        shapes: Collision shapes of the model.
-        shape_ids: PyBullet numbers of the collision shapes in the physics client.
-        reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
-    """
-
-    tree: KinematicTree
-    shapes: tuple[UrdfShape, ...]
-    shape_ids: tuple[int, ...]
-    reach: float
-
-
-def load_hand_collision_model(client: BulletClient, urdf: Path) -> HandCollisionModel:
-    """Load the collision shapes of a human hand's model into a physics client.
-
-    Raises:
-        SimulationError: The model or one of its shapes cannot be loaded.
-    """
-    tree = read_tree(urdf)
-    shapes = tuple(read_urdf_shapes(urdf, tree, "collision"))
-    ids = tuple(create_collision_shape(client, shape) for shape in shapes)
-    return HandCollisionModel(tree, shapes, ids, tree.compute_reach(BASE_JOINTS - 1, read_bounding_spheres(urdf)))
 
 
 def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
@@ -170,38 +140,42 @@ def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
 
 
 class KinematicHand(BodyTrajectory):
-    """Kinematic human hand of one scene.
+    """Kinematic human hand, whose collision shapes are loaded once for many scenes.
 
     An awake hand has one static body in the PyBullet simulation for each collision shape.
 
     Args:
         client: Physics client.
-        model: Model with its collision shapes.
+        urdf: Model file.
         config: Motors of the simulated hand, which the kinematic hand reproduces.
-        start: Initial positions (51,) of the joints (m, rad); None for a hand that is absent at first.
 
     Attributes:
         bodies: PyBullet body numbers; empty while the hand sleeps or is absent.
         is_awake: Whether the hand is in the PyBullet simulation while it is present in the scene.
         reach: Largest distance (m) of any point of the hand from the origin of its wrist joints.
+
+    Raises:
+        SimulationError: The model or one of its shapes cannot be loaded.
     """
 
-    def __init__(
-        self,
-        client: BulletClient,
-        model: HandCollisionModel,
-        config: HandConfig,
-        start: npt.NDArray[np.float32] | None,
-    ) -> None:
-        super().__init__(list_hand_motors(config), start)
+    def __init__(self, client: BulletClient, urdf: Path, config: HandConfig) -> None:
+        self._client, self._tree = client, read_tree(urdf)
+        self.reach = self._tree.compute_reach(BASE_JOINTS - 1, read_bounding_spheres(urdf))
+        self._shapes = read_urdf_shapes(urdf, self._tree, "collision")
+        self._shape_ids = [create_collision_shape(client, shape) for shape in self._shapes]
         self.bodies: list[int] = []
-        self.is_awake, self.reach = False, model.reach
-        self._client, self._model = client, model
         self._bodies_at: npt.NDArray[np.float64] | None = None
         # Trajectory for which the poses (n + 2, k, 7) of the k collision shapes were computed.
         self._shape_poses: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]] | None = None
         # Observations often read a hand at rest: the joints and keypoints of the last call.
         self._cached_keypoints: tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]] | None = None
+        super().__init__(list_hand_motors(config), None)
+
+    def reset(self, start: npt.NDArray[np.float32] | None) -> None:
+        """Set the hand to its start (51,) in a scene, asleep; None for a hand that is absent at first."""
+        super().reset(start)
+        self.remove()
+        self.is_awake = False
 
     def wake(self, row: int) -> None:
         """Add the hand to the simulation from step `row` of the reference motion on."""
@@ -219,9 +193,8 @@ class KinematicHand(BodyTrajectory):
             return
         self._bodies_at = joints
         if self._shape_poses is None or self._shape_poses[0] is not self.joints:
-            shapes = self._model.shapes
-            links = self._model.tree.compute_link_poses(self.joints, [shape.link for shape in shapes])
-            poses = [compose(links[:, number], shape.link_from_shape) for number, shape in enumerate(shapes)]
+            links = self._tree.compute_link_poses(self.joints, [shape.link for shape in self._shapes])
+            poses = [compose(links[:, number], shape.link_from_shape) for number, shape in enumerate(self._shapes)]
             self._shape_poses = self.joints, np.stack(poses, axis=1)
         coming = self._shape_poses[1][row + 2].tolist()
         if not self.bodies:
@@ -243,14 +216,14 @@ class KinematicHand(BodyTrajectory):
         """
         joints = self.get_joints(row)
         if self._cached_keypoints is None or not np.array_equal(joints, self._cached_keypoints[0]):
-            origins, _ = self._model.tree.compute_link_frames(joints[None])
-            links = select_keypoint_links(self._model.tree.moving_links)
+            origins, _ = self._tree.compute_link_frames(joints[None])
+            links = select_keypoint_links(self._tree.moving_links)
             self._cached_keypoints = joints, origins[0, links].astype(np.float32)
         keypoints: npt.NDArray[np.float32] = self._cached_keypoints[1].copy()
         return keypoints
 
     def _create_bodies(self, poses: list[list[float]]) -> None:
-        for shape_id, pose in zip(self._model.shape_ids, poses, strict=True):
+        for shape_id, pose in zip(self._shape_ids, poses, strict=True):
             body = self._client.createMultiBody(
                 baseMass=0.0,
                 baseCollisionShapeIndex=shape_id,

@@ -149,27 +149,23 @@ class BulletWorld(World):
         panda = self._loaded_workcell.panda
         touching = [point for point in self._client.getContactPoints(panda.id) if point[CONTACT_NORMAL_FORCE] > 0.0]
         hand_forces = [point[CONTACT_NORMAL_FORCE] for point in touching if point[CONTACT_BODY_B] in hand]
-        robot_touches_hand, robot_hand_force = bool(hand_forces), sum(hand_forces)
-        robot_touches_others = any(point[CONTACT_BODY_B] in others for point in touching)
+        contacts = Contacts(
+            robot_touches_hand=bool(hand_forces),
+            robot_hand_force=sum(hand_forces),
+            robot_touches_others=any(point[CONTACT_BODY_B] in others for point in touching),
+        )
         points = [] if target is None else [point for point in touching if point[CONTACT_BODY_B] == target.id]
         if target is None or not (points or released):
-            return Contacts(
-                robot_touches_hand=robot_touches_hand,
-                robot_hand_force=robot_hand_force,
-                robot_touches_others=robot_touches_others,
-            )
+            return contacts
         gripper_pose, *finger_poses = panda.read_link_poses([panda.hand_link, *panda.finger_links])
         x, y, z = gripper_pose[:3].tolist()
-        return Contacts(
-            robot_touches_hand=robot_touches_hand,
+        return contacts._replace(
             robot_touches_object=bool(points),
             finger_points=_select_finger_points(panda.finger_links, np.array(finger_poses), points),
             object_supported=released and self._is_supported(target, {self._loaded_workcell.table_id, *others}),
             object_height=float(target.read_pose()[2]),
             gripper_position=(x, y, z),
             robot_object_force=sum(point[CONTACT_NORMAL_FORCE] for point in points),
-            robot_hand_force=robot_hand_force,
-            robot_touches_others=robot_touches_others,
         )
 
     def _is_supported(self, target: ObjectBody, supports: Collection[int]) -> bool:

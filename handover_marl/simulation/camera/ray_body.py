@@ -1,7 +1,6 @@
 """Visual meshes of URDF models for ray casting; needs embreex (extra `vision`)."""
 
 import functools
-from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,11 +110,9 @@ class RayBody:
         urdf: Model file.
         label: Segmentation label of the body's pixels.
         base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
-        without: Names of links to leave out.
 
     Attributes:
         label: Segmentation label of the body's pixels.
-        names: Names of all links in the order of link numbers.
         meshes: Meshes of the n links that have visual shapes.
         lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
         highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).
@@ -124,19 +121,12 @@ class RayBody:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
 
-    def __init__(
-        self,
-        urdf: Path,
-        label: SegmentationLabel,
-        base: npt.ArrayLike = _ORIGIN,
-        without: Collection[str] = (),
-    ) -> None:
-        self._urdf, self._tree, self._without = urdf, read_tree(urdf), without
-        self.label = label
-        self.names = [joint.link for joint in self._tree.joints]
+    def __init__(self, urdf: Path, label: SegmentationLabel, base: npt.ArrayLike) -> None:
+        self._urdf, self._tree, self.label = urdf, read_tree(urdf), label
+        self._without = INVISIBLE_LINKS if label is SegmentationLabel.ROBOT else ()
         pose = np.asarray(base, dtype=np.float64)
         self._base_rotation, self._base_origin = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
-        visual_meshes = read_visual_meshes(urdf, self._tree, without)
+        visual_meshes = read_visual_meshes(urdf, self._tree, self._without)
         self._links = [mesh.link for mesh in visual_meshes]
         self.meshes = [RayMesh(mesh.vertices, mesh.faces) for mesh in visual_meshes]
         self.lowest = np.array([mesh.vertices.min(axis=0) for mesh in self.meshes]).reshape(-1, 3)
@@ -150,21 +140,11 @@ class RayBody:
 
     def pose_meshes(self, joints: Array) -> PosedMeshes:
         """Return the body's meshes posed at joint positions (d,) (m, rad)."""
-        rotations, origins = self._compute_frames(joints)
+        rotations, origins = self.compute_link_frames(joints)
         return PosedMeshes(self, rotations[self._links], origins[self._links])
 
-    def compute_link_frame(self, link: int, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return the rotation matrix (3, 3) and origin (3,) of a link in the world frame.
-
-        Args:
-            link: Link number; -1 is the base link.
-            joints: (d,) joint positions of the model (m, rad).
-        """
-        rotations, origins = self._compute_frames(joints)
-        return rotations[link], origins[link]
-
-    def _compute_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links and the base."""
+    def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
+        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links and the base at joints (d,)."""
         # Table, resting objects and hand often have the same joints in two successive images.
         if self._last_frames is None or not np.array_equal(joints, self._last_frames[0]):
             origins, rotations = self._tree.compute_link_frames(joints[None])
@@ -195,4 +175,4 @@ def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] 
 
 @functools.lru_cache(maxsize=64)
 def _load_ray_body(urdf: Path, changed: tuple[int, ...], label: SegmentationLabel, base: tuple[float, ...]) -> RayBody:
-    return RayBody(urdf, label, base, INVISIBLE_LINKS if label is SegmentationLabel.ROBOT else ())
+    return RayBody(urdf, label, base)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.framebuffer import Framebuffer
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
@@ -32,7 +33,7 @@ class RayCamera:
     def __init__(self, assets: SceneAssets, config: PhysicsConfig) -> None:
         base = (*config.panda.base_position, *config.panda.base_orientation)
         self._panda = load_ray_body(assets.panda, SegmentationLabel.ROBOT, base)
-        self._hand_link = self._panda.names.index(HAND_LINK)
+        self._hand_link = read_tree(assets.panda).get_link(HAND_LINK)
         table = (*config.table_position, 0.0, 0.0, 0.0, 1.0)
         self._table = load_ray_body(assets.table, SegmentationLabel.TABLE, table)
         self._target = load_ray_body(assets.objects[0], SegmentationLabel.TARGET)
@@ -70,7 +71,8 @@ class RayCamera:
         return buffer.to_image()
 
     def _compute_camera_frame(self, snapshot: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        rotation, origin = self._panda.compute_link_frame(self._hand_link, snapshot.robot)
+        rotations, origins = self._panda.compute_link_frames(snapshot.robot)
+        rotation, origin = rotations[self._hand_link], origins[self._hand_link]
         return rotation @ np.array(HAND_FROM_CAMERA), origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
 
     def _pose_targets(self, snapshot: JointSnapshot) -> list[PosedMeshes]:

@@ -92,9 +92,21 @@ class MeshBank:
             SimulationError, DataFormatError: The model or one of its meshes cannot be read.
         """
         key = (urdf, read_model_mtimes(urdf), base, without)
-        if key not in self._models:
-            self._models[key] = self._add_model(urdf, base, without)
-        return self._models[key]
+        if key in self._models:
+            return self._models[key]
+        tree, found = read_tree(urdf), list[DeviceMesh]()
+        origins, rotations = (frames[0] for frames in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
+        world_from_base = Rotation.from_quat(base[3:])
+        for mesh in read_visual_meshes(urdf, tree, without):
+            vertices, link = mesh.vertices.astype(np.float64), mesh.link
+            if tree.n_dof == 0 and link != WORLD:
+                vertices, link = vertices @ rotations[link].T + origins[link], WORLD
+            if link == WORLD:
+                vertices = world_from_base.apply(vertices) + base[:3]
+            found.append(DeviceMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
+        self._uncolored.append((urdf, without))
+        self._models[key] = found
+        return found
 
     def read_colors(self) -> None:
         """Copy the colours of all meshes to the device, unless they are there.
@@ -109,20 +121,6 @@ class MeshBank:
                 first = self.texels.extend(surface.texels)
                 self.textures.extend(surface.textures + np.array([first, 0, 0], dtype=np.int32))
             del self._uncolored[0]
-
-    def _add_model(self, urdf: Path, base: tuple[float, ...], without: tuple[str, ...]) -> list[DeviceMesh]:
-        tree, found = read_tree(urdf), []
-        origins, rotations = (frames[0] for frames in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
-        world_from_base = Rotation.from_quat(base[3:])
-        for mesh in read_visual_meshes(urdf, tree, without):
-            vertices, link = mesh.vertices.astype(np.float64), mesh.link
-            if tree.n_dof == 0 and link != WORLD:
-                vertices, link = vertices @ rotations[link].T + origins[link], WORLD
-            if link == WORLD:
-                vertices = world_from_base.apply(vertices) + base[:3]
-            found.append(DeviceMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
-        self._uncolored.append((urdf, without))
-        return found
 
     def _add_mesh(self, vertices: npt.NDArray[np.float32], mesh: VisualMesh) -> int:
         own = warp.Mesh(warp.array(vertices, dtype=warp.vec3), warp.array(mesh.faces.ravel(), dtype=warp.int32))

@@ -7,8 +7,6 @@ and of many worlds are therefore read in the same way.
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,6 +14,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
@@ -37,27 +36,18 @@ _AXES = (mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS,
 
 
 def add_contact_sensors(
-    spec: "mujoco.MjSpec",
-    robot: str,
-    gripper: str,
-    fingers: Sequence[str],
-    target: str,
-    hand: Sequence[str],
-    others: Sequence[str],
-    supports: Sequence[str],
+    spec: "mujoco.MjSpec", robot: str, table: str, objects: Sequence[str], hand: Sequence[str]
 ) -> None:
     """Add sensors to a MuJoCo model for the contacts and poses that the task's rules need.
 
     Args:
         spec: Model to extend.
         robot: Name of the robot's base body.
-        gripper: Name of the body of the robot's hand link.
-        fingers: Names of the bodies of the left and the right finger.
-        target: Name of the target object's body.
+        table: Name of the table's body.
+        objects: Names of the objects' bodies, the target first.
         hand: Names of the human hand's bodies, which collide with the robot only.
-        others: Names of the bodies of the objects besides the target.
-        supports: Names of further bodies that the target can lie on.
     """
+    target, *others = objects
 
     def add(name: str, first: tuple[int, str], second: str | None, fields: int, slots: int) -> None:
         sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT)
@@ -67,14 +57,14 @@ def add_contact_sensors(
         sensor.intprm[:3] = [fields, _STRONGEST, slots]
 
     body, subtree = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY
-    for side, finger in zip(("left", "right"), fingers, strict=True):
+    for side, finger in zip(("left", "right"), FINGER_LINKS, strict=True):
         add(f"touch/{side}", (body, finger), target, _POINT, _FINGER_SLOTS)
     add("touch/robot", (subtree, robot), target, _FORCE, _ROBOT_SLOTS)
     for number, name in enumerate(hand):
         add(f"touch/hand{number}", (body, name), None, _FORCE, _HAND_SLOTS)
     for number, name in enumerate(others):
         add(f"touch/other{number}", (subtree, robot), name, _FORCE, 1)
-    for number, name in enumerate((*supports, *others)):
+    for number, name in enumerate((table, *others)):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
 
     def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
@@ -82,36 +72,17 @@ def add_contact_sensors(
             sensor = spec.add_sensor(name=f"frame/{name}/{int(kind)}", type=kind)
             sensor.objtype, sensor.objname = subtree, of
 
-    add_frame("gripper", gripper, ())
-    for side, finger in zip(("left", "right"), fingers, strict=True):
+    add_frame("gripper", HAND_LINK, ())
+    for side, finger in zip(("left", "right"), FINGER_LINKS, strict=True):
         add_frame(side, finger, _AXES)
 
 
-class ContactReadings(NamedTuple):
-    """Contacts of robot, hand and object without contact points, in any batch (...) of worlds.
-
-    Attributes:
-        robot_touches_hand: Whether the robot touches the hand, (...).
-        robot_object_force: Sum of the normal forces between robot and target object (N), (...).
-        robot_touches_others: Whether the robot touches an object besides the target, (...).
-        object_supported: Whether the target object touches the table or another object, (...).
-    """
-
-    robot_touches_hand: AnyArray
-    robot_object_force: AnyArray
-    robot_touches_others: AnyArray
-    object_supported: AnyArray
-
-
 class ContactSensors:
-    """Layout of a model's contact sensors in its sensor data.
+    """Layout of a model's contact sensors in its sensor data, and computation of contacts from these data.
 
     Args:
         model: Model with contact sensors.
         margin: Distance of each hull's surface from its vertices (m).
-        height_index: Index in `qpos` of the target object's world z.
-
-    Attributes:
         height_index: Index in `qpos` of the target object's world z.
     """
 
@@ -134,8 +105,7 @@ class ContactSensors:
         )
         self._gripper = list_columns("frame/gripper")
         self._frames = np.stack([list_columns("frame/left"), list_columns("frame/right")])
-        self._margin = margin
-        self.height_index = height_index
+        self._margin, self._height_index = margin, height_index
 
     def move_to(self, arrays: ArrayFactory) -> "ContactSensors":
         """Return this layout for sensor data in the namespace and on the device of a factory."""
@@ -145,15 +115,80 @@ class ContactSensors:
                 setattr(moved, name, arrays.asarray(value))
         return moved
 
-    def read_contacts(self, data: AnyArray) -> ContactReadings:
-        """Return the contacts of robot, hand and object from sensor data (..., n)."""
-        xp = get_namespace(data)
-        return ContactReadings(
-            robot_touches_hand=xp.max(data[..., self._hand], axis=-1) > 0.0,
-            robot_object_force=self._sum_robot_forces(data),
-            robot_touches_others=xp.any(data[..., self._others] > 0.0, axis=-1),
-            object_supported=xp.max(data[..., self._supports], axis=-1) > 0.0,
+    def compute_contacts(self, data: Array, qpos: Array, released: bool) -> Contacts:
+        """Return the contacts of one world in one physics step.
+
+        Args:
+            data: Sensor data (s,).
+            qpos: Joint positions (q,) after the step.
+            released: Whether the human has released the object.
+        """
+        force, hand_forces = float(self._sum_robot_forces(data)), data[self._hand]
+        touches_hand = bool(hand_forces.max() > 0.0)
+        left, right = NO_POINTS, NO_POINTS
+        if force > 0.0:
+            points, pressed = self.compute_finger_points(data), data[self._forces] > 0.0
+            left, right = (own[is_pressed] for own, is_pressed in zip(points, pressed, strict=True))
+        x, y, z = data[self._gripper].tolist()
+        return Contacts(
+            robot_touches_hand=touches_hand,
+            robot_touches_object=force > 0.0,
+            finger_points=(left, right),
+            object_supported=released and bool(data[self._supports].max() > 0.0),
+            object_height=float(qpos[self._height_index]),
+            gripper_position=(x, y, z),
+            robot_object_force=force,
+            robot_hand_force=float(hand_forces.sum()) if touches_hand else 0.0,
+            robot_touches_others=bool((data[self._others] > 0.0).any()),
         )
+
+    def compute_contact_batch(self, data: AnyArray, qpos: AnyArray, rules: ProtocolConfig) -> ContactBatch:
+        """Return the contacts of n worlds in k physics steps.
+
+        Args:
+            data: Sensor data (k, n, s).
+            qpos: Joint positions (k, n, q) after the steps.
+            rules: Bounds of the grasp region of the fingers.
+        """
+        xp, touching = get_namespace(data), self._sum_robot_forces(data) > 0.0
+        fingers, inside = (xp.zeros_like(data[..., :2], dtype=xp.bool) for _ in range(2))
+        # In arrays, points are computed in the few steps with contact only.
+        steps = ... if is_tensor(data) else touching
+        if steps is ... or touching.any():
+            near = data[steps]
+            pressed = near[..., self._forces] > 0.0
+            fingers[steps] = xp.any(pressed, axis=-1) & touching[steps][..., None]
+            in_region = find_points_in_grasp_region(self.compute_finger_points(near), rules)
+            inside[steps] = xp.any(pressed & in_region, axis=-1) & touching[steps][..., None]
+        return ContactBatch(
+            robot_touches_hand=xp.max(data[..., self._hand], axis=-1) > 0.0,
+            robot_touches_object=touching,
+            fingers_touch=fingers,
+            in_grasp_region=inside,
+            object_supported=xp.max(data[..., self._supports], axis=-1) > 0.0,
+            object_height=qpos[..., self._height_index],
+            gripper_position=data[..., self._gripper],
+        )
+
+    def compute_finger_points(self, data: AnyArray) -> AnyArray:
+        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger with the object, float32.
+
+        Points are in the frame of the finger (m); those without a force are invalid.
+        """
+        frames = data[..., self._frames]
+        origins, columns = frames[..., :3], frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
+        # MuJoCo places a contact in the middle between both surfaces.
+        outwards = self._margin - 0.5 * data[..., self._distances]
+        points = data[..., self._positions] + data[..., self._normals] * outwards[..., None]
+        offsets, axes = points - origins[..., None, :], columns.swapaxes(-1, -2)[..., None, :, :]
+        # Written out, so that rounding does not depend on the number of worlds.
+        local = (
+            offsets[..., 0, None] * axes[..., 0, :]
+            + offsets[..., 1, None] * axes[..., 1, :]
+            + offsets[..., 2, None] * axes[..., 2, :]
+        )
+        xp = get_namespace(data)
+        return xp.astype(local, xp.float32)
 
     def _sum_robot_forces(self, data: AnyArray) -> AnyArray:
         """Return the sums (...) of the normal forces between robot and target object (N)."""
@@ -165,119 +200,3 @@ class ContactSensors:
                 # Summed one by one, so that rounding does not depend on the number of worlds.
                 force = force + data[..., slot]
         return force
-
-    def read_hand_force(self, data: Array) -> float:
-        """Return the sum of the normal forces between robot and human hand (N) from sensor data (n,)."""
-        return float(data[self._hand].sum())
-
-    def read_finger_forces(self, data: AnyArray) -> AnyArray:
-        """Return the normal forces (..., 2, 8) on the object in 8 contacts of each finger (N).
-
-        The force is 0 if there are fewer contacts.
-        """
-        return data[..., self._forces]
-
-    def read_gripper_position(self, data: AnyArray) -> AnyArray:
-        """Return the world position (..., 3) of the robot's hand link from sensor data (m)."""
-        return data[..., self._gripper]
-
-    def read_finger_frames(self, data: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Return world origins (..., 2, 3) in m and rotation matrices (..., 2, 3, 3) of the fingers."""
-        frames = data[..., self._frames]
-        axes = frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
-        return frames[..., :3], axes.swapaxes(-1, -2)
-
-    def compute_finger_points(self, data: AnyArray, origins: AnyArray, rotations: AnyArray) -> AnyArray:
-        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger in that finger's frame (m).
-
-        Points without a force are invalid.
-
-        Args:
-            data: Sensor data (..., n).
-            origins: Origins (..., 2, 3) of the fingers' frames when the contacts were read (m).
-            rotations: Rotation matrices (..., 2, 3, 3) of the fingers' frames.
-        """
-        # MuJoCo places a contact in the middle between both surfaces.
-        outwards = self._margin - 0.5 * data[..., self._distances]
-        points = data[..., self._positions] + data[..., self._normals] * outwards[..., None]
-        offsets, axes = points - origins[..., None, :], rotations[..., None, :, :]
-        # Written out, so that rounding does not depend on the number of worlds.
-        return (
-            offsets[..., 0, None] * axes[..., 0, :]
-            + offsets[..., 1, None] * axes[..., 1, :]
-            + offsets[..., 2, None] * axes[..., 2, :]
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class SensorReadings:
-    """Contact-sensor data and joint positions of one world, or of n worlds and k steps.
-
-    Attributes:
-        sensors: Layout of the sensor data.
-        data: Sensor data (s,) or (k, n, s).
-        qpos: Joint positions (q,) or (k, n, q) after the step.
-    """
-
-    sensors: ContactSensors
-    data: AnyArray
-    qpos: AnyArray
-
-    def compute_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of one world in one physics step.
-
-        Args:
-            released: Whether the human has released the object.
-        """
-        sensors, data = self.sensors, self.data
-        readings = sensors.read_contacts(data)
-        force = float(readings.robot_object_force)
-        left, right = NO_POINTS, NO_POINTS
-        if force > 0.0:
-            forces = sensors.read_finger_forces(data)
-            points = self._compute_finger_points(data)
-            left, right = (own[pressed > 0.0] for own, pressed in zip(points, forces, strict=True))
-        x, y, z = sensors.read_gripper_position(data).tolist()
-        return Contacts(
-            robot_touches_hand=bool(readings.robot_touches_hand),
-            robot_touches_object=force > 0.0,
-            finger_points=(left, right),
-            object_supported=released and bool(readings.object_supported),
-            object_height=float(self.qpos[sensors.height_index]),
-            gripper_position=(x, y, z),
-            robot_object_force=force,
-            robot_hand_force=sensors.read_hand_force(data) if readings.robot_touches_hand else 0.0,
-            robot_touches_others=bool(readings.robot_touches_others),
-        )
-
-    def compute_contact_batch(self, config: ProtocolConfig) -> ContactBatch:
-        """Return the contacts of n worlds in k physics steps.
-
-        Args:
-            config: Bounds of the grasp region of the fingers.
-        """
-        sensors, data = self.sensors, self.data
-        xp, readings = get_namespace(data), sensors.read_contacts(data)
-        touching = readings.robot_object_force > 0.0
-        fingers, inside = (xp.zeros_like(data[..., :2], dtype=xp.bool) for _ in range(2))
-        # In arrays, points are computed in the few steps with contact only.
-        steps = ... if is_tensor(data) else touching
-        if steps is ... or touching.any():
-            near = data[steps]
-            pressed = sensors.read_finger_forces(near) > 0.0
-            fingers[steps] = xp.any(pressed, axis=-1) & touching[steps][..., None]
-            in_region = find_points_in_grasp_region(self._compute_finger_points(near), config)
-            inside[steps] = xp.any(pressed & in_region, axis=-1) & touching[steps][..., None]
-        return ContactBatch(
-            robot_touches_hand=readings.robot_touches_hand,
-            robot_touches_object=touching,
-            fingers_touch=fingers,
-            in_grasp_region=inside,
-            object_supported=readings.object_supported,
-            object_height=self.qpos[..., sensors.height_index],
-            gripper_position=sensors.read_gripper_position(data),
-        )
-
-    def _compute_finger_points(self, data: AnyArray) -> AnyArray:
-        xp, frames = get_namespace(data), self.sensors.read_finger_frames(data)
-        return xp.astype(self.sensors.compute_finger_points(data, *frames), xp.float32)

@@ -1,6 +1,5 @@
 """Distances of robot and human hand in MuJoCo."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -41,13 +40,12 @@ class MujocoDistanceQuery(DistanceQuery):
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
         """Measure the smallest distance between robot and hand (m); see `DistanceQuery.measure`."""
         if hand_urdf not in self._models:
-            self._models[hand_urdf] = _compile_pair(self._panda_urdf, hand_urdf)
+            self._models[hand_urdf] = _PairModel(self._panda_urdf, hand_urdf)
         pair = self._models[hand_urdf]
         robot_poses = _compute_link_poses(self._tree, robot, pair.robot_links, self._world_from_base)
         hand_poses = _compute_link_poses(read_tree(hand_urdf), hand, pair.hand_links, IDENTITY)
         poses = np.concatenate([robot_poses, hand_poses])
         pair.data.mocap_pos[:], pair.data.mocap_quat[:] = poses[:, :3], np.roll(poses[:, 3:], 1, axis=1)
-        mujoco.mj_kinematics(pair.model, pair.data)
         return pair.find_min_distance(max_distance)
 
     def close(self) -> None:
@@ -55,50 +53,41 @@ class MujocoDistanceQuery(DistanceQuery):
         self._models.clear()
 
 
-@dataclass(frozen=True, eq=False)
 class _PairModel:
-    """MuJoCo model of a Panda and a human hand whose links are mocap bodies.
+    """MuJoCo model of a Panda and a human hand whose links are mocap bodies; the Panda's come first.
 
     Attributes:
-        model: Compiled model; the Panda's bodies come first.
         data: MuJoCo data of the model.
         robot_links: Link number of each of the Panda's bodies; -1 is the base link.
         hand_links: Link number of each of the hand's bodies.
-        pairs: All pairs (n, 2) of a geom of the Panda and a geom of the hand.
-        margins: Sum (n,) of the margins that Bullet's hulls have in each pair (m).
     """
 
-    model: "mujoco.MjModel"
-    data: "mujoco.MjData"
-    robot_links: list[int]
-    hand_links: list[int]
-    pairs: npt.NDArray[np.int_]
-    margins: Array
+    def __init__(self, panda_urdf: Path, hand_urdf: Path) -> None:
+        spec = mujoco.MjSpec()
+        self.robot_links, self.hand_links = (_add_links(spec, urdf) for urdf in (panda_urdf, hand_urdf))
+        self._model = model = spec.compile()
+        self.data = mujoco.MjData(model)
+        # Geoms are in the order of their bodies; body 0 is the world.
+        robot = model.geom_bodyid <= len(self.robot_links)
+        self._pairs = np.array([(a, b) for a in np.flatnonzero(robot) for b in np.flatnonzero(~robot)])
+        # Margins that Bullet's hulls have in each pair (m).
+        margins = np.where(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH), HULL_MARGIN, 0.0)
+        self._margins = margins[self._pairs].sum(axis=1)
 
     def find_min_distance(self, max_distance: float) -> float:
         """Return the smallest distance of Panda and hand (m), at most `max_distance`."""
-        first, second = self.pairs.T
+        mujoco.mj_kinematics(self._model, self.data)
+        first, second = self._pairs.T
         between = np.linalg.norm(self.data.geom_xpos[first] - self.data.geom_xpos[second], axis=1)
-        bounds = between - self.model.geom_rbound[first] - self.model.geom_rbound[second] - self.margins
+        bounds = between - self._model.geom_rbound[first] - self._model.geom_rbound[second] - self._margins
         nearest = max_distance
         for number in np.argsort(bounds):
             if bounds[number] >= nearest:
                 break
-            margin, pair = float(self.margins[number]), self.pairs[number].tolist()
-            found = mujoco.mj_geomDistance(self.model, self.data, *pair, nearest + margin, None)
+            margin, pair = float(self._margins[number]), self._pairs[number].tolist()
+            found = mujoco.mj_geomDistance(self._model, self.data, *pair, nearest + margin, None)
             nearest = min(nearest, found - margin)
         return nearest
-
-
-def _compile_pair(panda_urdf: Path, hand_urdf: Path) -> _PairModel:
-    spec = mujoco.MjSpec()
-    robot_links, hand_links = (_add_links(spec, urdf) for urdf in (panda_urdf, hand_urdf))
-    model = spec.compile()
-    # Geoms are in the order of their bodies; body 0 is the world.
-    robot = model.geom_bodyid <= len(robot_links)
-    pairs = np.array([(a, b) for a in np.flatnonzero(robot) for b in np.flatnonzero(~robot)])
-    margins = np.where(model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH), HULL_MARGIN, 0.0)
-    return _PairModel(model, mujoco.MjData(model), robot_links, hand_links, pairs, margins[pairs].sum(axis=1))
 
 
 def _add_links(spec: "mujoco.MjSpec", urdf: Path) -> list[int]:

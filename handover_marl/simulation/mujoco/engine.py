@@ -60,8 +60,5 @@ def check_warnings(batch: Batch) -> None:
     if not counts.any():
         return
     found = [mujoco.mju_warningText(kind, details[kind]) for kind in np.flatnonzero(counts)]
-    seconds = float(batch.bind("time")[0])
     advice = "run this scene with physics='fast'" if is_pybullet_installed() else "leave this scene out"
-    raise SimulationError(
-        f"MuJoCo's simulation failed after {seconds:.3f} s: {' '.join(found)} To go on, {advice}, and report this."
-    )
+    raise SimulationError(f"MuJoCo's simulation failed: {' '.join(found)} To go on, {advice}, and report this.")

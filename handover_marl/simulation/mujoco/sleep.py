@@ -7,6 +7,7 @@ steps are divided into calls.
 """
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import OBJECT_DOF, TIME_STEP, PhysicsConfig
+from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig
 from handover_marl.simulation.mujoco.engine import check_warnings
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
@@ -80,9 +81,7 @@ class RobotOnlySimulation:
         position = np.array([joints], dtype=np.float64)
         return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
 
-    def simulate(
-        self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int, elapsed: int
-    ) -> RobotTrajectory:
+    def simulate(self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int) -> RobotTrajectory:
         """Simulate the robot from a row of its trajectory on, and return the new trajectory.
 
         Args:
@@ -90,7 +89,6 @@ class RobotOnlySimulation:
             row: Row of the previous motion to start from.
             target: Nine joint targets of the robot (rad, m).
             steps: Number of steps to simulate.
-            elapsed: Number of steps since the episode's start, for error messages.
 
         Raises:
             SimulationError: MuJoCo warned; the robot's state is invalid.
@@ -98,17 +96,17 @@ class RobotOnlySimulation:
         state = np.stack([trajectory.joints[row], trajectory.velocities[row], trajectory.warm_start[row], target])
         key = state.tobytes(), steps
         if key not in self._cache:
-            self._cache[key] = self._simulate(state, steps, elapsed)
+            self._cache[key] = self._simulate(state, steps)
             if len(self._cache) > _CACHE_SIZE:
                 self._cache.popitem(last=False)
         self._cache.move_to_end(key)
         return self._cache[key]
 
-    def _simulate(self, state: Array, steps: int, elapsed: int) -> RobotTrajectory:
+    def _simulate(self, state: Array, steps: int) -> RobotTrajectory:
         batch = self._batch
         for array, part in zip(self._state, state[:-1], strict=True):
             array[0] = part
-        batch.bind("time")[0], batch.warning[0] = TIME_STEP * elapsed, 0
+        batch.warning[0] = 0
         controls = np.repeat(state[None, -1:], steps, axis=1)
         rollout = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
         check_warnings(batch)
@@ -126,22 +124,27 @@ class SleepState:
     Args:
         scene: Model of the scene.
         robot: Simulation of the robot without hand and objects.
-        config: Motors of the objects, and initial joint positions of the robot.
+        motors: Motors of the objects.
         start: Reference motion of one row: the initial state of the objects.
+        robot_joints: Nine joint positions of the robot at the start (rad, m).
 
     Attributes:
         objects: Trajectories of the objects.
     """
 
     def __init__(
-        self, scene: SceneModel, robot: RobotOnlySimulation, config: PhysicsConfig, start: ReferenceMotion
+        self,
+        scene: SceneModel,
+        robot: RobotOnlySimulation,
+        motors: ObjectConfig,
+        start: ReferenceMotion,
+        robot_joints: Sequence[float],
     ) -> None:
-        self.objects = [BodyTrajectory(list_object_motors(config.objects), joints) for joints in start.objects[0]]
+        self.objects = [BodyTrajectory(list_object_motors(motors), joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
-        self._robot = robot.make_resting_trajectory(config.panda.start_joints)
-        # Row of the robot trajectory's first step, number of its steps without a body near it, and
-        # of steps before it.
-        self._first, self._free, self._elapsed = 0, 0, 0
+        self._robot = robot.make_resting_trajectory(robot_joints)
+        # Row of the robot trajectory's first step, and number of its steps without a body near it.
+        self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
         """Start to count rows from the next reference motion, which follows the current one.
@@ -164,10 +167,9 @@ class SleepState:
         Raises:
             SimulationError: MuJoCo warned; the robot's state is invalid.
         """
-        done = row - self._first
-        self._first, self._elapsed = row, self._elapsed + done
+        done, self._first = row - self._first, row
         centers = np.stack([body.predict_positions(row) for body in [hand, *self.objects]], axis=1)
-        self._robot = self._simulation.simulate(self._robot, done, target, len(centers), self._elapsed)
+        self._robot = self._simulation.simulate(self._robot, done, target, len(centers))
         radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
         near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)
         self._free = int(near.argmax()) if near.any() else len(near)
@@ -176,20 +178,14 @@ class SleepState:
         """Return the number of steps from `row` on before a body comes near the robot."""
         return self._free - (row - self._first)
 
-    def get_robot_state(self, row: int) -> tuple[Array, Array]:
-        """Return the robot's joint positions and velocities, (9,) each, after step `row`.
+    def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
+        """Write the state after step `row`, but for the velocities of the objects, to the arrays of a world."""
+        scene, done = self._scene, row + 1 - self._first
+        qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
+        qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()
 
-        Positions are in rad and m, velocities in rad/s and m/s. Row -1 is the state before
-        the first step of the reference motion.
-        """
-        done = row + 1 - self._first
-        return self._robot.joints[done], self._robot.velocities[done]
-
-    def compute_object_poses(self, row: int) -> Array:
-        """Return the poses (m, 7) of m objects after step `row`: xyz (m), quaternions wxyz.
-
-        Row -1 is the state before the first step.
-        """
+    def _compute_object_poses(self, row: int) -> Array:
+        """Return the poses (m, 7) of m objects after step `row`: xyz (m), quaternions wxyz."""
         joints = np.array([item.get_joints(row) for item in self.objects])
         return np.concatenate([joints[:, :_HALF], wxyz_from_euler(joints[:, _HALF:])], axis=1)
 
@@ -198,16 +194,9 @@ class SleepState:
 
         Linear velocities are in the world frame (m/s), angular ones in the object's (rad/s).
         """
-        now, before = self.compute_object_poses(row), self.compute_object_poses(row - 1)
+        now, before = self._compute_object_poses(row), self._compute_object_poses(row - 1)
         change = np.empty((len(self.objects), OBJECT_DOF))
         change[:, :_HALF] = now[:, :_HALF] - before[:, :_HALF]
         rotation, previous = (Rotation.from_quat(poses[:, _HALF:][:, XYZW]) for poses in (now, before))
         change[:, _HALF:] = (previous.inv() * rotation).as_rotvec()
         return change / TIME_STEP
-
-    def compute_time(self, row: int) -> float:
-        """Return the time since the episode's start after step `row` of the reference (s).
-
-        Row -1 is the state before the first step.
-        """
-        return TIME_STEP * (self._elapsed + row + 1 - self._first)

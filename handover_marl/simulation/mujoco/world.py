@@ -1,7 +1,6 @@
 """World simulated by MuJoCo, with the same bodies, motors and collision masks as in PyBullet."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -9,12 +8,20 @@ import numpy.typing as npt
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
-from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation
-from handover_marl.simulation.mujoco.control import WorldController, prepare_controls
+from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, HandKinematics, WorldData
+from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import bullet_xyzw_from_wxyz, chain_joints_from_poses
-from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation, SleepState
+from handover_marl.simulation.reference_tracking import (
+    BodyTrajectory,
+    ReferenceMotion,
+    list_hand_motors,
+    select_keypoint_links,
+    track_references,
+)
 from handover_marl.simulation.world import AgentJoints, World, WorldState
 
 Array = npt.NDArray[np.float64]
@@ -29,9 +36,11 @@ _ROLLOUT_STEPS = 100
 class MujocoWorld(World):
     """World simulated by MuJoCo, alone or in a batch with other worlds.
 
-    The robot is always simulated; objects are simulated once the robot is near them or near the
-    hand, or once they are released. The hand follows its reference kinematically, as in
-    `FastWorld` of PyBullet.
+    The hand follows its reference kinematically, as in `FastWorld` of PyBullet.
+
+    Until a body comes near the robot, or the target object is released, the world sleeps: the robot is simulated
+    alone, and objects follow their reference. The attributes are those of the current episode; row k is step k of the
+    current reference motion, and row -1 the state before its first step.
 
     Args:
         config: Constants of the world.
@@ -40,57 +49,83 @@ class MujocoWorld(World):
 
     Raises:
         OptionError: A window was requested.
+
+    Attributes:
+        robot: Simulation of the robot alone.
+        hand: Trajectory of the hand, valid once it has tracked the reference; see `track_worlds`.
+        hand_kinematics: Kinematics of the hand's bodies in the model.
+        sleep: Sleep state of the world; None once the world is awake.
+        reference: Current reference motion.
+        row: Last simulated row of the reference motion.
+        robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
+            first computation.
+        is_tracked: Whether hand and sleeping objects have followed the current reference.
+        controls: Computed controls (n, c) of n steps from `controls_row` on.
+        controls_row: Row of the reference motion at which `controls` starts.
+        hand_free_steps: Number of steps from `controls_row` on in which the hand cannot touch the robot.
     """
 
     has_rollouts = True
+
+    robot: RobotOnlySimulation
+    hand: BodyTrajectory
+    hand_kinematics: HandKinematics
+    reference: ReferenceMotion
 
     def __init__(self, config: PhysicsConfig, window: bool = False, simulation: BatchSimulation | None = None) -> None:
         if window:
             raise OptionError('physics="mujoco" opens no window; use render_mode="rgb_array", or physics="fast"')
         super().__init__(config)
         self._simulation = simulation or BatchSimulation()
-        self._controller: WorldController | None = None
-        # The angles of objects' chains continue from their last values.
-        self._object_joints = np.zeros((0, 6))
+        self._data: WorldData | None = None
+        self.sleep: SleepState | None = None
 
     @property
-    def controller(self) -> WorldController:
-        """Controller of the world in the current episode.
+    def data(self) -> WorldData:
+        """Model and state of the world.
 
         Raises:
             ResetNeededError: No scene has been loaded.
         """
-        if self._controller is None:
+        if self._data is None:
             raise ResetNeededError("the world has no scene; call reset() first")
-        return self._controller
+        return self._data
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start.
-
-        Args:
-            scene: Scene to load.
-            start: Reference motion of one row: joint positions of hand and objects at the start.
-            robot_joints: Nine joint positions of the robot at the start (rad, m).
-        """
-        model = load_scene_model(scene.assets, self._config)
-        data = self._simulation.load_scene(model)
-        config = replace(self._config, panda=replace(self._config.panda, start_joints=tuple(robot_joints)))
-        self._controller = WorldController(data, self._simulation, scene.assets.hand, config, start)
-        self._scene = scene
+        """Load a scene and set robot, objects and hand to its start; see `World.reset`."""
+        model, urdf, simulation = load_scene_model(scene.assets, self._config), scene.assets.hand, self._simulation
+        data = simulation.load_scene(model)
+        hand_motors, hand_joints = list_hand_motors(self._config.hand), start.hand[0] if start.hand_present[0] else None
+        self.robot, self.hand = simulation.get_robot(model.robot_only), BodyTrajectory(hand_motors, hand_joints)
+        self.sleep = SleepState(model, self.robot, self._config.objects, start, robot_joints)
+        self.reference, self.row, self.is_tracked = start, -1, True
+        self.robot_target: list[float] | None = None
+        self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
+        self.hand_kinematics = simulation.get_hand_kinematics(urdf, model.hand_links.tolist())
+        keypoints = select_keypoint_links(read_tree(urdf).moving_links)
+        self._keypoint_kinematics = simulation.get_hand_kinematics(urdf, keypoints)
+        data.mocap_pos[model.hand] = ABSENT
+        self._is_state_set, self._release_pending = False, False
+        # The angles of objects' chains continue from their last values.
         self._object_joints = start.objects[0].astype(np.float64)
+        self._data, self._scene = data, scene
 
     def set_reference(self, motion: ReferenceMotion) -> None:
         """Set the joint targets of hand and objects for the coming steps, one row per step."""
-        self.controller.set_reference(motion)
+        # Trajectories continue from the end of the last reference.
+        track_worlds([self])
+        self._set_state()
+        if self.sleep is not None:
+            self.sleep.advance_rows(self.row + 1)
+        self.row, self.reference, self.robot_target, self.is_tracked = -1, motion, None, False
 
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
-        controller = self.controller
-        prepare_controls([controller], [robot_target])
-        if controller.sleep is None:
-            touching = [controller.can_touch_hand(1)]
-            self._simulation.simulate([controller.data], touching, [controller.coming_controls[:1]])
-        controller.set_row(controller.row + 1)
+        data = self.data
+        prepare_controls([self], [robot_target])
+        if self.sleep is None:
+            self._simulation.simulate([data], [self._can_touch_hand(1)], [self._get_coming_controls(1)])
+        self._set_row(self.row + 1)
 
     @classmethod
     def rollout(
@@ -128,7 +163,7 @@ class MujocoWorld(World):
     @classmethod
     def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
         """Compute the controls of worlds for the coming steps; sleeping worlds may wake."""
-        prepare_controls([world.controller for world in worlds], robot_targets)
+        prepare_controls(worlds, robot_targets)
 
     @classmethod
     def simulate(
@@ -140,89 +175,120 @@ class MujocoWorld(World):
             The contacts, and a function `truncate(number, steps)` that sets the world with index `number` back to its
             state after `steps` of these steps (1 or more).
         """
-        controllers = [world.controller for world in worlds]
-        prepare_controls(controllers, robot_targets)
-        if controllers[0].sleep is not None:
-            return _skip_sleeping_steps(controllers, steps)
-        rollout = worlds[0]._simulation.simulate(
-            [controller.data for controller in controllers],
-            [controller.can_touch_hand(steps) for controller in controllers],
-            [controller.coming_controls[:steps] for controller in controllers],
-        )
-        for controller in controllers:
-            controller.row += steps
+        prepare_controls(worlds, robot_targets)
+        first = worlds[0]
+        if first.is_asleep:
+            rollout, contacts = None, ContactBatch.without_contacts(steps, len(worlds))
+        else:
+            rollout = first._simulation.simulate(
+                [world.data for world in worlds],
+                [world._can_touch_hand(steps) for world in worlds],
+                [world._get_coming_controls(steps) for world in worlds],
+            )
+            # The state starts with the time.
+            qpos = rollout.step_states[..., 1 : 1 + len(first.data.qpos)].swapaxes(0, 1)
+            sensors = first.data.scene.contact_sensors
+            contacts = sensors.compute_contact_batch(rollout.sensordata.swapaxes(0, 1), qpos, rules)
+        for world in worlds:
+            world._set_row(world.row + steps)
 
         def truncate(number: int, taken: int) -> None:
-            rollout.set_world(number, taken)
-            controllers[number].row += taken - steps
+            world = worlds[number]
+            if rollout is not None:
+                world.data.set_step(*(array[number, taken - 1] for array in rollout))
+            world._set_row(world.row + taken - steps)
 
-        return rollout.make_readings().compute_contact_batch(rules), truncate
+        return contacts, truncate
 
     @property
     def rollout_key(self) -> tuple[int, ...]:
         """Key that is equal for worlds that can be simulated together; sleeping and awake ones cannot."""
         if self.is_asleep:
             return ()  # Sleeping worlds of all sizes are advanced together.
-        model = self.controller.data.scene.model
+        model = self.data.scene.model
         return model.nq, model.nu, model.nmocap, model.nsensordata
 
     @property
     def is_asleep(self) -> bool:
         """Whether only the arm is simulated, because no body can touch the robot; `prepare` may end this."""
-        return self._controller is not None and self._controller.sleep is not None
+        return self.sleep is not None
 
     @property
     def remaining_steps(self) -> int:
         """Largest number of steps that can be simulated at once, valid for a sleeping world after `prepare`."""
-        return self.controller.remaining_steps
+        left = len(self.reference.objects) - (self.row + 1)
+        return left if self.sleep is None else min(left, self.sleep.count_free_steps(self.row + 1))
+
+    def update_sleep(self, target: list[float]) -> None:
+        """Simulate the robot of a sleeping world; wake the world for a release, or if a body comes near.
+
+        Args:
+            target: Nine joint targets of the coming steps (rad, m).
+        """
+        if self._release_pending:
+            self.wake()
+            self.data.release_object(self._config.gravity)
+            self._release_pending = False
+        if self.sleep is not None:
+            if self.robot_target != target:
+                self.robot_target = target
+                self.sleep.simulate_robot(self.row + 1, target, self.hand)
+            if not self.sleep.count_free_steps(self.row + 1):
+                self.wake()
+
+    def wake(self) -> None:
+        """Wake the world: robot and objects are simulated together from the coming step on."""
+        if self.sleep is not None:
+            self._set_state()
+            self.data.qvel[self.data.scene.object_qvel] = self.sleep.compute_object_velocities(self.row).ravel()
+            self.sleep, self.robot_target = None, None
 
     def release_target(self) -> None:
         """Release the target object from the human hand, from the next step on."""
-        self.controller.release_pending = True
+        self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of the last physics step; see `World.read_contacts`."""
         if self.is_asleep:
             return Contacts()
-        return self.controller.data.read_sensors().compute_contacts(released)
+        data = self.data
+        return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
         """Return the current state of robot, objects and human hand."""
-        self.controller.set_state()
-        controller, data, scene = self.controller, self.controller.data, self.controller.data.scene
-        hand = controller.get_hand_joints()
-        positions, quaternions = controller.robot.compute_body_poses(data.qpos[scene.robot_qpos])
+        self._set_state()
+        data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
+        positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
         # The gripper's pose, then the objects'.
         poses = np.concatenate(
             [positions[scene.gripper], quaternions[scene.gripper], data.qpos[scene.object_qpos]]
         ).reshape(-1, 7)
         poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
+        keypoints = None if hand is None else self._keypoint_kinematics.compute_poses(hand[None])[0][0]
         return WorldState(
             robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
             robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
             gripper_pose=poses[0].astype(np.float32),
             object_poses=poses[1:].astype(np.float32),
             hand_dof_position=None if hand is None else hand.astype(np.float32),
-            hand_keypoints=None if hand is None else controller.compute_keypoints(hand),
+            hand_keypoints=None if keypoints is None else keypoints.astype(np.float32),
         )
 
     def read_agent_joints(self) -> AgentJoints:
         """Return the current joint positions of robot and human hand."""
-        hand, robot = self.controller.get_hand_joints(), self.read_joints_float64()
+        robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 
     def read_joints_float64(self) -> Array:
         """Return the robot's joint positions (9,) in double precision (rad, m)."""
-        self.controller.set_state()
-        data = self.controller.data
-        joints: Array = data.qpos[data.scene.robot_qpos].copy()
+        self._set_state()
+        joints: Array = self.data.qpos[self.data.scene.robot_qpos].copy()
         return joints
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
         """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
-        self.controller.set_state()
-        data = self.controller.data
-        poses = data.qpos[data.scene.object_qpos].reshape(-1, 7)
+        self._set_state()
+        poses = self.data.qpos[self.data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
         joints: npt.NDArray[np.float32] = self._object_joints.astype(np.float32)
         return joints
@@ -230,7 +296,31 @@ class MujocoWorld(World):
     def close(self) -> None:
         """Free the memory of the simulation."""
         super().close()
-        self._controller = None
+        self._data = self.sleep = None
+
+    def _set_row(self, row: int) -> None:
+        """Set the last simulated row of the reference motion."""
+        self.row, self._is_state_set = row, self.sleep is None
+
+    def _set_state(self) -> None:
+        """Write the state of a sleeping world to its data, which is updated only on demand."""
+        if self.sleep is not None and not self._is_state_set:
+            self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
+            self._is_state_set = True
+
+    def _get_hand_joints(self) -> Array | None:
+        """Return the current joint positions (51,) of the human hand (m, rad), or None without a hand."""
+        track_worlds([self])
+        return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
+
+    def _get_coming_controls(self, steps: int) -> Array:
+        """Return the computed controls (steps, c) of the coming steps."""
+        first = self.row + 1 - self.controls_row
+        return self.controls[first : first + steps]
+
+    def _can_touch_hand(self, steps: int) -> bool:
+        """Return whether the hand can touch the robot within a number of coming steps."""
+        return self.row + 1 - self.controls_row + steps > self.hand_free_steps
 
 
 def _split(numbers: list[int]) -> list[list[int]]:
@@ -238,13 +328,49 @@ def _split(numbers: list[int]) -> list[list[int]]:
     return [numbers[first : first + _ROLLOUT_WORLDS] for first in range(0, len(numbers), _ROLLOUT_WORLDS)]
 
 
-def _skip_sleeping_steps(controllers: Sequence[WorldController], steps: int) -> tuple[ContactBatch, TruncateFunction]:
-    """Advance sleeping worlds by some steps, and return a rollout without contacts."""
-    started = [controller.row for controller in controllers]
+def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
+    """Compute the trajectories of hands and sleeping objects under new reference motions."""
+    behind = [world for world in worlds if not world.is_tracked]
+    hands = [(one.hand, one.reference.hand, one.reference.hand_present) for one in behind]
+    objects = [
+        (item, one.reference.objects[:, number], None)
+        for one in behind
+        if one.sleep is not None
+        for number, item in enumerate(one.sleep.objects)
+    ]
+    track_references([*hands, *objects])
+    for world in behind:
+        world.is_tracked = True
 
-    def truncate(number: int, taken: int) -> None:
-        controllers[number].set_row(started[number] + taken)
 
-    for number in range(len(controllers)):
-        truncate(number, steps)
-    return ContactBatch.without_contacts(steps, len(controllers)), truncate
+def prepare_controls(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
+    """Compute the controls of each world's remaining steps after a change of targets or reference.
+
+    Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
+
+    Args:
+        worlds: Worlds with a scene.
+        robot_targets: Nine joint targets of each robot (rad, m).
+    """
+    track_worlds(worlds)
+    groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
+    for world, target in zip(worlds, robot_targets, strict=True):
+        world.update_sleep(target)
+        if world.sleep is None and world.robot_target != target:
+            world.robot_target, world.controls_row = target, world.row + 1
+            model = world.data.scene.model
+            # Models with equally many objects, actuators and mocap bodies have them in the same places.
+            steps, objects = world.reference.objects.shape[:2]
+            key = (steps - world.controls_row, objects, model.nu, model.nmocap)
+            groups.setdefault(key, []).append((world, target))
+    for group in groups.values():
+        own, data = [world for world, _ in group], [world.data for world, _ in group]
+        targets = np.array([target for _, target in group])
+        controls = compute_controls(data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own]))
+        wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
+        free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
+        for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
+            world.controls = controls[number]
+            _, *poses = world.data.split_controls(world.controls)
+            hand_poses = (array[:, world.data.scene.hand] for array in poses)
+            world.hand_free_steps = place_hand(world.hand, world.row, world.hand_kinematics, free, *hand_poses)

@@ -17,7 +17,7 @@ import torch
 import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
-from handover_marl.envs.wrappers.episode_returns import EpisodeReturns
+from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory

@@ -7,8 +7,7 @@ from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
 from handover_marl.receivers.vision import grasp_tracker
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction
-from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, GraspTracker
-from handover_marl.receivers.vision.object_tracking import FilterGains
+from handover_marl.receivers.vision.grasp_tracker import COST_SCALE, FilterGains, GraspTracker
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handover_marl.receivers.vision.object_tracking import FilterGains, Keyframe, PositionFilter
+from handover_marl.receivers.vision.grasp_tracker import FilterGains, Keyframe, PositionFilter
 
 
 def test_position_filter_tracks_and_coasts() -> None:

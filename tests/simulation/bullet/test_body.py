@@ -5,7 +5,7 @@ import pytest
 
 from handover_marl.config import HandConfig, ObjectConfig, PandaConfig
 from handover_marl.errors import SimulationError
-from handover_marl.simulation.bullet.bodies import HandBody, InitialState, ObjectBody, PandaBody
+from handover_marl.simulation.bullet.bodies import HandBody, ObjectBody, PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect
 
 OBJECT = "003_cracker_box/model_normalized.urdf"
@@ -25,7 +25,7 @@ def assets(fake_data: Path) -> Path:
 def test_models_that_are_something_else(client: BulletClient, assets: Path) -> None:
     table = assets / "table" / "table.urdf"
     with pytest.raises(SimulationError, match="'table' loaded as ObjectBody must have 6 moving joints, got 0"):
-        ObjectBody(client, table, 2, InitialState([0.0] * 6), ObjectConfig())
+        ObjectBody(client, table, 2, ObjectConfig(), [0.0] * 6)
     with pytest.raises(SimulationError, match="'object' loaded as HandBody must have 51 moving joints, got 6"):
         HandBody(client, assets / OBJECT, [0.0] * 51, HandConfig())
     with pytest.raises(SimulationError, match="'object' loaded as PandaBody must have 9 moving joints, got 6"):

@@ -9,7 +9,8 @@ from handover_marl.config import OFFICIAL_CONFIG, CameraConfig, PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.bullet.rendering import label_bodies
+from handover_marl.simulation.bullet import rendering
+from handover_marl.simulation.bullet.exact_world import ExactWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 
 DATA = open_dataset("synthetic", robot="panda_camera")
@@ -89,21 +90,26 @@ def test_bodies_of_the_previous_scene_are_removed() -> None:
     fresh.close()
 
 
-def test_the_first_object_is_the_target() -> None:
-    everything = {
-        4: SegmentationLabel.TABLE,
-        5: SegmentationLabel.ROBOT,
-        9: SegmentationLabel.TARGET,
-        7: SegmentationLabel.OTHER_OBJECT,
-        8: SegmentationLabel.OTHER_OBJECT,
+def test_the_first_object_is_the_target(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[dict[int, SegmentationLabel]] = []
+    monkeypatch.setattr(rendering, "_label_pixels", lambda numbers, labels: found.append(labels) or numbers)
+    episode = Episode("exact")
+    episode.reset(DATA.load_scene(86))
+    world = episode.world
+    assert isinstance(world, ExactWorld)
+    world.render_wrist_camera(None, False)
+    target, *others = (body.id for body in world._objects)
+    assert others
+    expected = {
+        world._loaded_workcell.table_id: SegmentationLabel.TABLE,
+        world._loaded_workcell.panda.id: SegmentationLabel.ROBOT,
+        target: SegmentationLabel.TARGET,
+        **dict.fromkeys(others, SegmentationLabel.OTHER_OBJECT),
     }
-    assert label_bodies(4, 5, [9, 7, 8], None) == everything
-    assert label_bodies(4, 5, [9, 7, 8], 0) == {**everything, 0: SegmentationLabel.HAND}
-    assert label_bodies(1, 2, [3], None) == {
-        1: SegmentationLabel.TABLE,
-        2: SegmentationLabel.ROBOT,
-        3: SegmentationLabel.TARGET,
-    }
+    if world._hand is not None:
+        expected[world._hand.id] = SegmentationLabel.HAND
+    assert found == [expected]
+    episode.close()
 
 
 def test_table_points_are_on_the_table() -> None:

@@ -53,12 +53,12 @@ def test_worlds_that_share_a_batch_keep_their_own_state() -> None:
     controls[1][:, model.robot_ctrl] = 0.3
     rollout = simulation.simulate(together, [True, False], controls)
     separate = BatchSimulation()
-    expected = separate.simulate([alone], [False], controls[1:])
+    separate.simulate([alone], [False], controls[1:])
     np.testing.assert_array_equal(together[1].qpos, alone.qpos)
     np.testing.assert_array_equal(together[1].sensordata, alone.sensordata)
     assert not np.array_equal(together[0].qpos, alone.qpos)
     # A world that is set back continues as if it had not been simulated further.
-    rollout.set_world(1, 7)
+    together[1].set_step(*(array[1, 6] for array in rollout))
     simulation.simulate([together[1]], [False], [controls[1][7:]])
     np.testing.assert_array_equal(together[1].qpos, alone.qpos)
-    np.testing.assert_array_equal(together[1].qvel, expected.worlds[0].qvel)
+    np.testing.assert_array_equal(together[1].qvel, alone.qvel)

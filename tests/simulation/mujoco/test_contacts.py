@@ -7,9 +7,10 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from handover_marl.config import PhysicsConfig
+from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
+from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 
 NOWHERE = (0.0, 0.0, -10.0)
@@ -23,6 +24,10 @@ def scene() -> SceneModel:
 
 def find_fingers(scene: SceneModel) -> list[int]:
     return [scene.model.body(name).id for name in FINGER_LINKS]
+
+
+def read_contacts(scene: SceneModel, data: "mujoco.MjData") -> Contacts:
+    return scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, True)
 
 
 def closed_on_target(scene: SceneModel) -> "mujoco.MjData":
@@ -46,7 +51,7 @@ def closed_on_target(scene: SceneModel) -> "mujoco.MjData":
 
 def test_sensors_agree_with_the_engines_contacts(scene: SceneModel) -> None:
     data = closed_on_target(scene)
-    touches = scene.contact_sensors.read_contacts(data.sensordata)
+    touches = read_contacts(scene, data)
     model, target = scene.model, scene.objects[0]
     forces = {int(finger): [] for finger in find_fingers(scene)}
     total = 0.0
@@ -60,21 +65,15 @@ def test_sensors_agree_with_the_engines_contacts(scene: SceneModel) -> None:
             forces.setdefault(own, []).append(force[0])
     assert total > 10.0
     assert float(touches.robot_object_force) == pytest.approx(total)
-    for finger, found in zip(
-        find_fingers(scene), scene.contact_sensors.read_finger_forces(data.sensordata), strict=True
-    ):
-        assert sorted(found[found > 0.0]) == pytest.approx(sorted(forces[int(finger)]))
+    for finger, found in zip(find_fingers(scene), touches.finger_points, strict=True):
+        assert len(found) == len(forces[finger])
     assert not touches.robot_touches_hand
     assert not touches.object_supported
 
 
 def test_points_lie_on_the_pads(scene: SceneModel) -> None:
     data = closed_on_target(scene)
-    turns = data.xmat[find_fingers(scene)].reshape(2, 3, 3)
-    points = scene.contact_sensors.compute_finger_points(data.sensordata, data.xpos[find_fingers(scene)], turns)
-    forces = scene.contact_sensors.read_finger_forces(data.sensordata)
-    for side in range(2):
-        pressed = points[side][forces[side] > 0.0]
+    for pressed in read_contacts(scene, data).finger_points:
         assert len(pressed)
         assert (np.abs(pressed[:, 0]) < 0.012).all()
         assert (np.abs(pressed[:, 1]) < 0.009).all(), "within the pads' depth"
@@ -84,19 +83,14 @@ def test_points_lie_on_the_pads(scene: SceneModel) -> None:
 def test_many_worlds_are_read_like_one(scene: SceneModel) -> None:
     data = closed_on_target(scene)
     rows = np.stack([data.sensordata, np.zeros_like(data.sensordata), 2.0 * data.sensordata])
-    many = scene.contact_sensors.read_contacts(rows)
-    assert scene.contact_sensors.read_finger_forces(rows).shape == (3, 2, 8)
+    many = scene.contact_sensors.compute_contact_batch(rows[None], np.stack([data.qpos] * 3)[None], ProtocolConfig())
+    points = scene.contact_sensors.compute_finger_points(rows)
     for row, own in enumerate(rows):
-        one = scene.contact_sensors.read_contacts(own)
-        np.testing.assert_array_equal(
-            scene.contact_sensors.read_finger_forces(rows)[row], scene.contact_sensors.read_finger_forces(rows[row])
-        )
-        assert many.robot_object_force[row] == one.robot_object_force
-    assert many.robot_object_force[1] == 0.0
-    origins = np.repeat(data.xpos[find_fingers(scene)][None], 3, axis=0)
-    turns = np.repeat(data.xmat[find_fingers(scene)].reshape(1, 2, 3, 3), 3, axis=0)
-    points = scene.contact_sensors.compute_finger_points(rows, origins, turns)
-    np.testing.assert_array_equal(points[0], scene.contact_sensors.compute_finger_points(rows[0], origins[0], turns[0]))
+        one = scene.contact_sensors.compute_contacts(own, data.qpos, True)
+        np.testing.assert_array_equal(points[row], scene.contact_sensors.compute_finger_points(own))
+        assert many.robot_touches_object[0, row] == one.robot_touches_object == (row != 1)
+        assert many.fingers_touch[0, row].all() == one.both_fingers_touch
+        assert many.gripper_position[0, row].tolist() == list(one.gripper_position)
 
 
 def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:
@@ -107,22 +101,22 @@ def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:
     for number, place in enumerate(places):
         data.qpos[place : place + 3] = (5.0, float(number), 1.0)
     mujoco.mj_step(model, data)
-    readings = scene.contact_sensors.read_contacts(data.sensordata)
+    readings = read_contacts(scene, data)
     assert not readings.robot_touches_others
     assert not readings.robot_touches_hand
     data.mocap_pos[scene.hand.stop - 3 : scene.hand.stop] = data.xpos[scene.gripper]
     mujoco.mj_step(model, data)
-    assert scene.contact_sensors.read_contacts(data.sensordata).robot_touches_hand
+    assert read_contacts(scene, data).robot_touches_hand
     forces, force = [], np.zeros(6)
     for number in range(data.ncon):
         if np.isin(model.geom_bodyid[data.contact[number].geom], np.arange(model.nbody)[scene.hand]).any():
             mujoco.mj_contactForce(model, data, number, force)
             forces.append(force[0])
     assert len(forces) > 3
-    assert scene.contact_sensors.read_hand_force(data.sensordata) == pytest.approx(sum(forces))
+    assert read_contacts(scene, data).robot_hand_force == pytest.approx(sum(forces))
     data.mocap_pos[scene.hand] = NOWHERE
     data.qpos[places[-1] : places[-1] + 3] = data.xpos[scene.gripper]
     mujoco.mj_step(model, data)
-    readings = scene.contact_sensors.read_contacts(data.sensordata)
+    readings = read_contacts(scene, data)
     assert readings.robot_touches_others
     assert readings.robot_object_force == 0.0

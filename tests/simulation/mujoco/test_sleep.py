@@ -26,13 +26,13 @@ def begun(awake: bool = False) -> tuple[Episode, MujocoWorld]:
     world = episode.world
     assert isinstance(world, MujocoWorld)
     if awake:
-        world.controller.wake()
+        world.wake()
     assert world.is_asleep is not awake
     return episode, world
 
 
 def joints(world: MujocoWorld) -> npt.NDArray[np.float64]:
-    return np.concatenate([world.controller.data.qpos, world.read_joints_float64()])
+    return np.concatenate([world.data.qpos, world.read_joints_float64()])
 
 
 def test_sleeping_worlds_move_as_awake_ones() -> None:
@@ -60,13 +60,13 @@ def test_sleeping_worlds_move_as_awake_ones() -> None:
 def test_woken_objects_keep_their_velocity() -> None:
     """An object that wakes while it moves must neither jump nor stop."""
     episode, world = begun()
-    while np.abs(world.controller.data.qvel[world.controller.data.scene.object_qvel]).max() == 0.0:
+    while np.abs(world.data.qvel[world.data.scene.object_qvel]).max() == 0.0:
         episode.advance(START, 50)
         before = world.read_object_joints()[0]
         episode.advance(START, 1)
         if np.abs(world.read_object_joints()[0] - before)[:3].max() > 2e-4:
-            world.controller.wake()
-    speeds = world.controller.data.qvel[world.controller.data.scene.object_qvel][:3]
+            world.wake()
+    speeds = world.data.qvel[world.data.scene.object_qvel][:3]
     assert np.linalg.norm(speeds) > 0.2
     now = world.read_object_joints()[0, :3]
     episode.advance(START, 1)

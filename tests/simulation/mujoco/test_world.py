@@ -20,7 +20,7 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.contacts import Contacts
-from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants
+from handover_marl.simulation.mujoco.batches.simulation import WorldData
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World
@@ -144,9 +144,9 @@ def test_a_state_that_is_not_finite_raises_an_error(
     if what == "target":
         target[2] = np.nan
     else:
-        world_of(episode).controller.wake()
-        getattr(world_of(episode).controller.data, what)[2] = np.nan
-    with pytest.raises(SimulationError, match=r"failed after 0\.0[12].* Nan"):
+        world_of(episode).wake()
+        getattr(world_of(episode).data, what)[2] = np.nan
+    with pytest.raises(SimulationError, match=r"failed: .*Nan"):
         episode.advance(target, 10)
     assert list(tmp_path.iterdir()) == [], "no log in the working folder"
     assert "WARNING" not in capfd.readouterr().err
@@ -158,27 +158,27 @@ def test_a_state_that_is_not_finite_raises_an_error(
 def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     """An episode that ends with contact is bit-equal to one in which the hand can collide all the time."""
     hands: set[bool] = set()
-    select = ModelVariants.select
+    select = WorldData.select_model
 
-    def noted(self: ModelVariants, released: bool, hand: bool) -> object:
-        hands.add(hand)
-        return select(self, released, hand)
+    def noted(self: WorldData, hand_collides: bool) -> object:
+        hands.add(hand_collides)
+        return select(self, hand_collides)
 
     def played() -> list[npt.NDArray[np.float32]]:
         episode, states = Episode("mujoco"), []
         episode.reset(SCENE)
         # The world is woken long before the hand comes near.
-        world_of(episode).controller.wake()
+        world_of(episode).wake()
         while not episode.status and episode.steps < 6000:
             episode.advance(INTO_THE_HAND, 50)
             states += [episode.observe()["robot_joint_position"], episode.observe()["object_poses"]]
         states.append(np.array([episode.status, episode.steps], dtype=np.float32))
         return states
 
-    monkeypatch.setattr(ModelVariants, "select", noted)
+    monkeypatch.setattr(WorldData, "select_model", noted)
     first = played()
     assert hands == {True, False}
-    monkeypatch.setattr(ModelVariants, "select", lambda self, released, hand: select(self, released, True))
+    monkeypatch.setattr(WorldData, "select_model", lambda self, hand_collides: select(self, True))
     for one, other in zip(first, played(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert first[-1][0] == EpisodeStatus.HUMAN_CONTACT

@@ -33,7 +33,7 @@ from handover_marl.learning.imitation.gaddpg.scenarios import (
 from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
 from handover_marl.learning.imitation.samples import generate_samples, join_samples
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.point_cloud_memory import GRIPPER_POINTS, PointCloudMemory
+from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera

@@ -4,8 +4,8 @@ import functools
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,9 +14,8 @@ from mujoco.batch import Batch
 
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
-from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine
-from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
+from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel, select_variant
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 
@@ -48,8 +47,9 @@ class WorldData:
         ctrl: Actuator targets (u,).
         mocap_pos: Positions (m, 3) of the mocap bodies (m).
         mocap_quat: Quaternions wxyz (m, 4) of the mocap bodies.
-        time: Simulation time (1,) (s).
         sensordata: Data (s,) of the sensors in the last step.
+        step_state_size: Number p of the values of the state that a step changes: time, positions, velocities and warm
+            start.
     """
 
     def __init__(self, scene: SceneModel, batch: Batch) -> None:
@@ -59,18 +59,12 @@ class WorldData:
         batch.set_models(scene.model)
         batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._state = batch.state[0].copy()
-        self.time, self.qpos, self.qvel = (
-            self._view(part) for part in (_STATE.mjSTATE_TIME, _STATE.mjSTATE_QPOS, _STATE.mjSTATE_QVEL)
-        )
+        self.qpos, self.qvel = self._view(_STATE.mjSTATE_QPOS), self._view(_STATE.mjSTATE_QVEL)
         self.ctrl, self._forces = self._view(_STATE.mjSTATE_CTRL), self._view(_STATE.mjSTATE_XFRC_APPLIED, 6)
         self.mocap_pos = self._view(_STATE.mjSTATE_MOCAP_POS, 3)
         self.mocap_quat = self._view(_STATE.mjSTATE_MOCAP_QUAT, 4)
         self.sensordata = np.zeros(scene.model.nsensordata)
-
-    @property
-    def step_state_size(self) -> int:
-        """Number p of the values of the state that a step changes: time, positions, velocities and warm start."""
-        return int(mujoco.mj_stateSize(self.scene.model, _STEP_STATE))
+        self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
         """Return the variant of the scene model for the coming steps.
@@ -80,7 +74,7 @@ class WorldData:
         """
         key = self.released, hand_collides
         if key not in self._variants:
-            self._variants[key] = self.scene.variants.select(*key)
+            self._variants[key] = select_variant(self.scene, *key)
         return self._variants[key]
 
     def release_object(self, gravity: float) -> None:
@@ -133,16 +127,6 @@ class WorldData:
         u, m, shape = len(self.ctrl), len(self.mocap_pos), controls.shape[:-1]
         positions, quaternions = controls[..., u : u + 3 * m], controls[..., u + 3 * m :]
         return controls[..., :u], positions.reshape(*shape, m, 3), quaternions.reshape(*shape, m, 4)
-
-    def get_joint_positions(self, step_states: Array) -> Array:
-        """Return the joint positions (..., q) from the changed parts (..., p) of states."""
-        size = len(self.time)
-        positions: Array = step_states[..., size : size + len(self.qpos)]
-        return positions
-
-    def read_sensors(self) -> SensorReadings:
-        """Return the contact-sensor readings of the last physics step."""
-        return SensorReadings(self.scene.contact_sensors, self.sensordata, self.qpos)
 
     def _view(self, component: "mujoco.mjtState", columns: int | None = None) -> Array:
         """Return the part of the state with a component, e.g. positions; as rows (n, columns) if `columns` is given."""
@@ -202,37 +186,18 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
     return spec.compile()
 
 
-@dataclass(frozen=True, eq=False)
-class MujocoRollout:
+class MujocoRollout(NamedTuple):
     """Rollout of k physics steps of n worlds, valid until the next rollout of the simulation.
 
     Attributes:
-        worlds: The worlds.
         controls: Controls (n, k, c) of all steps.
         sensordata: Sensor data (n, k, s) of all steps.
         step_states: Part (n, k, p) of the state that a step changes, after each step; see `WorldData`.
     """
 
-    worlds: Sequence[WorldData]
     controls: Array
     sensordata: Array
     step_states: Array
-
-    def make_readings(self) -> SensorReadings:
-        """Return the contact-sensor readings of k steps of n worlds."""
-        world = self.worlds[0]
-        qpos = world.get_joint_positions(self.step_states)
-        return SensorReadings(world.scene.contact_sensors, self.sensordata.swapaxes(0, 1), qpos.swapaxes(0, 1))
-
-    def set_world(self, number: int, steps: int) -> None:
-        """Set a world to its state after some steps of the rollout.
-
-        Args:
-            number: Index of the world in the rollout.
-            steps: Number of steps, 1 to k.
-        """
-        place = number, steps - 1
-        self.worlds[number].set_step(self.controls[place], self.sensordata[place], self.step_states[place])
 
 
 class BatchSimulation:
@@ -276,11 +241,10 @@ class BatchSimulation:
         stacked = np.stack(controls, out=self._get_buffer("controls", (*shape, controls[0].shape[1])))
         sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
         step_states = self._get_buffer("step_states", (*shape, first.step_state_size))
-        rollout = MujocoRollout(worlds, stacked, sensordata, step_states)
         for number, (world, hand_collides) in enumerate(zip(worlds, hands_collide, strict=True)):
             world.simulate(hand_collides, stacked[number], sensordata[number], step_states[number])
-            rollout.set_world(number, shape[1])
-        return rollout
+            world.set_step(stacked[number, -1], sensordata[number, -1], step_states[number, -1])
+        return MujocoRollout(stacked, sensordata, step_states)
 
     def get_robot(self, model: RobotOnlyModel) -> RobotOnlySimulation:
         """Return the simulation of the robot without hand and objects, shared by all worlds."""

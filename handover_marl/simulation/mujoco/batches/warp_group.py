@@ -16,7 +16,6 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, Contacts
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
-from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_euler
 from handover_marl.simulation.tensor_state import WarpDevice
@@ -183,7 +182,7 @@ class WarpGroup:
                 self._views[name][: len(places)] = array[places]
             self._step()
             data, qpos = (self._views[name][None, :count] for name in ("sensordata", "qpos"))
-            return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
+            return self._sensors.compute_contact_batch(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
         """Store the current states of the running worlds (r,) of a rollout; the others have their last states."""
@@ -224,12 +223,12 @@ class WarpGroup:
     def read_contact_batch(self, rows: AnyArray, rules: ProtocolConfig) -> ContactBatch:
         """Return the contacts (1, r) of worlds in their last physics steps."""
         data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
-        return SensorReadings(self._sensors, data, qpos).compute_contact_batch(rules)
+        return self._sensors.compute_contact_batch(data, qpos, rules)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
         """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
-        return SensorReadings(self.scene.contact_sensors, data, qpos).compute_contacts(released)
+        return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
     def _set_weights(self, rollout: WarpRollout) -> None:
         """Apply the weights of released target objects as forces."""

@@ -36,27 +36,22 @@ class MeshPool:
 
     Attributes:
         arrays: Arrays of all meshes by MuJoCo's names, e.g. "mesh_vert".
-        max_polygon_vertices: Largest number of vertices of a polygon.
-        max_vertex_polygons: Largest number of polygons around a vertex.
     """
 
     def __init__(self) -> None:
         self.arrays: dict[str, npt.NDArray[np.generic]] = {}
-        self.max_polygon_vertices, self.max_vertex_polygons = 0, 0
         self._numbers: dict[bytes, int] = {}
 
     def add(self, model: "mujoco.MjModel") -> npt.NDArray[np.int_]:
         """Add the meshes of a model that are not in the pool yet, and return the pool's numbers of all its meshes."""
-        numbers, new = [], []
+        numbers = []
         for mesh in range(model.nmesh):
             start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
             key = model.mesh_vert[start : start + count].tobytes()
             if key not in self._numbers:
                 self._numbers[key] = len(self._numbers)
-                new.append(_select_mesh(model, mesh))
+                self._append(_select_mesh(model, mesh))
             numbers.append(self._numbers[key])
-        for mesh_arrays in new:
-            self._append(mesh_arrays)
         return np.array(numbers, dtype=np.int_)
 
     def _append(self, mesh: dict[str, npt.NDArray[np.generic]]) -> None:
@@ -72,8 +67,6 @@ class MeshPool:
         for name, values in mesh.items():
             shifted = values + offsets[name] if name in offsets else values
             self.arrays[name] = np.concatenate([self.arrays[name], shifted])
-        self.max_polygon_vertices = int(self.arrays["mesh_polyvertnum"].max())
-        self.max_vertex_polygons = int(self.arrays["mesh_polymapnum"].max())
 
 
 def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np.generic]]:
@@ -87,7 +80,8 @@ def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np
         **{name: getattr(model, name)[mesh : mesh + 1] for name in _MESH_ARRAYS},
         **{name: getattr(model, name)[vertices] for name in _VERTEX_ARRAYS},
         **{name: getattr(model, name)[polygons] for name in _POLYGON_ARRAYS},
-        "mesh_graph": _select_graph(model, mesh),
+        # The graph of a mesh's convex hull ends where that of the next mesh starts.
+        "mesh_graph": model.mesh_graph[model.mesh_graphadr[mesh] : [*model.mesh_graphadr, model.nmeshgraph][mesh + 1]],
     }
     for (address, target), rows, counts in zip(
         _TARGETS.items(), (polygons, vertices), ("mesh_polyvertnum", "mesh_polymapnum"), strict=True
@@ -96,13 +90,6 @@ def _select_mesh(model: "mujoco.MjModel", mesh: int) -> dict[str, npt.NDArray[np
         arrays[address] = starts - starts[0]
         arrays[target] = getattr(model, target)[starts[0] : starts[0] + getattr(model, counts)[rows].sum()]
     return arrays
-
-
-def _select_graph(model: "mujoco.MjModel", mesh: int) -> npt.NDArray[np.int32]:
-    """Return the graph of a mesh's convex hull, which ends where that of the next mesh starts."""
-    start, later = model.mesh_graphadr[mesh], model.mesh_graphadr[mesh + 1 :]
-    graph: npt.NDArray[np.int32] = model.mesh_graph[start : later[0] if len(later) else model.nmeshgraph]
-    return graph
 
 
 # Hulls of an object and objects besides the target are filled up to a multiple of these numbers. All scenes of DexYCB
@@ -243,8 +230,9 @@ class WarpModel:
             return number, False
         for name, array in self._meshes.arrays.items():
             setattr(self.model, name, warp.array(array, dtype=getattr(self.model, name).dtype))
-        self.model.npolygonmax = self._meshes.max_polygon_vertices
-        self.model.nmeshdegmax = self._meshes.max_vertex_polygons
+        # Largest numbers of vertices of a polygon, and of polygons around a vertex.
+        self.model.npolygonmax = int(self._meshes.arrays["mesh_polyvertnum"].max())
+        self.model.nmeshdegmax = int(self._meshes.arrays["mesh_polymapnum"].max())
         return number, True
 
     def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:

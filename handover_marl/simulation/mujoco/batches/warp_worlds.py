@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import HAND_DOF, OBJECT_DOF, TIME_STEP, HandConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.config import HAND_DOF, OBJECT_DOF, HandConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
@@ -29,20 +28,8 @@ from handover_marl.simulation.reference_tracking import (
 from handover_marl.simulation.worlds import Worlds, WorldStateBatch
 
 
-class HandTrajectoryBatch(NamedTuple):
-    """Motion of n hands in k physics steps.
-
-    Attributes:
-        joints: Joint positions (n, k, 51) after each step (m, rad).
-        present: Whether the hand is in the scene after each step, (n, k).
-    """
-
-    joints: AnyArray
-    present: AnyArray
-
-
 class HandBatch:
-    """Hands of n worlds without contact; see `reference_tracking.HandTrajectory` for one hand.
+    """Hands of n worlds without contact; see `reference_tracking.BodyTrajectory` for one body.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
     the worlds to which a method applies.
@@ -81,8 +68,8 @@ class HandBatch:
         if joints is not None:
             self.joints[row] = self._arrays.asarray(joints, "float64")
 
-    def track(self, rows: AnyArray, targets: AnyArray, present: AnyArray) -> HandTrajectoryBatch:
-        """Compute the motion of hands whose joints track targets, without changing the hands.
+    def track(self, rows: AnyArray, targets: AnyArray, present: AnyArray) -> AnyArray:
+        """Compute the joint positions (r, k, 51) of hands that track targets (m, rad), without changing the hands.
 
         Args:
             rows: Indices (r,) of the worlds.
@@ -98,20 +85,21 @@ class HandBatch:
             before = xp.where(appears, wanted[:, step], before + self._gains * (wanted[:, step] - before))
             was_present = present[:, step]
             joints.append(before)
-        return HandTrajectoryBatch(xp.stack(joints, axis=1), present)
+        return xp.stack(joints, axis=1)
 
-    def store(self, rows: AnyArray, trajectory: HandTrajectoryBatch, steps: AnyArray) -> None:
+    def store(self, rows: AnyArray, joints: AnyArray, present: AnyArray, steps: AnyArray) -> None:
         """Set hands to their state after some steps of a trajectory.
 
         Args:
             rows: Indices (r,) of the worlds.
-            trajectory: Motion of the hands.
+            joints: Joint positions (r, k, 51) after each step (m, rad).
+            present: Whether the hand is in the scene after each step, (r, k).
             steps: Number (r,) of steps; with 0 steps, a hand stays as it is.
         """
         xp, places = self._arrays.xp, self._arrays.arange(len(rows))
         moved, last = steps > 0, xp.clip(steps - 1, 0)
-        self.joints[rows] = xp.where(moved[:, None], trajectory.joints[places, last], self.joints[rows])
-        self.present[rows] = xp.where(moved, trajectory.present[places, last], self.present[rows])
+        self.joints[rows] = xp.where(moved[:, None], joints[places, last], self.joints[rows])
+        self.present[rows] = xp.where(moved, present[places, last], self.present[rows])
 
     def compute_link_poses(self, rows: AnyArray, joints: AnyArray, links: AnyArray) -> tuple[AnyArray, AnyArray]:
         """Compute positions (r, k, l, 3) (m) and quaternions xyzw (r, k, l, 4) of some links.
@@ -151,16 +139,10 @@ class WarpWorlds(Worlds):
         self._hands = HandBatch(count, config.hand, arrays)
         self._groups: dict[tuple[object, ...], WarpGroup] = {}
         self._group_of: list[WarpGroup | None] = [None] * count
-        self._steps, self._n_objects = arrays.zeros(count, "int64"), arrays.zeros(count, "int64")
+        self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start.
-
-        Args:
-            row: Number of the world.
-            scene: Scene to load.
-            start: Reference motion of one row: joint positions of hand and objects at the start.
-            robot_joints: Nine joint positions of the robot at the start (rad, m).
+        """Load a scene and set robot, objects and hand to its start; see `World.reset`.
 
         Raises:
             OptionError: MuJoCo Warp cannot simulate the scene with the others.
@@ -172,7 +154,7 @@ class WarpWorlds(Worlds):
             self._groups[layout] = WarpGroup(model, self._count, self._config, self._arrays)
         group = self._group_of[row] = self._groups[layout]
         group.reset(row, model, robot_joints, start.objects[0])
-        self._steps[row], self._n_objects[row] = 0, start.objects.shape[1]
+        self._n_objects[row] = start.objects.shape[1]
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
 
     def release_targets(self, rows: AnyArray) -> None:
@@ -210,13 +192,10 @@ class WarpWorlds(Worlds):
                     break
             reason = group.finish(rollout)
             if reason is not None:
-                seconds = TIME_STEP * int(self._steps[index].max())
                 raise SimulationError(
-                    f"MuJoCo Warp's simulation failed after {seconds:.3f} s: {reason} To go on, use "
-                    "backend='threads', and report this."
+                    f"MuJoCo Warp's simulation failed: {reason} To go on, use backend='threads', and report this."
                 )
-            self._hands.store(index, hands, simulated[places])
-        self._steps[rows] += simulated
+            self._hands.store(index, hands, own.hand_present, simulated[places])
         return simulated
 
     def read_state(self, rows: AnyArray) -> WorldStateBatch:
@@ -277,11 +256,11 @@ class WarpWorlds(Worlds):
         ]
 
     def _make_controls(
-        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, hands: HandTrajectoryBatch, steps: slice
+        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, hands: AnyArray, steps: slice
     ) -> StepControls:
         """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
         xp, scene = self._arrays.xp, group.scene
-        wanted, present = reference.objects[:, steps], hands.present[:, steps, None, None]
+        wanted, present = reference.objects[:, steps], reference.hand_present[:, steps, None, None]
         shape = wanted.shape[:2]
         n_objects = (scene.model.nu - scene.object_ctrl.start) // OBJECT_DOF
         targets = self._arrays.zeros((*shape, scene.model.nu), "float32")
@@ -296,7 +275,7 @@ class WarpWorlds(Worlds):
         turns = quaternions_from_euler(wanted[..., :n_objects, OBJECT_DOF // 2 :])
         quaternions[..., start : start + n_objects, :] = turns[..., WXYZ]
         links = self._arrays.asarray(scene.hand_links, "int64")
-        origins, rotations = self._hands.compute_link_poses(rows, hands.joints[:, steps], links)
+        origins, rotations = self._hands.compute_link_poses(rows, hands[:, steps], links)
         positions[..., scene.hand, :] = xp.where(present, origins, make_constant(ABSENT, origins))
         quaternions[..., scene.hand, :] = xp.astype(rotations[..., WXYZ], xp.float32)
         return StepControls(targets, positions, quaternions)

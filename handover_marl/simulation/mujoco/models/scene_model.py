@@ -1,5 +1,6 @@
 """Compiled MuJoCo models of scenes, cached by their model files."""
 
+import copy
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.mujoco.contacts import ContactSensors
-from handover_marl.simulation.mujoco.models.collision_shapes import ModelVariants, compute_bounding_spheres
+from handover_marl.simulation.mujoco.models.collision_shapes import RELEASED_COLLISIONS, compute_bounding_spheres
 from handover_marl.simulation.mujoco.models.scene_spec import (
     HULL_MARGIN,
     ModelPadding,
@@ -64,7 +65,6 @@ class SceneModel:
 
     Attributes:
         model: Compiled model.
-        variants: Variants of the model for a released object and for a hand out of reach.
         contact_sensors: Layout of the contact sensors in the sensor data.
         robot_qpos: Indices of the robot's nine joints in `qpos`.
         robot_qvel: Indices of the robot's nine joints in `qvel`.
@@ -86,7 +86,6 @@ class SceneModel:
     """
 
     model: "mujoco.MjModel"
-    variants: ModelVariants
     contact_sensors: ContactSensors
     robot_qpos: slice
     robot_qvel: slice
@@ -102,6 +101,30 @@ class SceneModel:
     robot_only: RobotOnlyModel
     hand_reach: float
     object_reaches: npt.NDArray[np.float64]
+
+
+@functools.lru_cache(maxsize=64)
+def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "mujoco.MjModel":
+    """Return a variant of a scene's MuJoCo model.
+
+    Args:
+        scene: Model in which the hand collides, and actuators hold the target object.
+        released: Whether the target object is free: its actuators are off and it collides with supports.
+        hand_collides: Whether the hand collides. Otherwise steps take a tenth less time.
+    """
+    if hand_collides and not released:
+        return scene.model
+    model, target = copy.copy(scene.model), scene.objects[0]
+    if released:
+        first = model.body_geomadr[target]
+        geoms = slice(first, first + model.body_geomnum[target])
+        model.geom_conaffinity[geoms] = model.body_conaffinity[target] = int(RELEASED_COLLISIONS)
+        model.actuator_forcerange[scene.object_ctrl.start : scene.object_ctrl.start + OBJECT_DOF] = 0.0
+    if not hand_collides:
+        hand = np.flatnonzero((model.body_mocapid >= scene.hand.start) & (model.body_mocapid < scene.hand.stop))
+        model.body_contype[hand] = 0
+        model.geom_contype[np.isin(model.geom_bodyid, hand)] = 0
+    return model
 
 
 def load_scene_model(assets: SceneAssets, config: PhysicsConfig, padding: ModelPadding | None = None) -> SceneModel:
@@ -142,7 +165,6 @@ def _load(
     references = (format_rotation_reference_name(number) for number in range(len(objects)))
     return SceneModel(
         model=model,
-        variants=ModelVariants(model, model.body(objects[0]).id, object_ctrl.start, hands),
         contact_sensors=ContactSensors(model, HULL_MARGIN, object_qpos.start + 2),
         robot_qpos=_as_slice(model.joint(name).qposadr[0] for name in joints),
         robot_qvel=_as_slice(model.joint(name).dofadr[0] for name in joints),

@@ -176,8 +176,8 @@ class SceneModelBuilder:
             self._add_object_body(number, _ABSENT_LINK, [_ABSENT_HULL])
         self.hand_links = self._add_hand(hand)
         hands = [format_hand_name(number) for number in range(len(self.hand_links))]
-        target, *others = (format_object_name(number) for number in range(count))
-        add_contact_sensors(self.spec, ROBOT_BASE, HAND_LINK, FINGER_LINKS, target, hands, others, [TABLE])
+        names = [format_object_name(number) for number in range(count)]
+        add_contact_sensors(self.spec, ROBOT_BASE, TABLE, names, hands)
 
     def add_robot(self, urdf: Path) -> None:
         """Add the robot to the model.

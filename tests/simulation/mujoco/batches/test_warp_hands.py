@@ -12,7 +12,6 @@ from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.simulation.mujoco.batches.simulation import HandKinematics
 from handover_marl.simulation.mujoco.batches.warp_worlds import HandBatch
-from handover_marl.simulation.mujoco.contacts import SensorReadings
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import WXYZ
 from handover_marl.simulation.reference_tracking import (
@@ -45,8 +44,8 @@ def test_hands_move_as_alone() -> None:
             for scene, own in zip(SCENES, present, strict=True)
         ]
         targets = TENSORS.asarray([motion.hand for motion in motions])
-        trajectory = hands.track(ROWS, targets, TENSORS.asarray(present))
-        hands.store(ROWS, trajectory, TENSORS.asarray(taken))
+        joints = hands.track(ROWS, targets, TENSORS.asarray(present))
+        hands.store(ROWS, joints, TENSORS.asarray(present), TENSORS.asarray(taken))
         keypoints = to_numpy(hands.compute_keypoints(ROWS))
         for row, (single, motion) in enumerate(zip(singles, motions, strict=True)):
             if taken[row] == 0:
@@ -75,9 +74,9 @@ def test_sensor_readings_are_those_of_arrays(share: float) -> None:
     rng = np.random.default_rng(1)
     data = rng.uniform(-0.05, 0.08, (4, 3, scene.model.nsensordata)) * (rng.random((4, 3, 1)) < share)
     qpos = rng.random((4, 3, scene.model.nq))
-    expected = SensorReadings(scene.contact_sensors, data, qpos).compute_contact_batch(ProtocolConfig())
+    expected = scene.contact_sensors.compute_contact_batch(data, qpos, ProtocolConfig())
     sensors = scene.contact_sensors.move_to(TENSORS)
-    found = SensorReadings(sensors, *map(TENSORS.asarray, (data, qpos))).compute_contact_batch(ProtocolConfig())
+    found = sensors.compute_contact_batch(*map(TENSORS.asarray, (data, qpos)), ProtocolConfig())
     if share > 0.5:
         assert expected.in_grasp_region.any()
         assert not expected.in_grasp_region.all()
