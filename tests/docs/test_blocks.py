@@ -28,13 +28,15 @@ SHELL = [
 #: Pages with programs. The programs of own_object.md take long; test_own_object runs them and checks their results.
 PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.stem != "own_object"]
 #: Additional modules that the programs of a page need, by page.
-NEEDS = {"docs/reference/environment.md": ("stable_baselines3",), "docs/how_to/wrist_camera.md": ("embreex",)} | {
+NEEDS = {"docs/how_to/wrist_camera.md": ("embreex",)} | {
+    "README.md": ("viser",),
     "docs/how_to/demonstrations.md": ("embreex",),
     "docs/how_to/many_machines.md": ("ray",),
     "docs/how_to/gpu.md": ("mujoco_warp", "embreex"),
     "docs/how_to/vector_environments.md": ("mujoco", "stable_baselines3", "torchrl"),
-    "docs/tutorials/own_network.md": ("stable_baselines3",),
-    "docs/tutorials/own_reward.md": ("mujoco", "stable_baselines3"),
+    "docs/reference/rewards.md": ("mujoco", "stable_baselines3"),
+    "docs/tutorials/own_receiver.md": ("stable_baselines3",),
+    "docs/tutorials/training.md": ("mujoco", "stable_baselines3"),
 }
 #: Additional module that a script needs, by the beginning of its name.
 SCRIPTS_NEED = {
@@ -49,7 +51,7 @@ SCRIPTS_NEED = {
 }
 ENVIRONMENTS, DECISIONS = 2, 16
 #: Pages whose programs need what happens late in an episode: a decision of the giver, a release, or a success.
-WHOLE_EPISODES = ("docs/tutorials/adaptive_giver.md", "docs/how_to/demonstrations.md", "docs/tutorials/own_reward.md")
+WHOLE_EPISODES = ("docs/tutorials/own_giver.md", "docs/how_to/demonstrations.md", "docs/reference/rewards.md")
 #: Physics steps (1 ms) of the episodes of other pages, and of the conformance tests of receivers and givers; learned
 #: receivers wait 2 s.
 EPISODE_STEPS, RECEIVER_STEPS, GIVER_STEPS = 2500, 2500, 4000
@@ -58,6 +60,7 @@ CHECKED_SCENES = (9,)
 SMALLER = {
     "docs/how_to/demonstrations.md": {"episode.steps[:-1]": "episode.steps[:4]"},
     "docs/how_to/vector_environments.md": {"64": str(ENVIRONMENTS)},
+    "docs/tutorials/training.md": {"64": str(ENVIRONMENTS)},
     "docs/how_to/many_machines.md": {'backend="ray"': 'backend="ray", workers=1'},
     # Kernels of MuJoCo Warp for three environments are compiled for other tests, too.
     "docs/how_to/gpu.md": {"    8,": "    3,", "vector_env(4,": "vector_env(3,"},

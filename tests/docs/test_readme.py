@@ -62,7 +62,7 @@ def test_the_site_is_built_by_the_same_command() -> None:
 def test_the_citation_names_this_version() -> None:
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     assert citation["version"] == handover_marl.__version__
-    page = (REPOSITORY / "docs" / "citing.md").read_text()
+    page = (REPOSITORY / "docs" / "index.md").read_text()
     assert citation["title"] in page
     for reference in citation["references"]:
         assert reference["title"].partition(": ")[2] in page

@@ -37,6 +37,9 @@ def read_columns(kind: str, agent: str, name: str) -> list[Column]:
     """Return the table of features, or of an action scheme ("scheme"), on the page."""
     columns = []
     for numbers, quantity, value, *_ in checked_table(PAGE, f"{kind} {agent}/{name}"):
+        if value == "as in `receiver`":
+            columns += read_columns(kind, agent, "receiver")
+            continue
         first, _, last = numbers.partition(" to ")
         columns.append(Column(slice(int(first), int(last or first) + 1), quantity, value))
     return columns
@@ -160,9 +163,14 @@ def test_every_column_is_described(agent: str) -> None:
         ("scheme", list_schemes(agent), make_scheme),
     ):
         for name in names:
-            columns, size = read_columns(kind, agent, name), make(agent, name, CONTEXT).size
-            assert [column.place.start for column in columns] == [0, *(column.place.stop for column in columns[:-1])]
-            assert columns[-1].place.stop == size
+            size = make(agent, name, CONTEXT).size
+            columns = [] if name.startswith("flat_") else read_columns(kind, agent, name)
+            if columns:
+                assert [column.place.start for column in columns] == [
+                    0,
+                    *(column.place.stop for column in columns[:-1]),
+                ]
+                assert columns[-1].place.stop == size
             assert (
                 f"`{name}` of the {agent} ({size} {'features' if kind == 'features' else 'outputs'})"
                 in PAGE.read_text()
@@ -197,9 +205,9 @@ def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_flat_features_are_the_named_entries(agent: str) -> None:
-    features = make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION if agent == "giver" else _state())
-    for column in read_columns("features", agent, f"flat_{agent}"):
-        np.testing.assert_array_equal(features[column.place], OBSERVATION[column.name.strip("`")].ravel())
+    observation = OBSERVATION if agent == "giver" else _state()
+    expected = np.concatenate([observation[key].ravel() for key in sorted(observation)])
+    np.testing.assert_array_equal(make_features(agent, f"flat_{agent}", CONTEXT)(observation), expected)
 
 
 def _state() -> dict[str, Any]:
