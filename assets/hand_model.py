@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.anthropometry import CARPUS, DIGITS, REFERENCE_SIZE, SUBJECT_SIZES, HandSize
-from handover_marl.assets.object_models import TEMPLATES_PACKAGE
+from handover_marl.assets.shipped import TEMPLATES_PACKAGE
 from handover_marl.errors import check_name
 from handover_marl.geometry.model_files.urdf import render_urdf
 

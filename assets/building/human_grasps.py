@@ -21,7 +21,7 @@ from handover_marl.assets.human_grasps import (
     WRIST_DISTANCE_QUANTILES,
     HumanGrasps,
 )
-from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.generated.human_grasps import HumanGraspConfig, draw_human_grasps
 from handover_marl.datasets.generated.shapes import Solid, read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream

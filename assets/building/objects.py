@@ -13,7 +13,7 @@ from PIL import Image
 from rich.progress import track
 
 from handover_marl.assets.building.object_shapes import OBJECT_SHAPES
-from handover_marl.assets.object_models import (
+from handover_marl.assets.shipped import (
     COLLISION_NAME,
     OBJECTS_ROOT,
     PALETTE,

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.object_models import find_object_urdf
-from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, find_object_urdf
 from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig, draw_robot_grasps
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.synthetic.random_stream import RandomStream

@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl import config
-from handover_marl.assets.object_models import TABLE_URDF, find_object_urdf
 from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
-from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.assets.shipped import TABLE_URDF, find_object_urdf, load_object_grasps
 from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS

@@ -13,7 +13,7 @@ from handover_marl.assets.human_grasps import (
     WRIST_DISTANCE_QUANTILES,
     load_human_grasps,
 )
-from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.config import HandConfig
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.errors import UnknownNameError

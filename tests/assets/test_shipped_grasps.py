@@ -4,8 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.assets.object_models import find_object_urdf
-from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, load_object_grasps
+from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, find_object_urdf, load_object_grasps
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError
 from handover_marl.geometry.ycb import CLASS_NAMES

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.geometry import distance_field as field_module
 from handover_marl.geometry.array_cache import get_cache_folder
 from handover_marl.geometry.distance_field import (

@@ -25,7 +25,7 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
 from handover_marl.assets.building.robot_grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, make_hand_geometry
-from handover_marl.assets.object_models import URDF_NAME, find_object_urdf
+from handover_marl.assets.shipped import URDF_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.custom.dataset import (
     GRASP_FILE,

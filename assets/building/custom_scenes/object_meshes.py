@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from handover_marl.assets.building.objects import write_convex_parts, write_visual
-from handover_marl.assets.object_models import (
+from handover_marl.assets.shipped import (
     COLLISION_NAME,
     FRICTION,
     PALETTE,

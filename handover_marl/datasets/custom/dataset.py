@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.hand_model import find_hand_urdf
-from handover_marl.assets.object_models import URDF_NAME
+from handover_marl.assets.shipped import URDF_NAME
 from handover_marl.config import HAND_DOF, OBJECT_DOF
 from handover_marl.datasets.custom.ranges import check_grasps, check_hand, check_objects, check_vertices
 from handover_marl.datasets.custom.scene_file import ALL_SCENES, CustomScene, SceneFile, read_scene_file

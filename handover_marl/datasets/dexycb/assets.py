@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.object_models import find_bullet_data
+from handover_marl.assets.shipped import find_bullet_data
 from handover_marl.datasets.dexycb.mano import N_JOINTS, PARENTS, ManoModel
 from handover_marl.datasets.official_files import is_stand_in_file
 from handover_marl.errors import DataFormatError, ResultsError

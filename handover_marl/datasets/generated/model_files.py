@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from handover_marl.assets.hand_model import HANDS_FOLDER, Side, format_hand_urdf, scale_hand
-from handover_marl.assets.object_models import (
+from handover_marl.assets.shipped import (
     COLLISION_NAME,
     URDF_NAME,
     VISUAL_NAME,

@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.object_models import COLLISION_NAME
+from handover_marl.assets.shipped import COLLISION_NAME
 from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.model_files.meshes import compute_convex_hull
 from handover_marl.geometry.model_files.obj_files import read_obj

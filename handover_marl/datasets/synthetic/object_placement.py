@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 
 from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
 from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
-from handover_marl.assets.object_models import find_object_urdf
+from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
 from handover_marl.datasets.synthetic.random_stream import (
     ELEVATION_ROLL,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.object_models import find_bullet_data
+from handover_marl.assets.shipped import find_bullet_data
 from handover_marl.config import PANDA_DOF, TIME_STEP, HandConfig, MotorConfig, ObjectConfig, PandaConfig, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import SimulationError

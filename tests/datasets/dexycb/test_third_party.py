@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.object_models import find_object_urdf
-from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.assets.shipped import find_object_urdf, load_object_grasps
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.assets import write_object_assets
 from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.object_models import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
+from handover_marl.assets.shipped import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.simulation.bullet.client import BulletClient, connect
