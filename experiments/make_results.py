@@ -362,24 +362,6 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
     return f"{rate} of {one.episodes} episodes (version {one.version})"
 
 
-def make_published_table(evaluations: Iterable[Evaluation], receiver: str) -> str:
-    """Return a Markdown table of a receiver's success rates on DexYCB beside the published ones.
-
-    The authors published no intervals; those of their rates are computed from the number of scenes.
-    """
-    header = ("setup", "wait s", "n episodes", "published success %", "success % here", "version", "here")
-    rows = []
-    for one in sorted(select_evaluations(evaluations, (receiver,)), key=lambda one: (-one.wait_s, one.setup)):
-        for row in PUBLISHED[one.setup]:
-            if METHODS[receiver][0] in row.method and row.wait_s == one.wait_s:
-                count = round(row.success * one.episodes / 100)
-                (low, high), rate = compute_wilson_interval(count, one.episodes), one.success / one.episodes
-                place = f"{'below' if rate < low else 'above' if rate > high else 'within'} the interval"
-                texts = format_percent_rate(count, one.episodes, 2), one.format_rate("success")
-                rows.append([one.setup, f"{one.wait_s:g}", str(one.episodes), *texts, one.version, place])
-    return format_table(header, rows)
-
-
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
     """Return Markdown items with the scenes in which a receiver failed on test splits of DexYCB, where stored."""
     lines = []
@@ -409,7 +391,6 @@ def render_pages(evaluations: list[Evaluation]) -> dict[str, str]:
         "table": lambda *args, **options: make_table(evaluations, *args, **options),
         "differences": lambda *args, **options: make_difference_table(evaluations, *args, **options),
         "success": lambda *args: format_success(evaluations, *args),
-        "published": lambda *args: make_published_table(evaluations, *args),
         "failures": lambda *args: make_failure_list(evaluations, *args),
         "csv_table": make_csv_table,
     }
