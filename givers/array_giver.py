@@ -49,7 +49,7 @@ class ArrayGiver(Giver):
         if unknown:
             known = f"valid options: {', '.join(names)}" if names else "it takes no options"
             raise OptionError(f"giver {self.name!r} has no option {unknown[0]!r}; {known}")
-        self.config = replace(self.default_config, **options)
+        self.config = replace(self.default_config, **options) if options else self.default_config
         self._arrays = NUMPY_ARRAYS
         self.allocate(1, NUMPY_ARRAYS)
 

@@ -5,6 +5,7 @@ last and from a preferred pose. It moves to the best reachable standoff, from th
 fingers and carries the object to the goal. It uses the object's true pose and ignores the person's hand.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum, auto
@@ -81,62 +82,112 @@ class YangPhase(IntEnum):
     RETREAT = auto()
 
 
-class YangController:
-    """Controller of n episodes by the method of Yang et al. (2021).
+class Yang2021Receiver(Receiver):
+    """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
-    The argument `rows` (r,) of methods contains the indices of the episodes to which a method applies; observations are
-    arrays (r, ...).
+    The receiver decides every 0.1 s during the approach, every millisecond while the fingers close
+    (the target is then the present configuration), and once afterwards. Its state is in arrays (n, ...), one row for
+    each episode; a receiver by itself has one. The argument `rows` (r,) of methods contains the indices of the episodes
+    to which a method applies; their observations are arrays (r, ...).
 
     Args:
         context: The robot, the task, the objects and their grasps.
+        wait: Time at the waiting pose (s); default: the time in `config`.
         config: Constants of the method.
-        count: Number n of episodes.
+        options: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
+
+    Raises:
+        OptionError: `wait` or an option is out of range, or an option is unknown.
 
     Attributes:
+        config: Constants of the method.
         phase: Phase (n,) of each episode, a `YangPhase`.
         selected: World poses (n, 2, 7) of the hand link at the selected standoffs and grasps; nan without selection.
     """
 
-    def __init__(self, context: PolicyContext, config: YangConfig, count: int) -> None:
-        self._context, self._config = context, config
+    name = "yang2021"
+
+    def __init__(
+        self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **options: float
+    ) -> None:
+        super().__init__(context)
+        config = YangConfig() if config is None else config
+        check_config("config", config, YangConfig)
+        self.config = override_options(config, options, "step_length")
+        if wait is not None:
+            self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None
         self._library = GraspLibrary(context.grasps, context.object_names)
         self._table = GraspTable(self._library.load_grippers)
+        self._allocate(1)
+
+    def copy_for(self, count: int) -> "Yang2021Receiver":
+        """Return a receiver with the same options for n episodes."""
+        receiver = copy.copy(self)
+        receiver._allocate(count)
+        return receiver
+
+    def _allocate(self, count: int) -> None:
         self.phase, self._close_until = np.full(count, int(YangPhase.WAIT)), np.zeros(count)
         self.selected = np.full((count, 2, 7), np.nan)
         # Last selected standoffs, near which the next ones have a low cost; nan without one.
         self._references = np.full((count, 7), np.nan)
         self._goals = np.zeros((count, ARM_DOF))
 
-    def prepare(self, object_name: str) -> None:
-        """Read the grasps of an object class."""
-        self._library.get_gripper_poses(object_name)
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Read the grasps of the object that is handed over."""
+        self._library.get_gripper_poses(object_names[0])
 
-    def reset(self, rows: Indices) -> None:
+    def reset(self, seed: int | None = None) -> None:
+        """Start an episode; the receiver is deterministic."""
+        self.start(ONLY_ROW)
+
+    @property
+    def wait(self) -> float:
+        """Time at the waiting pose (s)."""
+        return self.config.wait
+
+    @property
+    def planned_goal(self) -> npt.NDArray[np.float64] | None:
+        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        selected = self.selected[0]
+        return selected if self.phase[0] == YangPhase.APPROACH and not np.isnan(selected).any() else None
+
+    @property
+    def hold_time(self) -> float:
+        """Time until the next decision (s), infinite during the retreat."""
+        return float(self.get_hold_times(ONLY_ROW)[0])
+
+    def act(self, observation: Observation) -> Action:
+        """Return the next nine target joint positions."""
+        action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
+        return action
+
+    def start(self, rows: Indices) -> None:
         """Start episodes."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
-            self._ik_solver = make_ik_solver(self._context.panda_urdf, self._context.panda)
+            self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
         self.phase[rows] = YangPhase.WAIT
         self.selected[rows], self._references[rows] = np.nan, np.nan
 
     def get_hold_times(self, rows: Indices) -> Array:
         """Return the times (r,) until the next decisions (s), infinite during the retreat."""
-        config = self._config
+        config = self.config
         times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
-    def act(self, rows: Indices, observation: Observation) -> Actions:
+    def decide(self, rows: Indices, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m)."""
         time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
-        waits = time < self._config.wait
+        waits = time < self.config.wait
         phase[~waits & (phase == YangPhase.WAIT)] = YangPhase.APPROACH
         approaches = ~waits & (phase == YangPhase.APPROACH)
         arms = observation["robot_joint_position"][:, :ARM_DOF].astype(np.float64)
         if approaches.any():
             in_region, at_grasp = self._find_places(rows, approaches, observation["gripper_pose"])
             phase[at_grasp] = YangPhase.CLOSE
-            self._close_until[rows[at_grasp]] = np.round(time[at_grasp] + self._config.close_time, 3)
+            self._close_until[rows[at_grasp]] = np.round(time[at_grasp] + self.config.close_time, 3)
             for move, flags in (
                 (self._move_to_standoffs, approaches & ~in_region),
                 (self._move_to_grasps, in_region & ~at_grasp),
@@ -147,7 +198,7 @@ class YangController:
         retreats = ~waits & (phase == YangPhase.CLOSE) & (time >= self._close_until[rows])
         if retreats.any():
             phase[retreats] = YangPhase.RETREAT
-            goals = np.tile(np.array(self._context.protocol.goal_center, dtype=np.float64), (int(retreats.sum()), 1))
+            goals = np.tile(np.array(self.context.protocol.goal_center, dtype=np.float64), (int(retreats.sum()), 1))
             found = self._solver.solve_many(observation["robot_joint_position"][retreats], goals)
             self._goals[rows[retreats]] = np.where(np.isnan(found), arms[retreats], found)
         self.phase[rows] = phase
@@ -158,7 +209,7 @@ class YangController:
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
         """Return whether hands (r, 7) are in the region between standoff and grasp, and whether at the grasp, (r,)."""
-        config = self._config
+        config = self.config
         in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
         some = np.flatnonzero(approaches & ~np.isnan(self.selected[rows, 0, 0]))
         if len(some):
@@ -188,9 +239,9 @@ class YangController:
         # In this order: the last bits of the reference depend on it.
         objects = observation["object_poses"][known, :1]
         grasps = compose(compose(objects, grippers), np.array(panda.GRIPPER_FROM_HAND))
-        standoffs = compose(grasps, np.array(self._config.standoff))
+        standoffs = compose(grasps, np.array(self.config.standoff))
         costs = self._compute_costs(rows[known], standoffs, observation["gripper_pose"][known])
-        order = np.argsort(np.where(is_grasp, costs, np.inf), axis=1, kind="stable")[:, : self._config.max_candidates]
+        order = np.argsort(np.where(is_grasp, costs, np.inf), axis=1, kind="stable")[:, : self.config.max_candidates]
         self._references[rows[known]] = np.nan
         left = np.arange(len(known))
         for rank in range(order.shape[1]):
@@ -210,14 +261,14 @@ class YangController:
 
     def _compute_costs(self, rows: Indices, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
         """Return the costs (r, n) of standoffs (r, n, 7)."""
-        references, weight = self._references[rows], self._config.rotation_weight
+        references, weight = self._references[rows], self.config.rotation_weight
         references = np.where(np.isnan(references), hands, references)
-        to_preferred = compute_pose_distances(self._config.preferred_pose, standoffs, weight)
+        to_preferred = compute_pose_distances(self.config.preferred_pose, standoffs, weight)
         return compute_pose_distances(references, standoffs, weight) + to_preferred
 
     def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
         """Return the arm joints (r, 7) after one step towards the grasps, nan where they are not found."""
-        hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self._config.step_length
+        hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self.config.step_length
         offsets = grasps[:, :3] - hands
         distances = compute_lengths(offsets)[:, None]
         # The reference rounds this set-point to float32, like the observed position.
@@ -227,89 +278,28 @@ class YangController:
 
     @property
     def _solver(self) -> IkSolver:
-        return require_reset(self._ik_solver, "yang2021")
-
-
-class Yang2021Receiver(Receiver):
-    """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
-
-    The receiver decides every 0.1 s during the approach, every millisecond while the fingers close
-    (the target is then the present configuration), and once afterwards.
-
-    Args:
-        context: The robot, the task, the objects and their grasps.
-        wait: Time at the waiting pose (s); default: the time in `config`.
-        config: Constants of the method.
-        options: Other values of numbers in the configuration, such as `step_length=0.03`; see `YangConfig`.
-
-    Raises:
-        OptionError: `wait` or an option is out of range, or an option is unknown.
-    """
-
-    name = "yang2021"
-
-    def __init__(
-        self, context: PolicyContext, wait: float | None = None, config: YangConfig | None = None, **options: float
-    ) -> None:
-        super().__init__(context)
-        config = YangConfig() if config is None else config
-        check_config("config", config, YangConfig)
-        self.config = override_options(config, options, "step_length")
-        if wait is not None:
-            self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
-        self._controller = YangController(context, self.config, 1)
-
-    def prepare(self, object_names: Sequence[str]) -> None:
-        """Read the grasps of the object that is handed over."""
-        self._controller.prepare(object_names[0])
-
-    def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the receiver is deterministic."""
-        self._controller.reset(ONLY_ROW)
-
-    @property
-    def wait(self) -> float:
-        """Time at the waiting pose (s)."""
-        return self.config.wait
-
-    @property
-    def planned_goal(self) -> npt.NDArray[np.float64] | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
-        selected = self._controller.selected[0]
-        is_planned = self._controller.phase[0] == YangPhase.APPROACH and not np.isnan(selected).any()
-        return selected if is_planned else None
-
-    @property
-    def hold_time(self) -> float:
-        """Time until the next decision (s), infinite during the retreat."""
-        return float(self._controller.get_hold_times(ONLY_ROW)[0])
-
-    def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
-        action: Action = self._controller.act(ONLY_ROW, add_episode_axis(observation))[0]
-        return action
+        return require_reset(self._ik_solver, self.name)
 
 
 class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
     """Batch of `Yang2021Receiver`, whose actions equal those of single receivers to the bit."""
 
     def __init__(self, policy: Yang2021Receiver, count: int) -> None:
-        super().__init__(policy, count)
-        self._controller = YangController(policy.context, policy.config, count)
+        super().__init__(policy.copy_for(count), count)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start an episode, and read the grasps of its object; see `PolicyBatch.reset`."""
-        self._controller.prepare(object_names[0])
+        self._policy.prepare(object_names)
         super().reset(row, seed, object_names)
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode; the receiver is deterministic."""
-        self._controller.reset(np.array([row]))
+        self._policy.start(np.array([row]))
 
     def decide(self, rows: Indices, observation: Observation) -> npt.NDArray[np.float32]:
         """Return the next target joint positions (r, 9) (rad, m)."""
-        return self._controller.act(rows, observation)
+        return self._policy.decide(rows, observation)
 
     def count_hold_steps(self, rows: Indices) -> AnyIntegers:
         """Return the physics steps (r,) until the next decisions."""
-        return np.array([steps_from_hold_time(time) for time in self._controller.get_hold_times(rows).tolist()])
+        return np.array([steps_from_hold_time(time) for time in self._policy.get_hold_times(rows).tolist()])

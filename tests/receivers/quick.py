@@ -1,7 +1,6 @@
 """Short validations of grasps, short planning and observations of a handover for tests of receivers."""
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import pytest
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
-from handover_marl.planning.planner_config import PlannerConfig
+from handover_marl.planning import goal_set, planner
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
@@ -38,8 +37,11 @@ def observe_handover(scene: Scene, milliseconds: int) -> Observation:
     return observation
 
 
-def shorten_planning(policy_class: Any) -> PlannerConfig:
-    """Return the configuration of an OMG receiver with few goals and few steps of optimization."""
-    config: PlannerConfig = policy_class.default_config
-    goals = replace(config.goals, ik_seeds=config.goals.ik_seeds[:4])
-    return replace(config, goals=goals, chomp=replace(config.chomp, n_selection_steps=4, n_fixed_goal_steps=2))
+@pytest.fixture(scope="module", autouse=True)
+def short_planning() -> Iterator[None]:
+    """Plan with few goals and few steps of optimization in the tests of a module that imports this."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(goal_set, "_IK_SEEDS", goal_set._IK_SEEDS[:3])
+        patch.setattr(planner, "_N_SELECTION_STEPS", 4)
+        patch.setattr(planner, "_N_FIXED_GOAL_STEPS", 2)
+        yield

@@ -22,7 +22,7 @@ from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers.reactive import grasp_contact
 from handover_marl.receivers.reactive.grasps import ValidatedGrasps
 from tests.docs.pages import REPOSITORY, checked_table
-from tests.receivers.quick import shorten_planning
+from tests.receivers.quick import short_planning  # noqa: F401
 
 pytestmark = pytest.mark.slow
 
@@ -153,12 +153,7 @@ class Recording:
 def make_receiver(name: str, change: Callable[[PolicyContext], PolicyContext] = lambda context: context) -> Policy:
     robot = PANDA_CAMERA if name in ("gaddpg", "vision") else PANDA
     context = change(make_policy_context(open_dataset("synthetic", robot=robot)))
-    policy_class = parse_policy("receiver", name).policy_class
-    return (
-        policy_class(context, config=shorten_planning(policy_class))
-        if name.startswith("omg")
-        else policy_class(context)
-    )
+    return parse_policy("receiver", name).policy_class(context)
 
 
 def record(name: str) -> Recording:

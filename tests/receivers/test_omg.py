@@ -17,14 +17,14 @@ from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
 from handover_marl.receivers.omg import OmgReceiver
-from tests.receivers.quick import observe_handover, shorten_planning
+from tests.receivers.quick import observe_handover, short_planning  # noqa: F401
 
 SCENE = 5
 DATA = SyntheticDataset()
 
 
 def make_omg() -> OmgReceiver:
-    receiver = OmgReceiver(make_policy_context(DATA), config=shorten_planning(OmgReceiver))
+    receiver = OmgReceiver(make_policy_context(DATA))
     receiver.reset()
     return receiver
 
