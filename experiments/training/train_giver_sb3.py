@@ -28,6 +28,7 @@ import handover_marl
 from handover_marl import givers
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
+from handover_marl.learning.schemes import make_scheme, outputs_from_action
 from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 Vectors: TypeAlias = npt.NDArray[np.float32]
@@ -99,13 +100,14 @@ def record_first_decisions(args: Args, workers: int | None = None) -> tuple[Vect
     def make_recorder() -> Callable[[int], tuple[Vectors, Vectors]]:
         env = handover_marl.freeze(handover_marl.parallel_env(args.make_env_config()), "giver", args.receiver)
         env = handover_marl.encode(env, args.features, args.actions)
+        scheme = make_scheme("giver", args.actions, env.unwrapped.policy_context)
         teacher = givers.make(args.teacher, args.open_dataset())
 
         def record(seed: int) -> tuple[Vectors, Vectors]:
             features = env.reset(seed=seed)[0]["giver"]
             teacher.reset(seed)
-            action = teacher.act(env.get_last_observation("giver"))
-            return features, env.outputs_from_action("giver", action)
+            observation = env.get_last_observation("giver")
+            return features, outputs_from_action(scheme, teacher.act(observation), observation)
 
         return record
 

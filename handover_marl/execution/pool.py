@@ -34,8 +34,6 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 
 from loky import wrap_non_picklable_objects
 from loky.process_executor import ProcessPoolExecutor
-from rich.console import Console
-from rich.progress import track
 
 from handover_marl.errors import HandoverError, PolicyError, WorkerError
 from handover_marl.execution.options import RAY, PoolConfig, check_pool, resolve_worker_count
@@ -475,6 +473,10 @@ def map_with_progress(
     Raises:
         HandoverError: As `Pool.map_unordered`.
     """
+    # Imported here: rich draws random numbers when it is imported, and policies import this module.
+    from rich.console import Console
+    from rich.progress import track
+
     with closing(open_pool(config)) as pool:
         finished = pool.map_unordered(
             lambda: nullcontext(make_function()), tasks, lambda task: f"{description}: {str(task)[:80]}"

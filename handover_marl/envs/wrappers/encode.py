@@ -110,6 +110,16 @@ class EncodedEnv(ParallelWrapper):
         """Compute the features (m,) of an agent's observation."""
         return self._features[agent](observation)
 
+    def get_last_observation(self, agent: str) -> Observation:
+        """Return the last observation of an agent before it was encoded.
+
+        Raises:
+            ResetNeededError: No episode has been started.
+        """
+        if agent not in self._observations:
+            raise ResetNeededError("no episode is running; call reset() first")
+        return self._observations[agent]
+
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode and simulate it until an action scheme needs outputs.
 

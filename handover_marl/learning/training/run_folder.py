@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import format_percent_rate
@@ -14,8 +15,12 @@ from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.pt"
-#: Outcomes whose rates training scripts log.
-OUTCOMES = ("success", "contact", "drop", "timeout")
+_OUTCOMES = {
+    "success": EpisodeStatus.SUCCESS,
+    "contact": EpisodeStatus.HUMAN_CONTACT,
+    "drop": EpisodeStatus.OBJECT_DROP,
+    "timeout": EpisodeStatus.TIMEOUT,
+}
 _ARGUMENTS = "arguments.json"
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Every tenth scene of a training split is held out.
@@ -115,6 +120,11 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
         ) from error
 
 
+def compute_outcome_rates(report: Report) -> dict[str, float]:
+    """Return the rates of success, contact, drop and timeout, which training scripts log, by name."""
+    return {name: report.compute_rate(status) for name, status in _OUTCOMES.items()}
+
+
 def summarize_evaluation(report: Report, steps: str) -> str:
     """Return the outcomes of an evaluation during training as one line.
 
@@ -124,5 +134,6 @@ def summarize_evaluation(report: Report, steps: str) -> str:
     """
     n, metadata = len(report.episodes), report.metadata
     success = format_percent_rate(round(n * report.success_rate), n)
-    others = ", ".join(f"{name} {100 * getattr(report, f'{name}_rate'):.1f} %" for name in OUTCOMES[1:])
+    rates = compute_outcome_rates(report)
+    others = ", ".join(f"{name} {100 * rates[name]:.1f} %" for name in ("contact", "drop", "timeout"))
     return f"{steps}: success {success} %, {others} [{n} scenes of {metadata.dataset}, {metadata.physics} physics]"

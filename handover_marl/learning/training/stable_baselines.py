@@ -33,8 +33,8 @@ from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.run_folder import (
-    OUTCOMES,
     POLICY,
+    compute_outcome_rates,
     describe_origin,
     open_run_folder,
     select_training_scenes,
@@ -232,8 +232,8 @@ class EvaluationCallback(BaseCallback):
             raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
         write_policy(self._folder / POLICY, self._spec, dense_network_from_sb3(self.model))
         report = evaluate_pair(self._config, execution=self._execution)
-        for name in OUTCOMES:
-            self.logger.record(f"evaluation/{name}", getattr(report, f"{name}_rate"))
+        for name, rate in compute_outcome_rates(report).items():
+            self.logger.record(f"evaluation/{name}", rate)
         self.logger.dump(self.num_timesteps)
         print(summarize_evaluation(report, f"{self.num_timesteps} decisions"), flush=True)
         part = self._folder / f"part_{_CHECKPOINT}"
