@@ -13,7 +13,7 @@ from enum import IntEnum, auto
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config, override_options
+from handover_marl.config import ARM_DOF, CheckedConfig, bounded, check_config
 from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.geometry import panda
@@ -28,7 +28,14 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.policies.batch import ArrayPolicy
-from handover_marl.policies.policy import Action, PolicyContext, Receiver, milliseconds_from_wait, require_reset
+from handover_marl.policies.policy import (
+    Action,
+    PolicyContext,
+    Receiver,
+    milliseconds_from_wait,
+    override_options,
+    require_reset,
+)
 from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
 
 Array = npt.NDArray[np.float64]

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from handover_marl.config import check_config, override_options
+from handover_marl.config import check_config
 from handover_marl.episode.observations import Observation
-from handover_marl.policies.policy import Action, PolicyContext, require_reset
+from handover_marl.policies.policy import Action, PolicyContext, override_options, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
 from handover_marl.receivers.reactive.grasp_contact import load_graspable_object, load_obstacle

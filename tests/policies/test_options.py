@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from handover_marl.config import override_options
 from handover_marl.errors import OptionError
+from handover_marl.policies.policy import override_options
 from handover_marl.receivers.reactive.config import ReactiveConfig
 
 
