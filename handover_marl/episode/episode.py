@@ -23,7 +23,7 @@ from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import check_physics, make_world
-from handover_marl.simulation.world import World
+from handover_marl.simulation.world import RolloutWorld, World
 
 
 class Episode:
@@ -116,13 +116,13 @@ class Episode:
             )
             world.set_reference(plan.reference.select(0, n_objects))
             steps -= planned
-            if world.has_rollouts and not on_step and camera is None:
+            if isinstance(world, RolloutWorld) and not on_step and camera is None:
                 simulated = self._simulate_rollout(world, target, planned)
             else:
                 simulated = self._simulate_single_steps(world, target, planned, camera, on_step)
             motion.commit(plan, np.array([simulated]))
 
-    def _simulate_rollout(self, world: World, target: list[float], steps: int) -> int:
+    def _simulate_rollout(self, world: RolloutWorld, target: list[float], steps: int) -> int:
         """Simulate up to `steps` physics steps at once; return their number."""
         states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol

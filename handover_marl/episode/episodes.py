@@ -52,7 +52,7 @@ class Episodes:
 
     @property
     def released(self) -> AnyArray:
-        """Whether each person has released the object, (n,)."""
+        """Mask (n,) of the episodes in which the person has released the object."""
         return self.referees.release_reason >= 0
 
     def reset(self, row: int, scene: Scene, seed: int = 0) -> None:

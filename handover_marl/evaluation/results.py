@@ -103,7 +103,7 @@ class EpisodeResult:
 
     @property
     def speed_score(self) -> float:
-        """Term of the metric average success: 1 - t / 13 s after t s, 0 for a failure."""
+        """Contribution of the episode to average success (AS): 1 - t / 13 s for a success after t s, else 0."""
         return 1.0 - self.steps / OFFICIAL_CONFIG.protocol.horizon_steps if self.success else 0.0
 
 

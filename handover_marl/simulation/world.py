@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -63,12 +63,7 @@ class World(ABC):
 
     Args:
         config: Constants of the world.
-
-    Attributes:
-        has_rollouts: Whether worlds of this engine simulate many steps at once, by `rollout`.
     """
-
-    has_rollouts: ClassVar[bool] = False
 
     def __init__(self, config: PhysicsConfig) -> None:
         self._config = config
@@ -98,32 +93,6 @@ class World(ABC):
         Args:
             robot_target: Nine joint targets of the Panda (rad, m), float32 values.
         """
-
-    @classmethod
-    def rollout(
-        cls,
-        worlds: "Sequence[Self]",
-        robot_targets: Sequence[list[float]],
-        steps: int,
-        judge: JudgeFunction,
-        rules: ProtocolConfig,
-    ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for some steps, or to their ends. Results do not depend on the other worlds.
-
-        Args:
-            worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
-            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
-            steps: Number of physics steps, at most the rows left in each reference motion.
-            judge: Function that applies the rules.
-            rules: Bounds of the grasp region of the fingers.
-
-        Returns:
-            Number (n,) of simulated steps of each world.
-
-        Raises:
-            SimulationError: The engine failed; the states of all worlds are invalid.
-        """
-        raise NotImplementedError(f"{cls.__name__} simulates single steps")
 
     @abstractmethod
     def read_contacts(self, released: bool) -> Contacts:
@@ -195,3 +164,33 @@ class World(ABC):
                 self._renderer.close()
             self._renderer = SceneRenderer(self._scene, self._config)
         return self._renderer
+
+
+class RolloutWorld(World):
+    """Base class of worlds whose engine simulates many steps of several worlds at once."""
+
+    @classmethod
+    @abstractmethod
+    def rollout(
+        cls,
+        worlds: "Sequence[Self]",
+        robot_targets: Sequence[list[float]],
+        steps: int,
+        judge: JudgeFunction,
+        rules: ProtocolConfig,
+    ) -> npt.NDArray[np.int_]:
+        """Simulate n worlds together for some steps, or to their ends. Results do not depend on the other worlds.
+
+        Args:
+            worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
+            robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
+            steps: Number of physics steps, at most the rows left in each reference motion.
+            judge: Function that applies the rules.
+            rules: Bounds of the grasp region of the fingers.
+
+        Returns:
+            Number (n,) of simulated steps of each world.
+
+        Raises:
+            SimulationError: The engine failed; the states of all worlds are invalid.
+        """

@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, ArrayFactory, Indices
 from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.reference_tracking import ReferenceBatch, ReferenceMotion
-from handover_marl.simulation.world import World
+from handover_marl.simulation.world import RolloutWorld
 
 
 class WorldStateBatch(NamedTuple):
@@ -99,11 +99,11 @@ class HostWorlds(Worlds):
     """Worlds on the processor, with NumPy arrays.
 
     Args:
-        worlds: Worlds of an engine that simulates many steps at once.
+        worlds: The worlds, all of one engine.
         arrays: Creator of NumPy arrays.
     """
 
-    def __init__(self, worlds: Sequence[World], arrays: ArrayFactory) -> None:
+    def __init__(self, worlds: Sequence[RolloutWorld], arrays: ArrayFactory) -> None:
         self._worlds, self._arrays = worlds, arrays
         self._n_objects = [0] * len(worlds)
 

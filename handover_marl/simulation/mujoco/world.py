@@ -22,7 +22,7 @@ from handover_marl.simulation.reference_tracking import (
     select_keypoint_links,
     track_references,
 )
-from handover_marl.simulation.world import AgentJoints, World, WorldState
+from handover_marl.simulation.world import AgentJoints, RolloutWorld, WorldState
 
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]
@@ -33,7 +33,7 @@ _ROLLOUT_WORLDS = 32
 _ROLLOUT_STEPS = 100
 
 
-class MujocoWorld(World):
+class MujocoWorld(RolloutWorld):
     """World simulated by MuJoCo, alone or in a batch with other worlds.
 
     The hand follows its reference kinematically, as in `FastWorld` of PyBullet.
@@ -64,8 +64,6 @@ class MujocoWorld(World):
         controls_row: Row of the reference motion at which `controls` starts.
         hand_free_steps: Number of steps from `controls_row` on in which the hand cannot touch the robot.
     """
-
-    has_rollouts = True
 
     robot: RobotOnlySimulation
     hand: BodyTrajectory

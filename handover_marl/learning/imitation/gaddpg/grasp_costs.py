@@ -69,7 +69,7 @@ def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: b
 
 
 def compute_grasp_costs(grasps: CostedGrasps, world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the total costs (n,) of n grasps (m), including the motion of the hand to them.
+    """Return the costs (n,) in m of moving the hand to n grasps and of the grasps themselves.
 
     Args:
         grasps: Grasps of the object.
