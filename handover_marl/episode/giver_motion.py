@@ -25,7 +25,7 @@ from handover_marl.geometry.arrays import (
 )
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.poses import quaternions_from_euler, rotate_points
-from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceBatch, ReferenceMotion
+from handover_marl.simulation.reference_tracking import BASE_JOINTS, WRIST_LINK, ReferenceMotion
 
 #: Number of physics steps for which the giver's motion is planned at a time.
 PLANNED_STEPS = 200
@@ -44,7 +44,7 @@ class RecordedFrames(Protocol):
     def set_scene(self, row: int, scene: Scene) -> None:
         """Choose the scene that a giver plays."""
 
-    def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceBatch:
+    def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
         """Return copies of the recorded frames (r, k) of r givers."""
 
 
@@ -63,7 +63,7 @@ class HostFrames:
         """Choose the scene that a giver plays."""
         self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
 
-    def read(self, rows: Indices, frames: Indices) -> ReferenceBatch:
+    def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
         """Return copies of the recorded frames (r, k) of r givers."""
         shape = frames.shape
         hand, present = np.empty((*shape, HAND_DOF), dtype=np.float32), np.empty(shape, dtype=bool)
@@ -74,7 +74,7 @@ class HostFrames:
                 raise ValueError(f"giver {row} has no scene; call reset() first")
             hand[index], present[index] = scene.hand_dof[own], self._hand_present[row][own]
             objects[index, :, : scene.object_dof.shape[1]] = scene.object_dof[own]
-        return ReferenceBatch(hand, present, objects)
+        return ReferenceMotion(objects, hand, present)
 
 
 class DeviceFrames:
@@ -102,10 +102,10 @@ class DeviceFrames:
             self._first_by_scene[key] = self._hand.extend(scene.hand_dof)
         self._firsts[row] = self._first_by_scene[key]
 
-    def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceBatch:
+    def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceMotion:
         """Return copies of the recorded frames (r, k) of r givers."""
         places = self._firsts[rows][:, None] + frames
-        return ReferenceBatch(self._hand.rows[places], self._present.rows[places], self._objects.rows[places])
+        return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
 
 class GiverState(NamedTuple):
@@ -143,7 +143,7 @@ class PlannedMotion:
     """
 
     rows: AnyIndices
-    reference: ReferenceBatch
+    reference: ReferenceMotion
     states: GiverState
 
 
@@ -288,7 +288,7 @@ class GiverMotion:
             values[rows] = planned[simulated, last]
 
     def _move_with_wrists(
-        self, rows: AnyIndices, moving: AnyIndices, reference: ReferenceBatch, offsets: AnyArray, released: AnyArray
+        self, rows: AnyIndices, moving: AnyIndices, reference: ReferenceMotion, offsets: AnyArray, released: AnyArray
     ) -> None:
         """Move hands and held objects with the offsets of their wrists, in the reference motion.
 

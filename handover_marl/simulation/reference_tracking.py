@@ -22,17 +22,26 @@ WRIST_LINK = 6
 
 @dataclass(frozen=True, eq=False)
 class ReferenceMotion:
-    """Joint targets of human hand and objects in each of n physics steps (world frame, m, rad).
+    """Joint targets of human hand and objects in each of n physics steps, of one world or of r (world frame, m, rad).
 
     Attributes:
-        objects: Joint targets (n, m, 6) of the m objects in the scene's order, float32.
-        hand: Joint targets (n, 51) of the hand, float32.
-        hand_present: Whether the hand is in the scene in each step, (n,).
+        objects: Joint targets (n, m, 6) of the m objects in the scene's order: xyz, Euler angles, float32; or of r
+            worlds (r, n, 5, 6), zeros for no object.
+        hand: Joint targets (n, 51) or (r, n, 51) of the hand, float32.
+        hand_present: Whether the hand is in the scene in each step, (n,) or (r, n).
     """
 
-    objects: npt.NDArray[np.float32]
-    hand: npt.NDArray[np.float32]
-    hand_present: npt.NDArray[np.bool_]
+    objects: AnyArray
+    hand: AnyArray
+    hand_present: AnyArray
+
+    def select_rows(self, rows: AnyArray) -> "ReferenceMotion":
+        """Return the joint targets of the worlds with these indices, of r worlds."""
+        return ReferenceMotion(self.objects[rows], self.hand[rows], self.hand_present[rows])
+
+    def select(self, number: int, n_objects: int) -> "ReferenceMotion":
+        """Return the joint targets of one of r worlds, which has some number of objects."""
+        return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
     def list_hand_targets(self) -> list[list[float] | None]:
         """Return the hand's 51 joint targets in each step; None in steps without a hand."""
@@ -40,29 +49,6 @@ class ReferenceMotion:
             row if present else None
             for row, present in zip(self.hand.tolist(), self.hand_present.tolist(), strict=True)
         ]
-
-
-@dataclass(frozen=True, eq=False)
-class ReferenceBatch:
-    """Joint targets of hands and objects of n worlds in each of k physics steps (world frame, m, rad).
-
-    Attributes:
-        hand: Joint targets (n, k, 51) of the hands, float32.
-        hand_present: Whether the hand is in the scene in each step, (n, k).
-        objects: Joint targets (n, k, 5, 6) of the objects: xyz, Euler angles; zeros for no object, float32.
-    """
-
-    hand: AnyArray
-    hand_present: AnyArray
-    objects: AnyArray
-
-    def select_rows(self, rows: AnyArray) -> "ReferenceBatch":
-        """Return the targets of worlds with these indices."""
-        return ReferenceBatch(self.hand[rows], self.hand_present[rows], self.objects[rows])
-
-    def select(self, number: int, n_objects: int) -> ReferenceMotion:
-        """Return the reference motion of one world with some number of objects."""
-        return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
 
 def list_hand_motors(config: HandConfig) -> list[MotorConfig]:

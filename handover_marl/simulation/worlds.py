@@ -10,7 +10,7 @@ from handover_marl.config import HAND_DOF, MAX_OBJECTS, N_KEYPOINTS, PANDA_DOF, 
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, ArrayFactory, Indices
 from handover_marl.simulation.contacts import Contacts, JudgeFunction
-from handover_marl.simulation.reference_tracking import ReferenceBatch, ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import RolloutWorld
 
 
@@ -53,7 +53,7 @@ class Worlds(ABC):
     def rollout(
         self,
         rows: AnyIndices,
-        reference: ReferenceBatch,
+        reference: ReferenceMotion,
         robot_targets: AnyArray,
         judge: JudgeFunction,
         rules: ProtocolConfig,
@@ -115,7 +115,7 @@ class HostWorlds(Worlds):
     def rollout(
         self,
         rows: Indices,
-        reference: ReferenceBatch,
+        reference: ReferenceMotion,
         robot_targets: AnyArray,
         judge: JudgeFunction,
         rules: ProtocolConfig,

@@ -10,7 +10,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction, RolloutEnd
 from handover_marl.simulation.engines import BatchBackend, make_worlds
-from handover_marl.simulation.reference_tracking import ReferenceBatch, ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.worlds import Worlds, WorldStateBatch
 from tests.fake_device import DeviceTensor
 
@@ -26,13 +26,13 @@ class TensorWorlds(Worlds):
         self._worlds.reset(row, scene, start, robot_joints)
 
     def rollout(
-        self, rows: Any, reference: ReferenceBatch, robot_targets: Any, judge: JudgeFunction, rules: ProtocolConfig
+        self, rows: Any, reference: ReferenceMotion, robot_targets: Any, judge: JudgeFunction, rules: ProtocolConfig
     ) -> Any:
         def judge_on_device(indices: Any, contacts: ContactBatch) -> RolloutEnd:
             end = judge(self._arrays.asarray(indices), ContactBatch(*map(self._arrays.asarray, contacts)))
             return RolloutEnd(*map(to_numpy, end))
 
-        targets = ReferenceBatch(*(_read(getattr(reference, name)) for name in ("hand", "hand_present", "objects")))
+        targets = ReferenceMotion(*(_read(getattr(reference, name)) for name in ("objects", "hand", "hand_present")))
         moved = _read(robot_targets, "float32")
         simulated = self._worlds.rollout(_read(rows, "int64"), targets, moved, judge_on_device, rules)
         return self._arrays.asarray(simulated)

@@ -20,7 +20,6 @@ from handover_marl.simulation.mujoco.control import ABSENT
 from handover_marl.simulation.mujoco.engine import configure_engine
 from handover_marl.simulation.mujoco.quaternions import WXYZ, bullet_xyzw_from_wxyz
 from handover_marl.simulation.reference_tracking import (
-    ReferenceBatch,
     ReferenceMotion,
     list_hand_motors,
     select_keypoint_links,
@@ -165,7 +164,7 @@ class WarpWorlds(Worlds):
     def rollout(
         self,
         rows: AnyArray,
-        reference: ReferenceBatch,
+        reference: ReferenceMotion,
         robot_targets: AnyArray,
         judge: JudgeFunction,
         rules: ProtocolConfig,
@@ -256,7 +255,7 @@ class WarpWorlds(Worlds):
         ]
 
     def _make_controls(
-        self, group: WarpGroup, rows: AnyArray, reference: ReferenceBatch, hands: AnyArray, steps: slice
+        self, group: WarpGroup, rows: AnyArray, reference: ReferenceMotion, hands: AnyArray, steps: slice
     ) -> StepControls:
         """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
         xp, scene = self._arrays.xp, group.scene

@@ -28,7 +28,7 @@ from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
-from handover_marl.simulation.reference_tracking import ReferenceBatch, ReferenceMotion
+from handover_marl.simulation.reference_tracking import ReferenceMotion
 
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
@@ -99,7 +99,7 @@ def start_device_worlds(scenes: list[Scene], xyz: npt.ArrayLike | None = None) -
     return worlds
 
 
-def make_reference(scenes: list[Scene], xyz: npt.ArrayLike | None = None, steps: int = STEPS) -> ReferenceBatch:
+def make_reference(scenes: list[Scene], xyz: npt.ArrayLike | None = None, steps: int = STEPS) -> ReferenceMotion:
     """Return the motion of `place_object` in every scene as tensors."""
     xyz = find_grasp_center() if xyz is None else xyz
     motions = [place_object(scene, xyz, steps) for scene in scenes]
@@ -107,7 +107,7 @@ def make_reference(scenes: list[Scene], xyz: npt.ArrayLike | None = None, steps:
     for own, motion in zip(objects, motions, strict=True):
         own[:, : motion.objects.shape[1]] = motion.objects
     hands, present = (np.stack([getattr(one, name) for one in motions]) for name in ("hand", "hand_present"))
-    return ReferenceBatch(*map(TENSORS.asarray, (hands, present, objects)))
+    return ReferenceMotion(*map(TENSORS.asarray, (objects, hands, present)))
 
 
 def simulate(
