@@ -263,13 +263,12 @@ class MujocoWorld(RolloutWorld):
         ).reshape(-1, 7)
         poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
         keypoints = None if hand is None else self._keypoint_kinematics.compute_poses(hand[None])[0][0]
-        return WorldState(
-            robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
-            robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
-            gripper_pose=poses[0].astype(np.float32),
-            object_poses=poses[1:].astype(np.float32),
-            hand_dof_position=None if hand is None else hand.astype(np.float32),
-            hand_keypoints=None if keypoints is None else keypoints.astype(np.float32),
+        return WorldState.from_bodies(
+            (data.qpos[scene.robot_qpos].astype(np.float32), data.qvel[scene.robot_qvel].astype(np.float32)),
+            poses[0].astype(np.float32),
+            poses[1:].astype(np.float32),
+            None if hand is None else hand.astype(np.float32),
+            None if keypoints is None else keypoints.astype(np.float32),
         )
 
     def read_agent_joints(self) -> AgentJoints:

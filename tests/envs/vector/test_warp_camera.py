@@ -13,7 +13,7 @@ import torch
 import handover_marl
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.vector import array_episodes
-from handover_marl.episode import wrist_camera_batch
+from handover_marl.episode import warp_wrist_camera
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.learning.custom_encodings import declare_size
@@ -114,11 +114,11 @@ def test_observations_of_ended_episodes() -> None:
 @pytest.mark.slow
 def test_episodes_and_their_clouds_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
     """Clouds depend on the seed of an environment, neither on the others nor on the size of chunks."""
-    monkeypatch.setattr(wrist_camera_batch, "N_POINTS", 32)
-    monkeypatch.setitem(wrist_camera_batch.camera_observation_space.__globals__, "N_POINTS", 32)
+    monkeypatch.setattr(warp_wrist_camera, "N_POINTS", 32)
+    monkeypatch.setitem(warp_wrist_camera.camera_observation_space.__globals__, "N_POINTS", 32)
     found = []
     for chunk in (64, 2):
-        monkeypatch.setattr(wrist_camera_batch, "_CHUNK", chunk)
+        monkeypatch.setattr(warp_wrist_camera, "_CHUNK", chunk)
         envs = handover_marl.vector_env(COUNT, obs_mode="pointcloud", **WARP, **RECEIVERS)
         observations, _ = envs.reset(seed=[SEED, SEED, SEED + 1])
         found.append(read_rows(observations))
@@ -150,7 +150,7 @@ def test_user_defined_features_observe_the_camera() -> None:
 def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.MonkeyPatch) -> None:
     made, rendered = [], []
 
-    class CountingCamera(wrist_camera_batch.WristCameraBatch):
+    class CountingCamera(warp_wrist_camera.WarpWristCamera):
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
             made.append(self)
@@ -159,7 +159,7 @@ def test_images_are_rendered_only_for_those_who_read_them(monkeypatch: pytest.Mo
             rendered.append(len(rows))
             return super().observe(rows, *arguments)
 
-    monkeypatch.setattr(array_episodes, "WristCameraBatch", CountingCamera)
+    monkeypatch.setattr(array_episodes, "WarpWristCamera", CountingCamera)
     options = {**WARP, **OPTIONS, "obs_mode": "state+pointcloud"}
     for agent, features in (("receiver", "close"), ("giver", None)):
         envs = handover_marl.vector_env(

@@ -21,7 +21,7 @@ from handover_marl.simulation.camera.images import CameraImage, SegmentationLabe
 from handover_marl.simulation.camera.optics import N_PIXELS
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import ImageBatch, WarpCamera
-from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_snapshots
+from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_states
 
 TENSORS = make_tensor_factory("cpu")
 CONFIG = PhysicsConfig()
@@ -74,7 +74,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     rows, counts = TENSORS.arange(len(scenes)), np.zeros(len(SegmentationLabel), dtype=int)
     for number in range(3):
         now = [draw_snapshot(scene, CONFIG, rng, has_hand=(number + row) % 3 > 0) for row, scene in enumerate(scenes)]
-        batch = stack_snapshots(now, TENSORS)
+        batch = stack_states(now, TENSORS)
         images = camera.render_wrist_camera(rows, batch, color=True)
         targets, objects = (camera.render_targets(rows, batch, with_others) for with_others in (False, True))
         for row, (single, own) in enumerate(zip(singles, now, strict=True)):
@@ -98,7 +98,7 @@ def test_robot_and_table_stand_where_they_are_configured_to(request: pytest.Fixt
     counts = np.zeros(len(SegmentationLabel), dtype=int)
     for _ in range(3):
         now = draw_snapshot(scenes[0], config, rng)
-        images = camera.render_wrist_camera(TENSORS.arange(1), stack_snapshots([now], TENSORS), color=True)
+        images = camera.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=True)
         counts += compare(images, 0, single.render_wrist_camera(now, True))
     assert min(counts[SegmentationLabel.ROBOT], counts[SegmentationLabel.TABLE], counts[TARGET]) > 100
 
@@ -109,7 +109,7 @@ def test_bodies_around_the_camera_are_invisible(request: pytest.FixtureRequest) 
     camera, (single,) = make_cameras([scene])
     now = draw_snapshot(scene, CONFIG, rng, nearest=0.3)
     now.objects[0, :3] = place_in_view(scene, CONFIG, now.robot, [0.0, 0.0, 0.0])
-    images = camera.render_wrist_camera(TENSORS.arange(1), stack_snapshots([now], TENSORS), color=False)
+    images = camera.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=False)
     assert images.rgb is None
     compare(images, 0, single.render_wrist_camera(now, False))
     assert not (images.segmentation == TARGET).any()
@@ -120,8 +120,8 @@ def test_images_do_not_depend_on_the_other_worlds(request: pytest.FixtureRequest
     scenes, rng = load_scenes(request, "synthetic"), np.random.default_rng(3)
     camera, _ = make_cameras(scenes)
     now = [draw_snapshot(scene, CONFIG, rng) for scene in scenes]
-    images = camera.render_wrist_camera(TENSORS.arange(3), stack_snapshots(now, TENSORS), color=True)
-    some = camera.render_wrist_camera(TENSORS.asarray([2, 0]), stack_snapshots([now[2], now[0]], TENSORS), color=True)
+    images = camera.render_wrist_camera(TENSORS.arange(3), stack_states(now, TENSORS), color=True)
+    some = camera.render_wrist_camera(TENSORS.asarray([2, 0]), stack_states([now[2], now[0]], TENSORS), color=True)
     for found, expected in zip(some, images, strict=True):
         np.testing.assert_array_equal(found, expected[[2, 0]])
 
@@ -135,7 +135,7 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     camera.reset(0, scenes[1].assets)
     assert len(camera._bank._meshes) == n_meshes
     now = draw_snapshot(scenes[1], CONFIG, rng)
-    images = camera.render_wrist_camera(TENSORS.arange(1), stack_snapshots([now], TENSORS), color=False)
+    images = camera.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=False)
     compare(images, 0, singles[1].render_wrist_camera(now, False))
 
 
