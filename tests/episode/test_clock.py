@@ -102,9 +102,3 @@ def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
         PolicyScheduler(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
     with pytest.raises(KeyboardInterrupt):
         PolicyScheduler(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)
-
-
-def test_policies_get_ready_before_an_episode() -> None:
-    policy = CountingPolicy(0.1)
-    PolicyScheduler(policy).reset(0, ("025_mug",))
-    assert policy.prepared == ("025_mug",)
