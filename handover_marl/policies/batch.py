@@ -11,7 +11,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from handover_marl.config import PANDA_DOF
-from handover_marl.episode.loop import PolicyScheduler
+from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
@@ -62,29 +62,24 @@ class SequentialPolicyBatch(PolicyBatch):
     """
 
     def __init__(self, policies: Sequence[Policy], check: Callable[[object], Actions]) -> None:
-        self._schedulers = [PolicyScheduler(policy) for policy in policies]
-        self._check = check
+        self._policies, self._check = policies, check
+        self._actions: dict[int, Actions] = {}
+        self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start an episode; see `PolicyBatch.reset`."""
-        self._schedulers[row].reset(seed, object_names)
+        start_policy(self._policies[row], seed, object_names)
+        self._due[row] = 0
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
-        schedulers = [self._schedulers[row] for row in rows.tolist()]
-        is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
-        found = observe(rows[is_due]) if is_due.any() else {}
-        observations = iter(range(int(is_due.sum())))
-
-        def observe_next() -> Observation:
-            number = next(observations)
-            return {key: values[number] for key, values in found.items()}
-
-        actions = [
-            self._check(scheduler.act(observe_next, step))
-            for scheduler, step in zip(schedulers, steps.tolist(), strict=True)
-        ]
-        return np.stack(actions), np.array([scheduler.due for scheduler in schedulers])
+        numbers = np.flatnonzero(steps >= self._due[rows])
+        found = observe(rows[numbers]) if len(numbers) else {}
+        for place, number in enumerate(numbers.tolist()):
+            row, observation = int(rows[number]), {key: values[place] for key, values in found.items()}
+            action, self._due[row] = call_policy(self._policies[row], observation, int(steps[number]))
+            self._actions[row] = self._check(action)
+        return np.stack([self._actions[row] for row in rows.tolist()]), self._due[rows]
 
 
 class HostPolicyBatch(PolicyBatch):
