@@ -149,36 +149,33 @@ def _check_device_camera(template: WrappableEnv) -> None:
         OptionError: The camera has data or noise that only "threads" can simulate, or the partner, a user-defined
             reward or a user-defined action scheme observes it.
     """
-    config, condition = template.unwrapped.config, "with backend='warp'"
+    config: EnvConfig = template.unwrapped.config
+    faults: list[tuple[bool, str]] = []
     env: Any = template
     while not isinstance(env, HandoverEnv):
-        if isinstance(env, FrozenPartnerEnv) and env.policy.obs_mode != STATE:
-            raise OptionError(
-                f"the partner must not use the camera {condition}, got {env.policy.name!r} with "
-                f"obs_mode={env.policy.obs_mode!r}; use backend='threads'"
-            )
+        if isinstance(env, FrozenPartnerEnv):
+            faults.append((env.policy.obs_mode != STATE, f"a partner without a camera, got {env.policy.name!r}"))
         env = env.env
-    if config.obs_mode == STATE:
-        return
-    kind = get_camera_data_kind(config.obs_mode)
-    if kind not in DEVICE_KINDS:
-        raise OptionError(
-            f"obs_mode must have one of {', '.join(DEVICE_KINDS)} {condition}, got {config.obs_mode!r}; use "
-            "backend='threads'"
-        )
-    if config.camera_noise is not None:
-        raise OptionError(f"camera_noise must be None {condition}, got {config.camera_noise!r}; use backend='threads'")
-    if resolve_renderer(config.renderer, config.physics) != RAYS:
-        raise OptionError(f"renderer must be 'rays' {condition}, got {config.renderer!r}; use backend='threads'")
-    if not isinstance(resolve_rewards(config.rewards), TermWeights):
-        raise OptionError(
-            f"rewards must be weights of the library's terms with a camera {condition}, got {config.rewards!r}; use "
-            "backend='threads'"
-        )
-    if isinstance(template, EncodedEnv) and RECEIVER in template.choices:
-        scheme = template.choices[RECEIVER][1]
-        if not isinstance(scheme, str) or is_reference(scheme):
-            raise OptionError(
-                f"the action scheme must be a built-in one with a camera {condition}, got {scheme!r}; use "
-                "backend='threads'"
-            )
+    if config.obs_mode != STATE:
+        choices = template.choices if isinstance(template, EncodedEnv) else {}
+        scheme: Any = choices[RECEIVER][1] if RECEIVER in choices else ""
+        has_terms = isinstance(resolve_rewards(config.rewards), TermWeights)
+        faults += [
+            (
+                get_camera_data_kind(config.obs_mode) not in DEVICE_KINDS,
+                f"an obs_mode with one of {', '.join(DEVICE_KINDS)}, got {config.obs_mode!r}",
+            ),
+            (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
+            (
+                resolve_renderer(config.renderer, config.physics) != RAYS,
+                f"the renderer 'rays', got {config.renderer!r}",
+            ),
+            (not has_terms, f"rewards that are weights of the library's terms, got {config.rewards!r}"),
+            (
+                not isinstance(scheme, str) or is_reference(scheme),
+                f"a built-in action scheme for the receiver, got {scheme!r}",
+            ),
+        ]
+    for is_wrong, need in faults:
+        if is_wrong:
+            raise OptionError(f"wrist cameras with backend='warp' need {need}; use backend='threads'")
