@@ -45,7 +45,7 @@ PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "p
 #: height of 0.92 m and four legs.
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
-#: Path of the robot grasps, made and validated in simulation by `building/robot_grasps.py`.
+#: Path of the robot grasps, made and validated in simulation by `building/grasps.py`.
 GRASPS_PATH = DATA_ROOT / "grasps.npz"
 #: YCB classes that are wider than the gripper opens; neither the library nor HandoverSim has grasps.
 CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")

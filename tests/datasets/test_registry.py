@@ -15,7 +15,7 @@ import pytest
 import handover_marl
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.generated.scenes import FIRST_CLASS
+from handover_marl.datasets.generated.dataset import FIRST_CLASS
 from handover_marl.errors import OptionError, ResultsError, SceneError, UnknownNameError
 from handover_marl.evaluation.merge import merge
 from handover_marl.evaluation.metadata import CONFIG_FILE, ResultMetadata, format_config, read_result_metadata

@@ -23,7 +23,7 @@ from handover_marl.assets.building.custom_scenes.motion_tables import (
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.robot_grasps import make_robot_grasps
+from handover_marl.assets.building.grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.shipped import URDF_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
@@ -137,8 +137,8 @@ class CustomSceneFolder:
             model = Path(scratch) / text
             model.mkdir()
             write_object(model, item, config)
-            report = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
-            write_arrays(model / GRASP_FILE, {"grasps": report.grasps.astype(np.float32)})
+            found, n_candidates = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
+            write_arrays(model / GRASP_FILE, {"grasps": found.astype(np.float32)})
             with self._change(OBJECT_FOLDER) as content:
                 self._check_new(text, content)
                 added = CustomObject(
@@ -146,8 +146,8 @@ class CustomSceneFolder:
                     number=max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1,
                     mass=round(item.mass, 6),
                     friction=float(config.friction),
-                    n_grasps=len(report.grasps),
-                    n_candidates=report.n_candidates,
+                    n_grasps=len(found),
+                    n_candidates=n_candidates,
                     repairs=item.repairs,
                 )
                 target = self.folder / OBJECT_FOLDER / text

@@ -11,8 +11,8 @@ from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, Mo
 from handover_marl.assets.hand_model import Side
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
 from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
+from handover_marl.datasets.generated.motion import minimum_jerk
 from handover_marl.datasets.generated.shapes import Solid
-from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.poses import compose, invert_pose
 

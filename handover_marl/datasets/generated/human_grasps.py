@@ -25,8 +25,8 @@ from handover_marl.datasets.generated.hands import (
     compute_shortest_rotations,
     make_hand_templates,
 )
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -49,35 +49,30 @@ _TOUCH_DISTANCE = 0.003
 _N_DISTAL_STEPS, _RELAXED_STEP = 10, 5
 
 
-@dataclass(frozen=True)
-class HumanGraspConfig:
-    """Effort of the search for human grasps.
-
-    Attributes:
-        n_pairs: Number of surface points from which grasps are tried in one round.
-        n_closed: Largest number of hands whose fingers are closed in one round.
-        n_grasps: Number of grasps at which the search ends.
-        n_rounds: Largest number of rounds.
-    """
-
-    n_pairs: int = 320
-    n_closed: int = 10
-    n_grasps: int = 3
-    n_rounds: int = 5
-
-
 def draw_human_grasps(
     random: RandomStream,
     solid: Solid,
     up_axes: tuple[float, ...],
     size: HandSize,
     side: Side,
-    config: HumanGraspConfig = HumanGraspConfig(),
+    n_pairs: int = 320,
+    n_closed: int = 10,
+    n_grasps: int = 3,
+    n_rounds: int = 5,
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
-    In every grasp the hand is clear of the table for one of the axes that point up on a table: `up_axes` are the
-    weights of +x, -x, +y, -y, +z, -z.
+    Args:
+        random: Stream of random numbers.
+        solid: Object.
+        up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
+            is clear of the table for one of the axes with a weight.
+        size: Size of the hand.
+        side: Side of the hand.
+        n_pairs: Number of surface points from which grasps are tried in one round.
+        n_closed: Largest number of hands whose fingers are closed in one round.
+        n_grasps: Number of grasps at which the search ends.
+        n_rounds: Largest number of rounds.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
@@ -85,16 +80,16 @@ def draw_human_grasps(
     directions = np.repeat(np.eye(3), 2, axis=0)[axes > 0.0] * np.tile([[1.0], [-1.0]], (3, 1))[axes > 0.0]
     floors = (target.corners @ directions.T).min(axis=0)
     found: list[tuple[Palms, Ints, ClosedHands]] = []
-    for _ in range(config.n_rounds):
-        palms, rows = _sample_open_hands(random, target, templates, config.n_pairs)
+    for _ in range(n_rounds):
+        palms, rows = _sample_open_hands(random, target, templates, n_pairs)
         heights = _find_lowest_points(templates, palms, rows, directions) - floors
-        lifted = np.flatnonzero((heights > _TABLE_CLEARANCE).any(axis=1))[: config.n_closed]
+        lifted = np.flatnonzero((heights > _TABLE_CLEARANCE).any(axis=1))[:n_closed]
         palms, rows = palms[lifted], rows[lifted]
         if len(rows):
             closed = close_fingers(target, templates, palms, rows)
             good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed))
             found.append((palms[good], rows[good], closed[good]))
-        if sum(len(rows) for _, rows, _ in found) >= config.n_grasps:
+        if sum(len(rows) for _, rows, _ in found) >= n_grasps:
             break
     if not any(len(rows) for _, rows, _ in found):
         return None

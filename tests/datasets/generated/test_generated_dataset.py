@@ -6,8 +6,7 @@ import pytest
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.generated.config import find_splits, parse_generated_config
-from handover_marl.datasets.generated.dataset import GeneratedDataset
-from handover_marl.datasets.generated.scenes import FIRST_CLASS, GRASPABLE_CLASSES
+from handover_marl.datasets.generated.dataset import FIRST_CLASS, GRASPABLE_CLASSES, GeneratedDataset
 from handover_marl.errors import SceneError, UnknownNameError
 
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"

@@ -9,9 +9,9 @@ from handover_marl.datasets.generated.config import OBJECT_KINDS
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
 from handover_marl.datasets.generated.human_grasps import draw_human_grasps, find_free_hands
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
-from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig, draw_robot_grasps
+from handover_marl.datasets.generated.random_stream import RandomStream
+from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Part, Solid, make_surface
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 
 def draw_kind(kind: str, seed: int) -> ProceduralObject:
@@ -56,7 +56,7 @@ def test_human_hands_hold_objects(kind: str, side: Side) -> None:
 @pytest.mark.parametrize("kind", OBJECT_KINDS)
 def test_robot_grasps_span_the_object(kind: str) -> None:
     solid = Solid(map(make_surface, draw_kind(kind, 2).parts))
-    grasps = draw_robot_grasps(RandomStream(5), solid, RobotGraspConfig())
+    grasps = draw_robot_grasps(RandomStream(5), solid)
     assert 10 < len(grasps) <= 60
     rotations = grasps[:, :3, :3]
     np.testing.assert_allclose(rotations @ rotations.swapaxes(1, 2), np.tile(np.eye(3), (len(grasps), 1, 1)), atol=1e-6)

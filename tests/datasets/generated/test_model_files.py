@@ -2,8 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from handover_marl.datasets.generated import model_files
-from handover_marl.datasets.generated.dataset import GeneratedDataset
+from handover_marl.datasets.generated.dataset import GeneratedDataset, write_hand_model
 from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.errors import DataNotFoundError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
@@ -23,7 +22,7 @@ def test_models_can_be_loaded(root: Path) -> None:
         vertices, _ = read_collision_mesh(urdf)
         assert abs(vertices.min(axis=0) + vertices.max(axis=0)).max() < 2e-4
     person = draw_person(dataset.config, 3)
-    check_model(model_files.write_hand_model(person, "left"), n_joints=51)
+    check_model(write_hand_model(person, "left"), n_joints=51)
     assert not list(root.rglob("*.part"))
 
 

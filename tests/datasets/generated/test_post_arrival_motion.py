@@ -11,7 +11,7 @@ from handover_marl.datasets.generated.post_arrival_motion import (
     SHOULDER_HEIGHT,
     draw_far_positions,
 )
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.generated.random_stream import RandomStream
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +43,6 @@ def test_offers_are_at_the_edge_of_reach() -> None:
     x, y, z = PandaConfig().base_position
     shoulder = np.array([x, y, z + SHOULDER_HEIGHT - TABLE_HEIGHT])
     for seed in range(50):
-        handover = draw_far_positions(RandomStream(seed)).handover
+        handover = draw_far_positions(RandomStream(seed))[1]
         distance = np.linalg.norm(handover - shoulder)
         assert REACH[0] - 1e-9 < distance < REACH[1] + 1e-9 or handover[2] == MIN_HEIGHT

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.assets.shipped import find_object_urdf
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Part, Solid, make_surface, read_solid
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 igl = pytest.importorskip("igl")
 

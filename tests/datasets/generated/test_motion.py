@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.datasets.synthetic.resampling import resample_fingers, resample_poses
+from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 
 GRID = 2.0**-23
 
