@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,6 @@ from handover_marl.geometry.model_files.urdf import render_urdf
 
 Side = Literal["left", "right"]
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.integer[Any]]
-BoolArray = npt.NDArray[np.bool_]
 
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
 SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
@@ -126,14 +124,6 @@ def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:
         *(sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy),
     ]
     return np.stack(entries, axis=-1).reshape(*values.shape, 3)
-
-
-def euler_from_matrices(matrices: npt.ArrayLike) -> FloatArray:
-    """Return intrinsic XYZ Euler angles (..., 3) (rad) of rotation matrices, y within +-pi/2."""
-    m = np.asarray(matrices, dtype=np.float64)
-    x = np.arctan2(-m[..., 1, 2], m[..., 2, 2])
-    y = np.arcsin(np.clip(m[..., 0, 2], -1.0, 1.0))
-    return np.stack([x, y, np.arctan2(-m[..., 0, 1], m[..., 0, 0])], axis=-1)
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:

@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_from_matrices
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side
 from handover_marl.errors import check_name
 from handover_marl.geometry.poses import rotate_points
+from handover_marl.geometry.rotations import euler_from_matrices
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
 #: Path of the grasps, made by `building/grasps.py`.

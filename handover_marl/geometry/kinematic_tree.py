@@ -1,4 +1,4 @@
-"""Kinematic trees read from URDF files: forward kinematics of many configurations at once.
+"""Kinematic trees read from URDF files: forward kinematics of many configurations, or many models, at once.
 
 Links are numbered as Bullet numbers them. Quaternions are xyzw.
 """
@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.errors import SimulationError
-from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
+from handover_marl.errors import OptionError, SimulationError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix, rotate_points, transform_points
 
@@ -184,23 +184,6 @@ class KinematicTree:
         These are the shapes, in bounding spheres by link number, of the link and its descendants; joints may
         have any position.
         """
-        children: dict[int, list[int]] = {}
-        for child, joint in enumerate(self.joints):
-            children.setdefault(joint.parent, []).append(child)
-        reaches: dict[int, float] = {}
-        # Children have higher numbers than their parents.
-        for number in range(len(self.joints) - 1, link - 1, -1):
-            reaches[number] = self._compute_rigid_reach(number, children, spheres, reaches)
-        return reaches[link]
-
-    def _compute_rigid_reach(
-        self,
-        link: int,
-        children: dict[int, list[int]],
-        spheres: Mapping[int, BoundingSphere],
-        reaches: dict[int, float],
-    ) -> float:
-        """Compute a link's reach (m) from the reaches of descendants that move relative to it."""
         farthest = 0.0
         rigid = [(link, np.zeros(3), np.eye(3))]
         while rigid:
@@ -208,13 +191,13 @@ class KinematicTree:
             if number in spheres:
                 sphere = spheres[number]
                 farthest = max(farthest, float(np.linalg.norm(origin + turn @ sphere.center)) + sphere.radius)
-            for child in children.get(number, []):
+            for child in (child for child, joint in enumerate(self.joints) if joint.parent == number):
                 joint = self.joints[child]
                 start = origin + turn @ joint.offset
                 if joint.kind == "fixed":
                     rigid.append((child, start, turn @ joint.rotation))
                 else:
-                    farthest = max(farthest, float(np.linalg.norm(start)) + reaches[child])
+                    farthest = max(farthest, float(np.linalg.norm(start)) + self.compute_reach(child, spheres))
         return farthest
 
 
@@ -335,3 +318,59 @@ def compute_link_trajectory(
     axes = rotate_points(base[3:], np.eye(3)).T
     names = tuple(joint.link for joint in tree.joints)
     return LinkFrameTrajectory(names, transform_points(base, origins), axes @ rotations)
+
+
+class TreeBank:
+    """Kinematic trees of models that have the same joints; links may have different sizes.
+
+    Args:
+        noun: Plural of the models' kind, for errors, e.g. "hands".
+        arrays: Creator of arrays on the device.
+    """
+
+    def __init__(self, noun: str, arrays: ArrayFactory) -> None:
+        self._noun, self._arrays = noun, arrays
+        self._numbers: dict[tuple[Path, int], int] = {}
+        self._structure: list[npt.NDArray[np.int_]] = []
+        self._constants: list[RowBank] = []
+        self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
+
+    def add(self, urdf: Path) -> int:
+        """Copy the constants of a model to the device, unless they are there, and return its number.
+
+        Raises:
+            OptionError: The model has other joints than the models before.
+            SimulationError: The file is not a URDF.
+        """
+        key = urdf, urdf.stat().st_mtime_ns
+        if key not in self._numbers:
+            self._numbers[key] = self._add(urdf)
+        return self._numbers[key]
+
+    def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Compute origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
+
+        `joints` (r, k, d) are positions in k configurations of each model (rad, m), float64.
+        """
+        xp = self._arrays.xp
+        constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))
+        # Fixed joints read the zero that is appended.
+        values = xp.concat([joints, xp.zeros_like(joints[..., :1])], axis=-1)[..., self._columns]
+        return compute_tree_frames(constants, self._levels, values)
+
+    def _add(self, urdf: Path) -> int:
+        tree, arrays = read_tree(urdf), self._arrays
+        structure = [tree.columns, *(part for level in tree.levels for part in level)]
+        if not self._constants:
+            self._structure = structure
+            self._constants = [RowBank(arrays, part.shape, "float64") for part in tree.constants]
+            self._columns = arrays.asarray(tree.columns)
+            self._levels = [(arrays.asarray(links), arrays.asarray(parents)) for links, parents in tree.levels]
+        same = len(structure) == len(self._structure)
+        if not same or not all(map(np.array_equal, structure, self._structure)):
+            raise OptionError(
+                f"{urdf}: all {self._noun} must have the same joints with backend='warp', this one has others; use "
+                "backend='threads'"
+            )
+        (number,) = {bank.extend(part) for bank, part in zip(self._constants, tree.constants, strict=True)}
+        return number

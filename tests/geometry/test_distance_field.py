@@ -101,15 +101,13 @@ def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.Lo
     first = load_object_sdf(urdf, MARGIN)
     (kept,) = cache.iterdir()
     whole = kept.read_bytes()
-    for spoiled in (whole[: len(whole) // 2], b""):
-        kept.write_bytes(spoiled)
-        field_module._load_object_sdf.cache_clear()
-        with caplog.at_level(logging.WARNING):
-            again = load_object_sdf(urdf, MARGIN)
-        assert kept.name in caplog.text
-        np.testing.assert_array_equal(again.values, first.values)
-        assert kept.read_bytes() == whole
-        caplog.clear()
+    kept.write_bytes(whole[: len(whole) // 2])
+    field_module._load_object_sdf.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        again = load_object_sdf(urdf, MARGIN)
+    assert kept.name in caplog.text
+    np.testing.assert_array_equal(again.values, first.values)
+    assert kept.read_bytes() == whole
 
 
 def test_fields_are_computed_without_a_cache_folder(cache: Path, caplog: pytest.LogCaptureFixture) -> None:

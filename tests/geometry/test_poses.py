@@ -71,15 +71,6 @@ def test_rotation_angle(vector: np.ndarray, angle: float) -> None:
     assert abs(compute_rotation_angle(base.as_quat(), -turned.as_quat()) - angle) < 1e-6
 
 
-ANGLES = arrays(np.float64, st.tuples(st.integers(1, 8), st.just(3)), elements=st.floats(-7.0, 7.0))
-
-
-@given(ANGLES)
-def test_quaternions_are_scipys(angles: np.ndarray) -> None:
-    found, wanted = quaternions_from_euler(angles), Rotation.from_euler("XYZ", angles).as_quat()
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-15)
-
-
 def test_quaternions_are_bit_equal_to_scipy() -> None:
     angles = np.random.default_rng(5).normal(size=(2000, 3))
     np.testing.assert_array_equal(quaternions_from_euler(angles), Rotation.from_euler("XYZ", angles).as_quat())

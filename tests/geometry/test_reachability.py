@@ -20,7 +20,7 @@ def hand_pose(joints: list[float]) -> np.ndarray:
     return compose(STAND, TREE.compute_link_poses(np.array([[*joints, 0.0, 0.0]]), [HAND])[0, 0])
 
 
-@settings(max_examples=500)
+@settings(max_examples=100)
 @given(st.lists(st.floats(-np.pi, np.pi), min_size=7, max_size=7))
 def test_no_reachable_pose_is_excluded(joints: list[float]) -> None:
     pose = hand_pose(joints)

@@ -14,19 +14,16 @@ from handover_marl.geometry.model_files.meshes import (
     read_visual_meshes,
 )
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
-from tests.unreadable import UNREADABLE, check_refusal, refuses_within, replace_by
+from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 TREE = KinematicTree([])
-URDF_READERS: dict[str, Callable[[Path], object]] = {
-    "tree": read_tree,
-    "links": lambda urdf: read_urdf_links(urdf, TREE),
-    "shapes": lambda urdf: read_urdf_shapes(urdf, TREE, "visual"),
-    "check": check_collision_meshes,
-}
-MESH_READERS: dict[str, Callable[[Path], object]] = {
-    "collision": read_collision_mesh,
-    "visual": lambda urdf: read_visual_meshes(urdf, TREE),
-}
+URDF_READERS: list[Callable[[Path], object]] = [
+    read_tree,
+    lambda urdf: read_urdf_links(urdf, TREE),
+    lambda urdf: read_urdf_shapes(urdf, TREE, "visual"),
+    check_collision_meshes,
+]
+MESH_READERS: list[Callable[[Path], object]] = [read_collision_mesh, lambda urdf: read_visual_meshes(urdf, TREE)]
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 
 
@@ -42,27 +39,21 @@ def write_model(folder: Path, mesh: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
-@pytest.mark.parametrize("reader", URDF_READERS)
-def test_unreadable_urdf(reader: str, kind: str, tmp_path: Path) -> None:
-    check_refusal(URDF_READERS[reader], tmp_path / "body.urdf", kind, HandoverError)
-    with refuses_within(5.0, ValueError, kind):
-        list_mesh_references(tmp_path / "body.urdf")
-
-
-@pytest.mark.parametrize("kind", UNREADABLE)
-@pytest.mark.parametrize("mesh", ["body.obj", "body.stl"])
-@pytest.mark.parametrize("reader", MESH_READERS)
-def test_unreadable_mesh(reader: str, mesh: str, kind: str, tmp_path: Path) -> None:
-    urdf = write_model(tmp_path, mesh)
-    replace_by(kind, tmp_path / mesh)
-    with refuses_within(5.0, HandoverError, kind):
-        MESH_READERS[reader](urdf)
-
-
-@pytest.mark.parametrize("kind", UNREADABLE)
-def test_unreadable_cache_is_computed_again(kind: str, tmp_path: Path) -> None:
-    UNREADABLE[kind](tmp_path / "cache.npz")
-    assert load_cached_arrays(tmp_path / "cache.npz", ["values"], "field") is None
+def test_unreadable_files(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "cache.npz"
+    UNREADABLE[kind](path)
+    assert load_cached_arrays(path, ["values"], "field") is None
+    path.with_name("body.urdf").symlink_to(path)
+    for read in (*URDF_READERS, list_mesh_references):
+        with refuses_within(5.0, (HandoverError, ValueError), kind):
+            read(tmp_path / "body.urdf")
+    for mesh in ("mesh.obj", "mesh.stl"):
+        (folder := tmp_path / mesh).mkdir()
+        urdf = write_model(folder, "x" + mesh)
+        replace_by(kind, folder / ("x" + mesh))
+        for read in MESH_READERS:
+            with refuses_within(5.0, HandoverError, kind):
+                read(urdf)
 
 
 @pytest.mark.parametrize("content", [b"", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"])

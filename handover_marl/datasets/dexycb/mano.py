@@ -125,6 +125,11 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
     )
 
 
+def read_mano_models(folder: Path) -> dict[str, ManoModel]:
+    """Read MANO's models of both hands, by side; raises as `read_mano_model`."""
+    return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
+
+
 class _Record:
     """Object of chumpy or SciPy in a pickle, whose class is not imported.
 

@@ -20,7 +20,7 @@ import numpy as np
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
 from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
-from handover_marl.datasets.scene_files import check_scene_meta
+from handover_marl.datasets.official import check_scene_meta
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_arrays, read_yaml
@@ -56,19 +56,6 @@ class SequenceFolder:
         return self.folder.parents[1] / "calibration"
 
 
-@dataclass(frozen=True)
-class RawLayout:
-    """Recordings found in a folder of raw DexYCB.
-
-    Attributes:
-        sequences: Recordings, in the order of their scene numbers.
-        missing: Messages on what is missing, with path, reason and advice.
-    """
-
-    sequences: tuple[SequenceFolder, ...]
-    missing: tuple[str, ...]
-
-
 @cache
 def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
     """Return the names of DexYCB's 100 recordings of every subject, in order of scene number."""
@@ -77,8 +64,11 @@ def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
     return MappingProxyType({subject: tuple(name for owner, name in pairs if owner == subject) for subject in SUBJECTS})
 
 
-def find_sequences(raw: Path) -> RawLayout:
+def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
     """Find all recordings in a folder of raw DexYCB.
+
+    Returns:
+        Recordings in the order of their scene numbers, and messages on what is missing, with path, reason and advice.
 
     Raises:
         DataNotFoundError: The folder is missing, or holds no calibration.
@@ -88,7 +78,7 @@ def find_sequences(raw: Path) -> RawLayout:
             f"{raw} is no raw DexYCB folder: it holds no calibration/. Give the folder that DexYCB's archives, also "
             "calibration.tar.gz, were expanded into."
         )
-    sequences, missing = [], []
+    sequences, missing = list[SequenceFolder](), list[str]()
     for number, subject in enumerate(SUBJECTS):
         folder, known = raw / subject, read_sequence_names()[subject]
         found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
@@ -104,26 +94,7 @@ def find_sequences(raw: Path) -> RawLayout:
                 f"{folder} lacks {len(absent)} of {SEQUENCES_PER_SUBJECT} recordings, such as {absent[0]}; expand "
                 f"DexYCB's {subject}.tar.gz there"
             )
-    return RawLayout(tuple(sequences), tuple(missing))
-
-
-@dataclass(frozen=True)
-class SequenceMeta:
-    """Content of a recording's meta.yml.
-
-    Attributes:
-        extrinsics: Name of the extrinsic calibration.
-        ycb_ids: YCB class numbers of the objects.
-        ycb_grasp_ind: Index of the handed-over object in `ycb_ids`.
-        side: Hand, "right" or "left".
-        mano_calib: Name of the calibration of the hand's shape.
-    """
-
-    extrinsics: str
-    ycb_ids: tuple[int, ...]
-    ycb_grasp_ind: int
-    side: str
-    mano_calib: str
+    return sequences, missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,15 +102,15 @@ class RawSequence:
     """Recording with its calibration.
 
     Attributes:
-        meta: Content of meta.yml.
+        meta: Content of meta.yml, see `read_meta`.
         world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
         betas: MANO's ten shape parameters of the hand.
-        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `meta.ycb_ids`.
+        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `ycb_ids`.
         hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
             (m); zero in frames without a hand.
     """
 
-    meta: SequenceMeta
+    meta: dict[str, Any]
     world_from_tag: Float64
     betas: tuple[float, ...]
     objects: Float32
@@ -154,28 +125,29 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
         DataFormatError: A file is damaged, or has hardly any frames with a hand.
     """
     meta = read_meta(sequence)
-    objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
-    extrinsics = sequence.calibration / f"extrinsics_{meta.extrinsics}" / "extrinsics.yml"
+    objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta["ycb_ids"]))
+    extrinsics = sequence.calibration / f"extrinsics_{meta['extrinsics']}" / "extrinsics.yml"
     return RawSequence(
         meta=meta,
         world_from_tag=_read_numbers(extrinsics, 12, "extrinsics", "apriltag").reshape(3, 4),
-        betas=read_betas(sequence.calibration, meta.mano_calib),
+        betas=read_betas(sequence, meta),
         objects=objects,
         hand=hand,
     )
 
 
-def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of a hand by the name of its calibration.
+def read_betas(sequence: SequenceFolder, meta: dict[str, Any]) -> tuple[float, ...]:
+    """Read MANO's ten shape parameters of the hand of a recording with a content of meta.yml.
 
     Raises:
         DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
     """
-    return tuple(_read_numbers(calibration / f"mano_{mano}" / "mano.yml", N_BETAS, "betas").tolist())
+    path = sequence.calibration / f"mano_{meta['mano_calib'][0]}" / "mano.yml"
+    return tuple(_read_numbers(path, N_BETAS, "betas").tolist())
 
 
-def read_meta(sequence: SequenceFolder) -> SequenceMeta:
-    """Read a recording's meta.yml.
+def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
+    """Read a recording's meta.yml: `ycb_ids`, `ycb_grasp_ind`, `mano_sides`, `mano_calib` and `extrinsics`.
 
     Raises:
         DataNotFoundError: The file is missing.
@@ -183,15 +155,14 @@ def read_meta(sequence: SequenceFolder) -> SequenceMeta:
     """
     path = sequence.folder / "meta.yml"
     content = _read_mapping(path)
-    ids, grasped, sides, calibrations, extrinsics = (
-        _get(path, content, key) for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
-    )
+    keys = ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
+    meta = {key: _get(path, content, key) for key in keys}
     try:
-        check_scene_meta(path, ids, grasped, sides)
-        (calibration,) = calibrations
+        check_scene_meta(path, meta["ycb_ids"], meta["ycb_grasp_ind"], meta["mano_sides"])
+        (_,) = meta["mano_calib"]
     except (TypeError, ValueError) as error:
         raise _damaged_file_error(path, shorten_text(error)) from error
-    return SequenceMeta(str(extrinsics), tuple(ids), grasped, sides[0], str(calibration))
+    return meta
 
 
 def _read_mapping(path: Path) -> object:

@@ -16,11 +16,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.anthropometry import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandSize
-from handover_marl.assets.hand_model import HandGeometry, euler_from_matrices, scale_hand
+from handover_marl.assets.hand_model import HandGeometry, scale_hand
 from handover_marl.datasets.generated.config import GeneratedConfig, make_seed
 from handover_marl.datasets.generated.random_stream import RandomStream, open_stream
 from handover_marl.datasets.generated.shapes import normalize
 from handover_marl.geometry.poses import compute_cross_products
+from handover_marl.geometry.rotations import euler_from_matrices
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -1,6 +1,5 @@
 """Reader and writer of OBJ mesh files."""
 
-import codecs
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,14 +15,9 @@ from handover_marl.execution.reading import read_plain_file
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
-# Forms of the format that PyBullet reads wrong without an error: it drops a vertex after the first, and the whole mesh
-# after the others.
-_FORMS_WITHOUT_BULLET = {
-    "begin with a byte order mark": re.compile(rb"\A" + codecs.BOM_UTF8),
-    "have a comment behind a face": re.compile(rb"^[ \t]*f[ \t][^\r\n]*#", re.MULTILINE),
-    "join lines with a backslash": re.compile(rb"\\[ \t]*[\r\n]"),
-    "end lines with a carriage return alone": re.compile(rb"\r(?!\n)"),
-}
+# A byte order mark, a comment behind a face, lines joined by a backslash, and carriage returns alone: PyBullet drops a
+# vertex or the whole mesh without an error.
+_MISREAD_BY_BULLET = re.compile(rb"\A\xef\xbb\xbf|^[ \t]*f[ \t][^\r\n]*#|\\[ \t]*[\r\n]|\r(?!\n)", re.MULTILINE)
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
 _LINE_END, _CONTINUATION, _COMMENT = (
@@ -143,9 +137,10 @@ def check_mesh(path: Path, solid: bool = False) -> None:
     if path.suffix.lower() != ".obj":
         return
     vertices = read_obj(path).vertices
-    content = read_plain_file(path)
-    for form, pattern in _FORMS_WITHOUT_BULLET.items():
-        if pattern.search(content):
-            raise DataFormatError(f"{path}: must not {form}, which PyBullet does not read; change it")
+    if _MISREAD_BY_BULLET.search(read_plain_file(path)):
+        raise DataFormatError(
+            f"{path}: must not have a byte order mark, a comment behind a face, lines joined by a backslash or a "
+            "carriage return alone, which PyBullet does not read; change it"
+        )
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")

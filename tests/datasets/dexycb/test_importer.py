@@ -15,8 +15,8 @@ from handover_marl.cli import main
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
 from handover_marl.datasets.dexycb.raw_files import read_sequence_names
+from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import list_required_files
-from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.errors import DataNotFoundError, OptionError, ResultsError, SceneError, UnsafeFileError
 from handover_marl.geometry.ycb import SUBJECTS
 from tests.datasets.dexycb.raw_files import (

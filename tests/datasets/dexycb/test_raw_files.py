@@ -39,13 +39,13 @@ def test_sequence_names() -> None:
 def test_dexycbs_recordings_have_their_official_numbers(tmp_path: Path, ranks: range) -> None:
     names = read_sequence_names()[SUBJECTS[6]]
     write_names(tmp_path, 6, [*(names[rank] for rank in reversed(ranks)), "20200928_000000", "backup"])
-    layout = find_sequences(tmp_path)
-    found = [(one.scene_id - 600, one.folder.name) for one in layout.sequences]
+    sequences, missing = find_sequences(tmp_path)
+    found = [(one.scene_id - 600, one.folder.name) for one in sequences]
     assert found == [(rank, names[rank]) for rank in ranks]
-    sequence = layout.sequences[0]
+    sequence = sequences[0]
     assert (sequence.subject, sequence.calibration) == (SUBJECTS[6], tmp_path / "calibration")
-    reported = [text for text in layout.missing if SUBJECTS[6] in text]
-    assert len(layout.missing) == 9 + len(reported)
+    reported = [text for text in missing if SUBJECTS[6] in text]
+    assert len(missing) == 9 + len(reported)
     assert [f"lacks {100 - len(ranks)} of 100 recordings, such as {names[0]};" in text for text in reported] == (
         [] if len(ranks) == 100 else [True]
     )
@@ -54,9 +54,9 @@ def test_dexycbs_recordings_have_their_official_numbers(tmp_path: Path, ranks: r
 def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
     names = [f"20200903_{9000 + 7 * rank:06d}" for rank in range(100)]
     write_names(tmp_path, 3, names[::-1])
-    assert [one.folder.name for one in find_sequences(tmp_path).sequences] == names
+    assert [one.folder.name for one in find_sequences(tmp_path)[0]] == names
     shutil.rmtree(tmp_path / SUBJECTS[3] / names[0])
-    assert not find_sequences(tmp_path).sequences
+    assert not find_sequences(tmp_path)[0]
 
 
 def test_no_raw_folder(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_no_raw_folder(tmp_path: Path) -> None:
 def test_recording(tmp_path: Path) -> None:
     scene = RawScene(side="left")
     found = read_sequence(scene.write(tmp_path))
-    assert (found.meta.ycb_ids, found.meta.ycb_grasp_ind, found.meta.side) == ((2, 5), 1, "left")
+    assert [found.meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")] == [[2, 5], 1, ["left"]]
     np.testing.assert_array_equal(found.world_from_tag, tag_pose())
     assert found.betas == tuple(scene.betas)
     for array, expected in ((found.objects, scene.objects), (found.hand, scene.hand)):

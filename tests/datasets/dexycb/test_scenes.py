@@ -11,7 +11,7 @@ from handover_marl.datasets.dexycb.scenes import (
     find_first_betas,
     import_scene,
 )
-from handover_marl.datasets.scene_files import CACHE_FOLDER
+from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.errors import DataFormatError
 from tests.datasets.dexycb.mano_files import made_up_model
 from tests.datasets.dexycb.raw_files import RawScene, hand_poses, object_poses, tag_pose
