@@ -24,6 +24,7 @@ from handover_marl.datasets.generated.hands import (
     Posture,
     compute_shortest_rotations,
     make_hand_templates,
+    place_digits,
 )
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
@@ -190,7 +191,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
     bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx)
     relaxed = steps[:, _RELAXED_STEP]
     posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
-    centers = palms.transform(templates.digits[rows].place(posture.bends[:, None])[:, 0])
+    centers = palms.transform(place_digits(templates.model, posture, posture.bends[:, None])[:, 0])
     return ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
 
 
@@ -209,7 +210,7 @@ def _close_end_joints(
         return bends
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
     trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
-    centers = templates.digits[rows].place(trial)
+    centers = place_digits(templates.model, templates.openings.posture[rows], trial)
     gaps = (solid.compute_distances(palms.transform(centers)) - templates.radii).reshape(n, count, 5, 3, 3).min(axis=4)
     shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), SKIN_YIELD)
     part = shares[..., None] * 1.6 * STEP_ANGLES * beyond

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -67,21 +65,6 @@ def test_robot_grasps_span_the_object(kind: str) -> None:
     for sign in (-0.041, 0.041):
         pads = middle + sign * grasps[:, None, :3, 0]
         assert (solid.compute_distances(pads) > 0.0).all()
-
-
-def test_digits_in_closed_form_equal_forward_kinematics() -> None:
-    size, rng = SUBJECT_SIZES[3], np.random.default_rng(0)
-    templates, hand = make_hand_templates(size), scale_hand(size, "right")
-    posture, rows = templates.openings.posture, np.arange(len(templates.openings))
-    bends = rng.uniform(0.0, 1.5, (len(rows), 2, 5, 3))
-    placed = templates.digits[rows].place(bends)
-    for step in range(2):
-        dof = np.zeros((len(rows), 51))
-        dof[:, :3], dof[:, 6:] = -hand.palm_offset, replace(posture, bends=bends[:, step]).compute_joint_angles()
-        positions, rotations = hand.compute_link_poses(dof)
-        ends = positions[:, 1:] + np.einsum("nlij,lj->nli", rotations[:, 1:], hand.tips)
-        np.testing.assert_allclose(placed[:, step, :, 2::3], ends.reshape(len(rows), 5, 3, 3), atol=1e-12)
-    np.testing.assert_allclose(templates.path, templates.digits.place(templates.bends), atol=1e-7)
 
 
 def test_hands_without_a_free_posture() -> None:
