@@ -133,18 +133,14 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
     return np.asarray(_load_npz(path)[name].astype(np.float64))
 
 
-def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
-    """Return the `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is no such record.
-
-    Raises:
-        DataFormatError: The file is damaged.
-    """
-    record = load_validation_records(path).get(name)
+def load_validation_record(name: str) -> ValidationRecord | None:
+    """Return the shipped `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is none."""
+    record = load_validation_records(VALIDATION_PATH).get(name)
     return None if record is None else record.copy()
 
 
 def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
-    """Load all grasp validation records of a file by name; return no records if the file is missing.
+    """Load the grasp validation records of a file by the objects' names; return no records if the file is missing.
 
     Raises:
         DataFormatError: The file is damaged.

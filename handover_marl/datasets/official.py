@@ -201,8 +201,8 @@ class OfficialDataset(Dataset):
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
-        span = (int(present[0]), int(present[-1])) if len(present) else None
-        return self.make_scene(info, self._find_scene_assets(info), object_dof, hand_dof, span)
+        span = (int(present[0]), int(present[-1])) if len(present) else (None, None)
+        return Scene(info, self.name, self._find_scene_assets(info), object_dof, hand_dof, *span)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a YCB class's URDF."""

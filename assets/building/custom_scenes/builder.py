@@ -32,9 +32,10 @@ from handover_marl.datasets.custom.dataset import (
     MOTION_FOLDER,
     OBJECT_FOLDER,
     CustomDataset,
+    check_hand,
+    check_objects,
     get_motion_path,
 )
-from handover_marl.datasets.custom.ranges import check_hand, check_objects
 from handover_marl.datasets.custom.scene_file import (
     SCENE_FILE,
     CustomObject,

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
-from handover_marl.datasets.custom.ranges import DURATION, MAX_FINGER_ANGLE
+from handover_marl.datasets.custom.dataset import DURATION, MAX_FINGER_ANGLE
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text

@@ -19,8 +19,8 @@ from handover_marl.assets.shipped import (
     format_object_urdf,
     read_palette_files,
 )
-from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
-from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
+from handover_marl.datasets.custom.dataset import EXTENT, MASS, MAX_OFFSET
+from handover_marl.datasets.custom.dataset import FRICTION as FRICTION_RANGE
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import require_modules

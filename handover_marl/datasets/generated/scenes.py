@@ -101,11 +101,8 @@ class HandoverGenerator(Dataset):
     def load_scene(self, scene_id: int) -> Scene:
         """Generate a scene with its motion in the world frame; raises `SceneError`."""
         info, handover = self.load_info(scene_id), self.generate(scene_id)
-        assets, span = (
-            self.find_assets(info, handover.giver.hand_urdf),
-            (handover.hand_first, len(handover.hand_dof) - 1),
-        )
-        return self.make_scene(info, assets, handover.object_dof, handover.hand_dof, span)
+        assets, last = self.find_assets(info, handover.giver.hand_urdf), len(handover.hand_dof) - 1
+        return Scene(info, self.name, assets, handover.object_dof, handover.hand_dof, handover.hand_first, last)
 
 
 @lru_cache(maxsize=64)
