@@ -6,7 +6,7 @@ import pytest
 from handover_marl.assets.shipped import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.simulation.bullet.client import BulletClient, connect
+from handover_marl.simulation.bullet.client import connect
 
 #: Lowest and highest corner (m) of the scanned object's bounding box in its frame, by YCB class
 #: name; measured on the YCB-Video models (Calli et al., 2015; Xiang et al., 2018).
@@ -36,26 +36,17 @@ YCB_BOUNDS = {
 NAMES = tuple(CLASS_NAMES.values())
 
 
-@pytest.fixture
-def client() -> BulletClient:
-    return connect()
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_urdf_has_the_official_structure(client: BulletClient, name: str) -> None:
+def test_urdf_has_the_official_structure_and_the_size_of_the_scan(name: str) -> None:
+    client = connect()
     body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
     assert [info[2] for info in infos] == [client.JOINT_PRISMATIC] * 3 + [client.JOINT_REVOLUTE] * 3
     assert [info[12].decode() for info in infos] == [f"link{number}" for number in range(1, 7)]
     assert [info[13] for info in infos] == [tuple(axis) for axis in np.eye(3).tolist() * 2]
-    dynamics = client.getDynamicsInfo(body, 5)
-    assert dynamics[:2] == (0.5, 0.9)
+    assert client.getDynamicsInfo(body, 5)[:2] == (0.5, 0.9)
     assert [len(client.getCollisionShapeData(body, link)) for link in range(-1, 5)] == [0] * 6
     assert len(client.getVisualShapeData(body)) == 1
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_size_and_frame_are_those_of_the_scans(name: str) -> None:
     for file in (VISUAL_NAME, COLLISION_NAME):
         vertices = read_obj(OBJECTS_ROOT / name / file).vertices
         bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
@@ -73,14 +64,15 @@ def test_size_and_frame_are_those_of_the_scans(name: str) -> None:
         ("019_pitcher_base", (0.045, 0.045, 0.02)),  # between body and handle
     ],
 )
-def test_openings_are_open(client: BulletClient, name: str, point: tuple[float, float, float]) -> None:
+def test_openings_are_open(name: str, point: tuple[float, float, float]) -> None:
+    client = connect()
     client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
     ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.004), -1, point)
     client.performCollisionDetection()
     assert not client.getContactPoints(ball)
 
 
-@pytest.mark.parametrize("name", ["003_cracker_box", "024_bowl", "035_power_drill"])
+@pytest.mark.parametrize("name", ["024_bowl", "035_power_drill"])
 def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
     pytest.importorskip("trimesh")
     from handover_marl.assets.building.objects import build_object
