@@ -14,7 +14,6 @@ from handover_marl.datasets.dexycb.assets import (
     write_object_assets,
     write_table_assets,
 )
-from handover_marl.datasets.dexycb.mano import ManoModel
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -22,10 +21,6 @@ from tests.datasets.dexycb.mano_files import made_up_hand, made_up_model
 
 SUBJECT = "20200709-subject-01"
 BETAS = np.linspace(-1.0, 1.0, 10)
-
-
-def hand(weights: np.ndarray | None = None) -> ManoModel:
-    return dataclasses.replace(made_up_model(), **({} if weights is None else {"weights": weights}))
 
 
 def numbers(text: str | None) -> list[float]:
@@ -76,7 +71,7 @@ def test_meshes_of_a_hand(tmp_path: Path) -> None:
     for joint in (4, 7, 10):
         mine = np.flatnonzero(weights[:, joint])
         weights[mine[:10], joint] = 0.71
-    model = hand(weights)
+    model = dataclasses.replace(made_up_model(), weights=weights)
     folder = write_hand_assets(tmp_path, SUBJECT, model, BETAS)
     assert folder == tmp_path / f"{SUBJECT}_right"
     vertices = model.shape_vertices(BETAS)

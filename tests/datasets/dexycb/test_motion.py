@@ -15,7 +15,7 @@ from tests.datasets.dexycb.mano_files import made_up_model
 from tests.datasets.dexycb.raw_files import hand_poses, object_poses, tag_pose
 
 
-@settings(max_examples=50)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000))
 def test_keyframes_in_the_tag_frame(seed: int) -> None:
     poses, pose = object_poses(6, seed=seed)[:, 0], tag_pose(seed)
@@ -36,7 +36,7 @@ def trajectory(poses: np.ndarray, seed: int = 0, base: np.ndarray = WRIST) -> np
     return compute_hand_trajectory(poses, TagFrame.from_extrinsics(tag_pose(seed)), MODEL, WRIST, base)
 
 
-@pytest.mark.parametrize(("first", "last"), [(0, 9), (3, 9), (0, 6), (2, 5)])
+@pytest.mark.parametrize(("first", "last"), [(0, 9), (2, 5)])
 def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
     found = trajectory(hand_poses(10, first, last))
     assert found.shape == (361, 51)
@@ -45,7 +45,7 @@ def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
     assert find_hand_span(hand_poses(10, first, last)) == KeyframeSpan(first, last)
 
 
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000))
 def test_wrist_position_is_the_recorded_one(seed: int) -> None:
     """The articulated hand has its wrist at the recorded position.
@@ -61,7 +61,7 @@ def test_wrist_position_is_the_recorded_one(seed: int) -> None:
     assert (base * turned.inv()).magnitude().max() < 1e-5
 
 
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 10_000))
 def test_finger_rotations_are_the_recorded_ones(seed: int) -> None:
     poses = hand_poses(6, seed=seed)

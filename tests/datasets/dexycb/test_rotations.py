@@ -41,7 +41,7 @@ def one(a: float, b: float, c: float) -> np.float32:
     return fused_multiply_add(*(np.array([value], dtype=np.float32) for value in (a, b, c)))[0]
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(a=FLOATS, b=FLOATS, c=FLOATS)
 def test_fused_sums_round_once(a: float, b: float, c: float) -> None:
     assume(abs(a * b + c) < 3e38)
@@ -129,7 +129,7 @@ def test_angles_at_gimbal_lock(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(transforms3d_euler_from_matrices(exact), [[0.0, y, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize("n_keyframes", [4, 66, 68, 70, 72, 74, 76])
+@pytest.mark.parametrize("n_keyframes", [4, 66, 76])
 def test_times_equal_those_of_the_original(n_keyframes: int) -> None:
     span = KeyframeSpan(0, n_keyframes - 1)
     keys = np.arange(0, n_keyframes * 0.04, 0.04)

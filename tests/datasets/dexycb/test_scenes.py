@@ -42,14 +42,13 @@ def test_scene_in_the_cache(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.flatnonzero(pose_m.any(axis=(1, 2)))[[0, -1]], [80, 320])
 
 
-@pytest.mark.parametrize("change", [np.float32(1e-45), np.float32(-0.0)])
-def test_different_motion_is_not_overwritten(tmp_path: Path, change: np.float32) -> None:
+def test_different_motion_is_not_overwritten(tmp_path: Path) -> None:
     sequence, cache = RawScene(hand=hand_poses(6, 1)).write(tmp_path / "raw", scene_id=7), tmp_path / CACHE_FOLDER
     import_scene(sequence, MODELS, {}, tmp_path)
     with np.load(cache / "pose_007.npz") as archive:
         arrays = dict(archive)
     assert arrays["pose_m"][0, 0, 3] == 0.0
-    arrays["pose_m"][0, 0, 3] = change
+    arrays["pose_m"][0, 0, 3] = -0.0
     np.savez_compressed(cache / "pose_007.npz", **arrays)
     before = (cache / "pose_007.npz").read_bytes()
     with pytest.raises(DataFormatError, match=r"pose_007\.npz exists, but differs.*remove it"):

@@ -19,6 +19,7 @@ from handover_marl.datasets.generated.shapes import Part, Solid, make_surface
 from handover_marl.errors import DataFormatError, HandoverError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from tests.custom_scenes import WRIST_IN_OBJECT, WRIST_ROTATION, make_box, make_recording, write_csv
+from tests.short_episodes import shorten_episodes
 
 pytest.importorskip("mujoco", reason="MuJoCo validates the grasps of new objects")
 
@@ -120,7 +121,8 @@ def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id
 
 
 @pytest.mark.slow
-def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path) -> None:
+def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten_episodes(monkeypatch, 1000)
     options = {"dataset": scenes.dataset, "scenes": [2], "physics": "fast", "workers": 1, "progress": False}
     report = handover_marl.evaluate_pair(receiver="hold", out=tmp_path / "out", **options)
     assert "data: own data: boxes" in report.heading
