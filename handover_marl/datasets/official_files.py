@@ -54,21 +54,9 @@ def list_required_files() -> tuple[str, ...]:
     return tuple(path for path in read_third_party_checksums() if not path.endswith(_OPTIONAL_ENDINGS))
 
 
-def is_stand_in_file(path: Path) -> bool:
-    """Return whether a file exists, can be read and is marked as a stand-in."""
-    try:
-        return _is_stand_in(read_plain_file(path))
-    except (OSError, ValueError):
-        return False
-
-
-def _is_stand_in(content: bytes) -> bool:
-    return STAND_IN.encode() in content[:_HEADER_BYTES]
-
-
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
     """Return the origin of a third-party file from its path in `assets/` and its content."""
-    if _is_stand_in(content):
+    if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
     same = known is not None and hashlib.sha256(content).hexdigest() == known
@@ -113,6 +101,11 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
         return classify_file_origin(path, read_plain_file(assets / path))
     except (OSError, ValueError):
         return FileOrigin.UNKNOWN
+
+
+def is_stand_in_file(path: Path) -> bool:
+    """Return whether a file exists, can be read and is marked as a stand-in."""
+    return find_origin(path.parent, path.name) is FileOrigin.STAND_IN
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:

@@ -150,13 +150,10 @@ class DataLocation:
         return cls(_resolve_path(data_dir), _resolve_path(environment))
 
     def resolve(self) -> str | None:
-        """Return the folder to use on this machine.
+        """Return the folder to use on this machine, or None to use this machine's `HANDOVER_MARL_DATA`.
 
         The order of preference is: `argument` if it exists on this machine, `HANDOVER_MARL_DATA` of
         this machine, `environment`.
-
-        Returns:
-            Path of the folder, or None to use this machine's `HANDOVER_MARL_DATA`.
         """
         if self.argument and Path(self.argument).is_dir():
             return self.argument

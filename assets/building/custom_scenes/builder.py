@@ -18,7 +18,6 @@ from handover_marl.assets.building.custom_scenes.finger_closing import close_han
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
-    MotionTable,
     make_trajectory,
     read_motion_table,
 )
@@ -131,7 +130,8 @@ class CustomSceneFolder:
         text = _check("name", check_class_name, name)
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        self._check_new(text, self.content)
+        if text in [item.name for item in self.content.objects]:
+            raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         with Console(stderr=True, quiet=not progress).status("convex parts"):
             item = make_object_mesh(source, config)
         with tempfile.TemporaryDirectory() as scratch:
@@ -141,7 +141,6 @@ class CustomSceneFolder:
             found, n_candidates = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
             write_arrays(model / GRASP_FILE, {"grasps": found.astype(np.float32)})
             with self._change(OBJECT_FOLDER) as content:
-                self._check_new(text, content)
                 added = CustomObject(
                     name=text,
                     number=max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1,
@@ -203,7 +202,14 @@ class CustomSceneFolder:
         person = _check("subject", check_file_name, subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
-        _check_bodies(table, others, hand)
+        missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
+        if missing or unknown:
+            raise DataFormatError(
+                f"the motion has {'no ' if missing else ''}poses of {min(missing or unknown)!r}; the names in others "
+                "must be those of its columns"
+            )
+        if hand is not None and table.wrist is None:
+            raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
         bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
@@ -272,10 +278,6 @@ class CustomSceneFolder:
             dataset.load_scene(scene_id)
         return dataset
 
-    def _check_new(self, name: str, content: SceneFile) -> None:
-        if name in [item.name for item in content.objects]:
-            raise OptionError(f"name must be new, got {name!r}, which {self.folder} has already; choose another one")
-
     def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
         return find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
@@ -289,17 +291,6 @@ class CustomSceneFolder:
                 yield self.content
         except OSError as error:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
-
-
-def _check_bodies(table: MotionTable, others: Sequence[str], hand: int | None) -> None:
-    missing = [name for name in others if name not in table.bodies]
-    unknown = [name for name in table.bodies if name not in (OBJECT, *others)]
-    if missing:
-        raise DataFormatError(f"the motion has no poses of {missing[0]!r}, which others names; add its columns")
-    if unknown:
-        raise DataFormatError(f"the motion has poses of {unknown[0]!r}; name it in others, or remove its columns")
-    if hand is not None and table.wrist is None:
-        raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
 
 
 def _check(argument: str, check: Callable[[object], str], value: object) -> str:

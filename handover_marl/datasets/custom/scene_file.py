@@ -10,7 +10,7 @@ motion/000000.npz             motion of scene 0, see `handover_marl.datasets.cus
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,10 +101,7 @@ class SceneFile:
     name: str
     objects: tuple[CustomObject, ...] = ()
     scenes: tuple[CustomScene, ...] = ()
-    setups: Mapping[str, Mapping[str, tuple[int, ...]]] = ()  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "setups", dict(self.setups))
+    setups: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         lines = [f"own data: {self.name}, {len(self.scenes)} scenes", *map(str, self.objects)]

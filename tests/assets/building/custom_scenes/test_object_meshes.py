@@ -60,10 +60,10 @@ def test_repairs_are_stated(kind: str) -> None:
 
 
 def test_many_triangles_are_simplified() -> None:
-    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.04)
-    item = make_object_mesh(sphere, MeshConfig(max_faces=500, **ROUGH))
+    sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
+    item = make_object_mesh(sphere, MeshConfig(**ROUGH))
     assert item.repairs == (f"simplified from {len(sphere.faces)} to {len(item.mesh.faces)} triangles",)
-    assert len(item.mesh.faces) <= 520
+    assert len(item.mesh.faces) <= 20_000
     assert item.mesh.volume == pytest.approx(sphere.volume, rel=0.05)
 
 
