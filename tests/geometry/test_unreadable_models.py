@@ -1,6 +1,5 @@
 """Tests that pipes, devices, folders and huge files in place of models and meshes are refused in a short time."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,34 +7,18 @@ import pytest
 from handover_marl.errors import HandoverError
 from handover_marl.geometry.array_cache import load_cached_arrays
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
-from handover_marl.geometry.model_files.meshes import (
-    check_collision_meshes,
-    read_collision_mesh,
-    read_visual_meshes,
-)
+from handover_marl.geometry.model_files.meshes import check_collision_meshes, read_collision_mesh, read_visual_meshes
 from handover_marl.geometry.model_files.urdf import list_mesh_references, read_urdf_links, read_urdf_shapes
-from tests.unreadable import UNREADABLE, refuses_within, replace_by
+from tests.unreadable import UNREADABLE, refuses_within
 
 TREE = KinematicTree([])
-URDF_READERS: list[Callable[[Path], object]] = [
+READERS = [
     read_tree,
     lambda urdf: read_urdf_links(urdf, TREE),
     lambda urdf: read_urdf_shapes(urdf, TREE, "visual"),
     check_collision_meshes,
+    list_mesh_references,
 ]
-MESH_READERS: list[Callable[[Path], object]] = [read_collision_mesh, lambda urdf: read_visual_meshes(urdf, TREE)]
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
-
-
-def write_model(folder: Path, mesh: str) -> Path:
-    """Write a URDF of one link, its mesh in OBJ format whatever its suffix."""
-    (folder / mesh).write_text(TETRAHEDRON)
-    shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
-    urdf = folder / "body.urdf"
-    urdf.write_text(
-        f'<robot name="body"><link name="body"><collision>{shape}</collision><visual>{shape}</visual></link></robot>'
-    )
-    return urdf
 
 
 @pytest.mark.parametrize("kind", UNREADABLE)
@@ -43,17 +26,18 @@ def test_unreadable_files(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "cache.npz"
     UNREADABLE[kind](path)
     assert load_cached_arrays(path, ["values"], "field") is None
-    path.with_name("body.urdf").symlink_to(path)
-    for read in (*URDF_READERS, list_mesh_references):
+    (tmp_path / "body.urdf").symlink_to(path)
+    for read in READERS:
         with refuses_within(5.0, (HandoverError, ValueError), kind):
             read(tmp_path / "body.urdf")
     for mesh in ("mesh.obj", "mesh.stl"):
-        (folder := tmp_path / mesh).mkdir()
-        urdf = write_model(folder, "x" + mesh)
-        replace_by(kind, folder / ("x" + mesh))
-        for read in MESH_READERS:
+        (tmp_path / mesh).symlink_to(path)
+        shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
+        urdf = tmp_path / f"{mesh}.urdf"
+        urdf.write_text(f'<robot><link name="b"><collision>{shape}</collision><visual>{shape}</visual></link></robot>')
+        for read_mesh in (read_collision_mesh, lambda urdf: read_visual_meshes(urdf, TREE)):
             with refuses_within(5.0, HandoverError, kind):
-                read(urdf)
+                read_mesh(urdf)
 
 
 @pytest.mark.parametrize("content", [b"", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"])

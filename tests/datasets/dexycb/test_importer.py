@@ -92,7 +92,7 @@ SPOILS: dict[str, Callable[[Path], object]] = {
 
 
 def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
+    raw, out = tmp_path / "raw", tmp_path / "out"
     shutil.copytree(given / "expected", out)
     for name, spoil in SPOILS.items():
         spoil(out / CACHE_FOLDER / name)
@@ -101,6 +101,12 @@ def test_existing_files_are_checked_and_kept(given: Path, tmp_path: Path) -> Non
     assert found.scenes == tuple(range(len(SPOILS), N_SCENES))
     for name in SPOILS:
         assert any(f"{name} exists, but differs from the result" in fault for fault in found.faults)
+    # Models of other data are kept, too.
+    shutil.copytree(given / "raw", raw)
+    for name in NAMES:
+        write_yaml(mano_file(raw, name), {"betas": [0.3] * 10})
+    with pytest.raises(ResultsError, match="exists with other content"):
+        imported(given, raw, out)
     assert all_files(out) == before
 
 
@@ -118,17 +124,6 @@ def test_killed_import_is_continued(given: Path, tmp_path: Path) -> None:
     assert {name: data for name, data in found.items() if not name.endswith(".part")}.items() <= expected.items()
     imported(given, given / "raw", out)
     assert all_files(out) == expected
-
-
-def test_models_of_other_data_are_kept(given: Path, tmp_path: Path) -> None:
-    raw, out = tmp_path / "raw", tmp_path / "out"
-    shutil.copytree(given / "raw", raw)
-    shutil.copytree(given / "expected", out)
-    for name in NAMES:
-        write_yaml(mano_file(raw, name), {"betas": [0.3] * 10})
-    with pytest.raises(ResultsError, match="exists with other content"):
-        imported(given, raw, out)
-    assert all_files(out) == all_files(given / "expected")
 
 
 def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
