@@ -50,7 +50,7 @@ GRASPS_PATH = DATA_ROOT / "grasps.npz"
 #: YCB classes that are wider than the gripper opens; neither the library nor HandoverSim has grasps.
 CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
-#: Path of the grasp validations, made by `building/grasp_validations.py`.
+#: Path of the grasp validations, made by `building/grasps.py`.
 VALIDATION_PATH = DATA_ROOT / "grasp_validations.npz"
 #: Result of the validation of an object's n grasps, (n, 4). Columns: index of the tilted copy of a
 #: known grasp, or -1 for the known grasp itself; number of shaken poses, in and around the grasp,

@@ -1,7 +1,10 @@
-"""Grasps of the library's objects: human ones, and robot grasps that hold their object in simulation.
+"""Grasps of the library's objects: human ones, robot grasps that hold their object in simulation, and validations.
 
 For every object, side and subject, human grasps are drawn all over the object, and a varied set of them is selected
 whose wrist distances are distributed as in DexYCB.
+
+Robot grasps are validated with both variants of the robot. An object takes about 20 core minutes. Results in the user's
+cache folder are reused.
 """
 
 import functools
@@ -15,8 +18,7 @@ import numpy.typing as npt
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES, HandSize
-from handover_marl.assets.hand_model import SIDES, Side
+from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, HandSize, Side
 from handover_marl.assets.human_grasps import (
     ANGLE_STEP,
     GRASPED_OBJECTS,
@@ -25,7 +27,15 @@ from handover_marl.assets.human_grasps import (
     WRIST_DISTANCE_QUANTILES,
     HumanGrasps,
 )
-from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS, GRASPS_PATH, find_object_urdf
+from handover_marl.assets.shipped import (
+    CLASSES_WITHOUT_GRASPS,
+    GRASPS_PATH,
+    VALIDATION_PATH,
+    ValidationRecord,
+    find_object_urdf,
+    load_validation_records,
+)
+from handover_marl.datasets import open_dataset
 from handover_marl.datasets.generated.human_grasps import draw_human_grasps
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
@@ -34,7 +44,11 @@ from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
+from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.reactive.grasp_validation import get_validation_record, get_validation_record_path
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.engines import make_grasp_validator
 
 Array = npt.NDArray[np.float64]
@@ -168,3 +182,35 @@ def _make_validation(urdf: Path) -> Callable[[tuple[int, Array]], list[bool]]:
         return [bool(validator.is_collision_free(grasp) and validator.is_stable(grasp)) for grasp in task[1]]
 
     return validate
+
+
+def build_grasp_validations(
+    out: Path = VALIDATION_PATH, data_dir: Path | None = None, workers: int | None = None
+) -> None:
+    """Validate the grasps of all objects and write one file.
+
+    Args:
+        out: Output file (`.npz`).
+        data_dir: Data folder in HandoverSim's layout with further objects; without it, the file's other records are
+            kept.
+        workers: Number of worker processes.
+    """
+    records = {} if data_dir else dict(load_validation_records(out))
+    folders = (None, data_dir) if data_dir else (None,)
+    # The second robot comes last and reuses results of the first.
+    tasks = [(folder, robot, name) for folder in folders for robot in ROBOTS for name in CLASS_NAMES.values()]
+    for _, found in map_with_progress(lambda: _validate_object, tasks, "objects", PoolConfig(workers), progress=True):
+        if found is not None:
+            records[found[0]] = found[1]
+    write_arrays(out, dict(sorted(records.items())))
+
+
+def _validate_object(task: tuple[Path | None, str, str]) -> tuple[str, ValidationRecord] | None:
+    """Return the name and the record of an object's validation, or None if it has no grasps."""
+    data_dir, robot, name = task
+    data = open_dataset("dexycb" if data_dir else "synthetic", data_dir, robot)
+    known = GraspLibrary(data.load_grasps).get_hand_poses_in_object(name)
+    if known is None:
+        return None
+    given = (data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())
+    return get_validation_record_path(*given).stem, get_validation_record(*given)

@@ -13,12 +13,13 @@ import numpy.typing as npt
 import trimesh
 from rich.progress import track
 
-from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
 from handover_marl.assets.building.shapes import make_hull
 from handover_marl.assets.hand_model import (
     HANDS_FOLDER,
     MESH_NAMES,
+    REFERENCE_SIZE,
     SIDES,
+    SKIN_COLORS,
     SUBJECTS,
     FloatArray,
     HandGeometry,

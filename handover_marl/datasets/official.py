@@ -231,7 +231,9 @@ class OfficialDataset(Dataset):
             digest.update(read_plain_file(path))
         for urdf in (assets.table, assets.panda, assets.hand, *assets.objects):
             digest.update(read_plain_file(urdf))
-            digest.update(_encode_mesh_sizes(urdf))
+            # Hashing the contents of meshes would take seconds.
+            sizes = [(name, mesh.stat().st_size if mesh.is_file() else -1) for name, mesh in list_mesh_references(urdf)]
+            digest.update(b"\n".join(b"%s %d" % (name.encode(), size) for name, size in sizes))
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
@@ -266,12 +268,3 @@ class OfficialDataset(Dataset):
     def _find_grasp_file(self, name: str) -> Path | None:
         path = self._assets / "grasps" / f"{name}.npy"
         return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
-
-
-def _encode_mesh_sizes(urdf: Path) -> bytes:
-    """Return the names and sizes of a URDF's meshes; hashing their contents would take seconds."""
-    sizes = [
-        b"%s %d" % (name.encode(), mesh.stat().st_size if mesh.is_file() else -1)
-        for name, mesh in list_mesh_references(urdf)
-    ]
-    return b"\n".join(sizes)

@@ -3,11 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.hand_model import (
     HANDS_FOLDER,
     MESH_NAMES,
     SIDES,
+    SUBJECT_SIZES,
     SUBJECTS,
     Side,
     find_hand_urdf,

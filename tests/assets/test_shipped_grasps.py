@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.grasps import make_human_grasps
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, find_hand_urdf
+from handover_marl.assets.hand_model import SIDES, SUBJECT_SIZES, SUBJECTS, Side, find_hand_urdf
 from handover_marl.assets.human_grasps import (
     GRASPED_OBJECTS,
     GRASPS_FILE,

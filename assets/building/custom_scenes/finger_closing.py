@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_model import SUBJECT_SIZES, Side
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
 from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
 from handover_marl.datasets.generated.motion import minimum_jerk

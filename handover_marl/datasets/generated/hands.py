@@ -5,7 +5,6 @@ phalanges while the fingers close freely are computed once for each hand.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -14,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandSize
-from handover_marl.assets.hand_model import HandGeometry, scale_hand
+from handover_marl.assets.hand_model import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandGeometry, HandSize, scale_hand
 from handover_marl.datasets.generated.config import GeneratedConfig, make_seed
 from handover_marl.datasets.generated.random_stream import RandomStream, open_stream
 from handover_marl.datasets.generated.shapes import normalize
@@ -88,17 +86,6 @@ class ArrayBatch:
 
     def __getitem__(self, rows: npt.NDArray[np.integer | np.bool_]) -> "Self":
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))  # type: ignore[arg-type]
-
-    @classmethod
-    def concatenate(cls, parts: "Sequence[Self]") -> "Self":
-        """Return all items of several batches as one batch."""
-        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))  # type: ignore[arg-type]
-        return cls(
-            *(
-                type(column[0]).concatenate(column) if isinstance(column[0], ArrayBatch) else np.concatenate(column)
-                for column in columns
-            )
-        )
 
 
 @dataclass(frozen=True, eq=False)

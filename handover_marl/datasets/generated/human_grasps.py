@@ -3,7 +3,7 @@
 Grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -11,8 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from handover_marl.assets.anthropometry import HandSize
-from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_model import HandSize, Side
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.datasets.generated.hands import (
     LIMITS,
@@ -80,7 +79,7 @@ def draw_human_grasps(
     axes = np.array(up_axes)[[1, 0, 2, 3, 4, 5]] if side == "left" else np.array(up_axes)
     directions = np.repeat(np.eye(3), 2, axis=0)[axes > 0.0] * np.tile([[1.0], [-1.0]], (3, 1))[axes > 0.0]
     floors = (target.corners @ directions.T).min(axis=0)
-    found: list[tuple[Palms, Ints, ClosedHands]] = []
+    found: list[HumanGrasps] = []
     for _ in range(n_rounds):
         palms, rows = _sample_open_hands(random, target, templates, n_pairs)
         heights = _find_lowest_points(templates, palms, rows, directions) - floors
@@ -89,16 +88,16 @@ def draw_human_grasps(
         if len(rows):
             closed = close_fingers(target, templates, palms, rows)
             good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed))
-            found.append((palms[good], rows[good], closed[good]))
-        if sum(len(rows) for _, rows, _ in found) >= n_grasps:
+            found.append(_encode_grasps(templates, palms[good], rows[good], closed[good], side))
+        if sum(map(len, found)) >= n_grasps:
             break
-    if not any(len(rows) for _, rows, _ in found):
+    if not any(map(len, found)):
         return None
-    palms = Palms.concatenate([palms for palms, _, _ in found])
-    rows = np.concatenate([rows for _, rows, _ in found])
-    closed = ClosedHands.concatenate([closed for _, _, closed in found])
-    order = np.argsort(np.linalg.norm(palms.position, axis=1), kind="stable")
-    return _encode_grasps(templates, palms[order], rows[order], closed[order], side)
+    order = np.argsort(np.concatenate([grasps.wrist_distance for grasps in found]), kind="stable")
+    names = [field.name for field in fields(HumanGrasps) if field.name != "side"]
+    return HumanGrasps(
+        **{name: np.concatenate([getattr(grasps, name) for grasps in found])[order] for name in names}, side=side
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES
-from handover_marl.assets.hand_model import scale_hand
+from handover_marl.assets.hand_model import SUBJECT_SIZES, scale_hand
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.generated.config import OBJECT_KINDS
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
