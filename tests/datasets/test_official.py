@@ -64,9 +64,9 @@ def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.M
     ("changes", "message"),
     [
         ({"ycb_ids": []}, "0 objects"),
-        ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
         ({"ycb_ids": [19]}, "unknown object class 19"),
         ({"ycb_ids": 2}, "not a scene's meta file"),
+        ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
         ({"mano_sides": ["both"]}, "mano_sides"),
     ],
 )
@@ -76,19 +76,12 @@ def test_bad_meta(own_data: Path, changes: dict[str, object], message: str) -> N
         OfficialDataset(own_data).load_info(5)
 
 
-@pytest.mark.parametrize(
-    ("pose_y", "pose_m"),
-    [
-        (np.zeros((10, 2, 6)), np.zeros((10, 1, 51))),
-        (np.zeros((10, 1, 6)), np.zeros((9, 1, 51))),
-        (np.zeros((0, 1, 6)), np.zeros((0, 1, 51))),
-        (np.full((10, 1, 6), np.nan), np.zeros((10, 1, 51))),
-    ],
-)
-def test_wrong_shapes_of_motion(own_data: Path, pose_y: np.ndarray, pose_m: np.ndarray) -> None:
-    np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", pose_y=pose_y, pose_m=pose_m)
-    with pytest.raises(DataFormatError, match="pose_005"):
-        OfficialDataset(own_data).load_scene(5)
+def test_wrong_motion(own_data: Path) -> None:
+    for objects, hand in (((10, 2, 6), 10), ((10, 1, 6), 9), ((0, 1, 6), 0), ((10, 1, 6), 10)):
+        motion = {"pose_y": np.full(objects, np.nan), "pose_m": np.zeros((hand, 1, 51))}
+        np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", **motion)  # type: ignore[arg-type]
+        with pytest.raises(DataFormatError, match="pose_005"):
+            OfficialDataset(own_data).load_scene(5)
 
 
 def test_classes_without_grasps(own_data: Path) -> None:

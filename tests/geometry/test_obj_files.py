@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
-from handover_marl.simulation.bullet.client import connect, load_urdf
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
@@ -56,16 +55,6 @@ def test_every_form_of_the_format(tmp_path: Path) -> None:
 def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataFormatError, match=message):
         read_obj(write(tmp_path, text))
-
-
-def test_vertex_numbers_out_of_range_do_not_reach_pybullet(tmp_path: Path) -> None:
-    write(tmp_path, f"{TRIANGLE}f 1 2 4\n")
-    mesh = '<geometry><mesh filename="mesh.obj"/></geometry>'
-    urdf = tmp_path / "model.urdf"
-    urdf.write_text(f'<robot name="r"><link name="l"><collision>{mesh}</collision></link></robot>')
-    client = connect()
-    with pytest.raises(SimulationError, match=r"mesh\.obj: a face names a corner"):
-        load_urdf(client, urdf)
 
 
 BODY = f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"

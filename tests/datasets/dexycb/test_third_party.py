@@ -42,54 +42,36 @@ def test_files_are_installed(tmp_path: Path) -> None:
     assert all_files(tmp_path / "assets") == FILES
 
 
-@pytest.fixture(scope="module")
-def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return `assets/` with the stand-ins that DexYCB's models of two objects give; a third model is damaged."""
-    folder = tmp_path_factory.mktemp("stood_in")
-    name = "003_cracker_box"
-    (folder / "models" / name).mkdir(parents=True)
-    mesh = find_object_urdf("061_foam_brick").with_name("model_normalized_convex.obj")
-    shutil.copy(mesh, folder / "models" / name / "textured_simple.obj")
-    (folder / "models" / "025_mug").mkdir()
-    (folder / "models" / "025_mug" / "textured_simple.obj").write_text("no mesh")
-    faults = write_stand_ins(folder / "models", folder / "assets", workers=1, progress=False)
-    assert len(faults) == 1
-    assert "025_mug" in faults[0]
-    return folder / "assets"
-
-
 @pytest.mark.slow
-def test_stand_ins_are_marked(stood_in: Path) -> None:
-    reported = [path for path in list_required_files() if is_stand_in_file(stood_in / path)]
+def test_stand_ins_are_marked_and_replaced_by_originals(tmp_path: Path) -> None:
+    """DexYCB's model of one object gives stand-ins, a damaged one a fault; a scene of them is marked in results."""
+    models, assets = tmp_path / "models", tmp_path / "assets"
+    for name in ("003_cracker_box", "025_mug"):
+        (models / name).mkdir(parents=True)
+    mesh = find_object_urdf("061_foam_brick").with_name("model_normalized_convex.obj")
+    shutil.copy(mesh, models / "003_cracker_box" / "textured_simple.obj")
+    (models / "025_mug" / "textured_simple.obj").write_text("no mesh")
+    (fault,) = write_stand_ins(models, assets, workers=1, progress=False)
+    assert "025_mug" in fault
+    reported = [path for path in list_required_files() if is_stand_in_file(assets / path)]
     assert len(reported) == 1 + 19 + 2
-    assert not is_stand_in_file(stood_in / "003_cracker_box/textured_simple.obj"), "that is DexYCB's own"
-    grasps = load_grasps(stood_in / "grasps/025_mug.npy")
-    np.testing.assert_array_equal(grasps, load_object_grasps("025_mug"))
+    assert not is_stand_in_file(assets / "003_cracker_box/textured_simple.obj"), "that is DexYCB's own"
+    np.testing.assert_array_equal(load_grasps(assets / "grasps/025_mug.npy"), load_object_grasps("025_mug"))
     for path in PANDA_FILES.values():
-        meshes = list_mesh_references(stood_in / path)
+        meshes = list_mesh_references(assets / path)
         assert meshes
         assert all(mesh.is_file() for _, mesh in meshes)
-
-
-def test_originals_replace_stand_ins(stood_in: Path, tmp_path: Path) -> None:
-    assets = tmp_path / "assets"
-    shutil.copytree(stood_in, assets)
-    install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
-    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
-    # Stand-ins do not replace originals.
-    write_stand_ins(tmp_path, assets, workers=1, progress=False)
-    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
-
-
-@pytest.mark.slow
-def test_scene_of_stand_ins_is_marked_in_results(stood_in: Path, tmp_path: Path) -> None:
     folder = write_layout(tmp_path / "data", (FakeScene(5),))
     for name in ("franka_panda", "grasps", "003_cracker_box"):
         shutil.rmtree(folder / "assets" / name)
-    shutil.copytree(stood_in, folder / "assets", dirs_exist_ok=True)
+    shutil.copytree(assets, folder / "assets", dirs_exist_ok=True)
     write_object_assets(folder / "assets")
     dataset = OfficialDataset(folder, "panda_camera")
     notes = "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
     assert dataset.describe_models(5) == notes
     with contextlib.closing(Episode("exact")) as episode:
         episode.reset(dataset.load_scene(5))
+    # Originals replace stand-ins, and stand-ins do not replace originals.
+    install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
+    write_stand_ins(tmp_path, assets, workers=1, progress=False)
+    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"
