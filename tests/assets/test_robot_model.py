@@ -8,7 +8,6 @@ import pytest
 
 from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
 from handover_marl.config import PandaConfig
-from handover_marl.datasets import open_dataset
 from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.simulation.bullet.bodies import PandaBody
@@ -43,8 +42,3 @@ def test_camera_pose_equals_handoversims() -> None:
     for pose in (panda.read_camera_pose(), plain.read_camera_pose()):
         np.testing.assert_allclose(pose[:3], camera[:3], atol=1e-6)
         assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_datasets_have_both_robots() -> None:
-    for robot, urdf in (("panda_camera", CAMERA_PANDA_URDF), ("panda", PANDA_URDF)):
-        assert open_dataset("synthetic", robot=robot).load_scene(209).assets.panda == urdf

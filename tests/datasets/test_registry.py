@@ -3,7 +3,6 @@
 The generated data set in these tests has more than 1,000 scenes in a split, one setup, and classes from 22 on.
 """
 
-import copy
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +11,11 @@ from typing import Any
 import pytest
 
 import handover_marl
-from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import DATA_DIR_VARIABLE, open_dataset
 from handover_marl.datasets.generated.dataset import FIRST_CLASS
 from handover_marl.datasets.registry import DataLocation, check_scene_fingerprint
-from handover_marl.errors import DataFormatError, OptionError, ResultsError, SceneError, UnknownNameError
-from handover_marl.evaluation.metadata import CONFIG_FILE, ResultMetadata, format_config, read_result_metadata
+from handover_marl.errors import DataFormatError, OptionError, SceneError, UnknownNameError
+from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.verification import verify
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -68,9 +66,8 @@ def test_environment_of_another_data_set() -> None:
     assert env.state_space.contains(env.state())
     env.close()
     context = make_policy_context(dataset)
-    copies = copy.deepcopy(context), pickle.loads(pickle.dumps(context))
-    assert {copied.setup for copied in copies} == {"random"}
-    assert all(copied.object_names == dataset.object_names for copied in copies)
+    copied = pickle.loads(pickle.dumps(context))
+    assert (copied.setup, copied.object_names) == ("random", dataset.object_names)
 
 
 def test_results_of_another_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,14 +85,6 @@ def test_results_of_another_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert f"1 of {n_split} scenes" in again.heading
     assert again.episodes[0].object_name.startswith("object_")
     assert verify(tmp_path / "out", workers=1, progress=False).is_verified
-
-
-@pytest.mark.parametrize("size", ["0", "many", "12345678"])
-def test_wrong_sizes_are_refused(tmp_path: Path, size: str) -> None:
-    metadata = ResultMetadata("all", "test", "hold", "replay", "fast", "many:cups", "0.8.0", n_split_scenes=size)
-    (tmp_path / CONFIG_FILE).write_text(format_config(metadata, OFFICIAL_CONFIG))
-    with pytest.raises(ResultsError, match="beside which n_split_scenes must be a"):
-        read_result_metadata(tmp_path)
 
 
 def test_data_folder_of_another_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import DataFormatError, SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
@@ -62,6 +63,7 @@ def test_every_visible_link_has_one_mesh(urdf: Path) -> None:
 
 
 def test_links_are_left_out_by_name() -> None:
+    assert ASSETS.panda == CAMERA_PANDA_URDF
     camera = read_tree(ASSETS.panda).get_link(CAMERA_LINK)
     every, some = ([mesh.link for mesh in read(ASSETS.panda, *names)] for names in ((), (CAMERA_LINK,)))
     assert camera in every

@@ -4,7 +4,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -36,13 +36,12 @@ from handover_marl.datasets.custom.dataset import (
     get_motion_path,
 )
 from handover_marl.datasets.custom.scene_file import (
+    RESERVED_SETUPS,
     SCENE_FILE,
     CustomObject,
     CustomScene,
     SceneFile,
-    check_class_name,
     check_file_name,
-    check_setup_name,
     read_scene_file,
 )
 from handover_marl.datasets.generated.shapes import read_solid
@@ -82,7 +81,7 @@ class CustomSceneFolder:
                 raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
             self._name = known
             return
-        self._name = _check("name", check_file_name, self.folder.name if name is None else name)
+        self._name = _check_name("name", self.folder.name if name is None else name)
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
 
@@ -127,7 +126,7 @@ class CustomSceneFolder:
             OptionError: The name is that of a YCB class or of an object of the folder, or no file name.
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
-        text = _check("name", check_class_name, name)
+        text = _check_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
         if text in [item.name for item in self.content.objects]:
@@ -199,7 +198,7 @@ class CustomSceneFolder:
         check_name("side", side, SIDES)
         if hand is not None:
             check_name("hand", hand, SUBJECTS)
-        person = _check("subject", check_file_name, subject)
+        person = _check_name("subject", subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
         missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
@@ -223,7 +222,7 @@ class CustomSceneFolder:
             frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
             check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])
         if recording is not None:
-            _check("recording", check_file_name, recording)
+            _check_name("recording", recording)
         with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
             name = f"{person}/{recording or f'{number:06d}'}"
@@ -255,7 +254,7 @@ class CustomSceneFolder:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
-        _check("name", check_setup_name, name)
+        _check_name("name", name, RESERVED_SETUPS)
         if not self.folder.is_dir():
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with self._change() as content:
@@ -293,9 +292,9 @@ class CustomSceneFolder:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
 
 
-def _check(argument: str, check: Callable[[object], str], value: object) -> str:
+def _check_name(argument: str, value: object, reserved: Collection[str] = ()) -> str:
     try:
-        return check(value)
+        return check_file_name(value, reserved)
     except ValueError as error:
         raise OptionError(f"{argument} {error}") from None
 

@@ -172,7 +172,7 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
     with np.errstate(invalid="ignore"):  # flat bodies have no centre
         is_outward = mesh.is_winding_consistent and mesh.volume >= 0.0
         mesh.process(validate=True)
-    _check_solid(mesh, name)
+        _check_solid(mesh, name)
     if len(mesh.faces) < n_faces:
         repairs.append(f"{n_faces - len(mesh.faces)} empty or repeated triangles removed")
     if not is_outward:

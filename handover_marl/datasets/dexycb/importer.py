@@ -48,11 +48,6 @@ class ImportReport:
     missing_files: tuple[str, ...]
     stand_in_files: tuple[str, ...]
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are neither faults nor missing files nor stand-ins."""
-        return not (self.faults or self.missing_files or self.stand_in_files)
-
     def __str__(self) -> str:
         lines = [f"{self.out}: {len(self.scenes)} scenes, {len(self.hands)} hands."]
         lines += [f"not imported: {fault}" for fault in self.faults]

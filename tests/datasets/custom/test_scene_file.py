@@ -35,7 +35,7 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
         ({"objects": [{"name": "bottle"}]}, "number"),
         ({"objects": [{**vars(CONTENT.objects[0]), "name": "../x"}]}, "must be 1 to 64"),
         ({"objects": []}, "unknown class 'bottle'"),
-        ({"setups": {"s0": {}}}, "must not be s0"),
+        ({"setups": {"s0": {}}}, "must not be one of s0, "),
         ({"setups": {"mine": {"train": [2], "val": [], "test": []}}}, "does not exist"),
         ([], ""),
     ],

@@ -178,7 +178,7 @@ def test_splits(scenes: CustomSceneFolder) -> None:
     assert drawn == scenes.add_split("drawn", "random", val=0.34, test=0.34, seed=3)
     assert sorted(number for numbers in drawn.values() for number in numbers) == [0, 1, 2]
     for name, options, message in (
-        ("s0", {"by": "random"}, "name must not be s0"),
+        ("s0", {"by": "random"}, "name must not be one of s0, "),
         ("a", {"by": "color"}, "unknown by"),
         ("a", {"by": "person", "val": ["carl"]}, "unknown person 'carl'; valid: anna, ben"),
         ("a", {"by": "person", "val": ["ben"], "test": ["ben"]}, "must not share a name"),

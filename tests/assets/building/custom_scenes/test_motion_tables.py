@@ -50,22 +50,20 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
         read_motion_table(recording, MotionConfig())
 
 
-CSV_FAULTS = [
-    ("object_qw", "object_q", "column 'object_qw' is missing"),
-    ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
-    ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
-]
-
-
-@pytest.mark.parametrize(("before", "after", "message"), CSV_FAULTS)
-def test_damaged_csv_files(before: str, after: str, message: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("object_qw", "object_q", "column 'object_qw' is missing"),
+        ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
+        ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
+    ],
+)
+def test_damaged_files(before: str, after: str, message: str, tmp_path: Path) -> None:
     path = write_csv(tmp_path / "motion.csv", make_recording())
     path.write_text(path.read_text().replace(before, after, 1))
     with pytest.raises(DataFormatError, match=message):
         read_motion_table(path, MotionConfig())
-
-
-def test_objects_are_not_unpickled(tmp_path: Path) -> None:
+    # Objects are not unpickled.
     np.savez(tmp_path / "motion.npz", time=np.array([{}], dtype=object))
     with pytest.raises(DataFormatError, match="not a readable"):
         read_motion_table(tmp_path / "motion.npz", MotionConfig())
