@@ -14,7 +14,7 @@ from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
-from tests.datasets.dexycb.mano_files import made_up_hand, official, write
+from tests.datasets.dexycb.raw_files import made_up_hand, official, write
 from tests.evaluation.deadline import ends_within
 from tests.unreadable import replace_by
 

@@ -12,14 +12,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry import poses, rotations
-from handover_marl.geometry.arrays import (
-    NUMPY_ARRAYS,
-    as_arrays,
-    get_namespace,
-    is_tensor,
-    make_tensor_factory,
-    to_numpy,
-)
+from handover_marl.geometry.arrays import is_tensor, to_numpy
 
 Array = npt.NDArray[np.float64]
 COORDINATES = arrays(np.float64, 3, elements=st.floats(-10, 10))
@@ -119,13 +112,3 @@ def test_tensors_of_special_angles(angle: float) -> None:
         locked = torch.as_tensor(poses.quaternions_from_euler([[angle, pitch, 0.4]]))
         turned = poses.quaternions_from_euler(rotations.euler_from_quaternions(locked))
         assert float(abs((turned * locked).sum())) == pytest.approx(1.0, abs=1e-9)
-
-
-def test_namespaces_follow_the_arguments() -> None:
-    torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    array, tensor = np.zeros(3), torch.zeros(3)
-    assert get_namespace(array) is NUMPY_ARRAYS.xp
-    assert get_namespace(array, tensor) is make_tensor_factory("cpu").xp
-    _, first, second = as_arrays(tensor, [1.0, 2.0, 3.0])
-    assert is_tensor(first)
-    assert second.tolist() == [1.0, 2.0, 3.0]

@@ -8,7 +8,7 @@ from scipy.sparse import csc_array, csc_matrix
 
 from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, UnsafeFileError
-from tests.datasets.dexycb.mano_files import Content, Record, made_up_hand, official, sparse, write
+from tests.datasets.dexycb.raw_files import Content, Record, made_up_hand, official, sparse, write
 
 HAND = made_up_hand()
 REGRESSOR = HAND["J_regressor"]

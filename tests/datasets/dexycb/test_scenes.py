@@ -19,8 +19,7 @@ from handover_marl.datasets.dexycb.scenes import (
 )
 from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.errors import DataFormatError
-from tests.datasets.dexycb.mano_files import made_up_model
-from tests.datasets.dexycb.raw_files import RawScene, hand_poses, object_poses, tag_pose
+from tests.datasets.dexycb.raw_files import RawScene, hand_poses, made_up_model, object_poses, tag_pose
 
 MODELS = {side: made_up_model(side, seed) for seed, side in enumerate(("right", "left"))}
 MODEL = MODELS["right"]

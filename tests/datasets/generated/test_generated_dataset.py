@@ -1,21 +1,25 @@
+"""Tests of generated scenes: equality to the bit, splits, families, model files, configuration and resampling."""
+
 import hashlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.config import TABLE_HEIGHT, PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.datasets.generated.config import find_splits, parse_generated_config
-from handover_marl.datasets.generated.dataset import (
-    FIRST_CLASS,
-    GRASPABLE_CLASSES,
-    GeneratedDataset,
-    write_hand_model,
+from handover_marl.datasets.generated.config import (
+    FAMILY_DEFAULTS,
+    GeneratedConfig,
+    find_splits,
+    parse_generated_config,
 )
+from handover_marl.datasets.generated.dataset import FIRST_CLASS, GRASPABLE_CLASSES, GeneratedDataset, write_hand_model
 from handover_marl.datasets.generated.hands import draw_person
+from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.datasets.generated.post_arrival_motion import (
     MAX_SPEED,
     MIN_HEIGHT,
@@ -24,7 +28,7 @@ from handover_marl.datasets.generated.post_arrival_motion import (
     draw_far_positions,
 )
 from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.errors import DataNotFoundError, SceneError, UnknownNameError
+from handover_marl.errors import DataNotFoundError, HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
@@ -152,3 +156,61 @@ def test_folders_that_cannot_be_written_are_reported(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("XDG_CACHE_HOME", __file__)
     with pytest.raises(DataNotFoundError, match="set XDG_CACHE_HOME"):
         GeneratedDataset("seed=2").find_object_urdf("object_00001")
+
+
+def test_family_sets_its_defaults() -> None:
+    hard = parse_generated_config("n=5,family=hard")
+    assert hard == replace(FAMILY_DEFAULTS["hard"], n=5)
+    assert parse_generated_config("clutter_max=1") == GeneratedConfig(clutter_min=1, clutter_max=1)
+    for family, usual in FAMILY_DEFAULTS.items():
+        config = replace(usual, n=17, seed=2**32 - 1, left=0.1 + 0.2, boxes=1e-5)
+        assert config.family == family
+        assert parse_generated_config(config.argument) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "must be described as n=1000,seed=7, got ''"),
+        ("n=ten", "n must be a whole number, got 'ten'"),
+        ("n=0", "n must be from 1 to"),
+        ("n=1,n=2", "parameter n .* must be given once"),
+        ("left=nan", "left must be from 0 to 1, got nan"),
+        ("clutter_min=3,clutter_max=2", "clutter_min must be from 0 to 2, got 3"),
+        ("boxes=0,cylinders=0,bottles=0,tools=0,superquadrics=0", "must be above 0, got 0 for all"),
+        ("sed=1", "unknown parameter of generated scenes 'sed'"),
+        ("family=easy", "unknown family 'easy'"),
+    ],
+)
+def test_wrong_texts_are_refused(text: str, message: str) -> None:
+    with pytest.raises(HandoverError, match=message):
+        parse_generated_config(text)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rotations_between_keyframes_equal_scipy(seed: int) -> None:
+    rng, n = np.random.default_rng(seed), 4 + seed
+    # The motion has large and small turns, and keyframes without a turn.
+    turns = rng.normal(size=(n, 3)) * rng.choice([0.0, 0.02, 1.0], size=(n, 1))
+    rotations = [Rotation.random(rng=rng)]
+    for turn in turns[1:]:
+        rotations.append(Rotation.from_rotvec(turn) * rotations[-1])
+    keyframes, fingers, ends = Rotation.concatenate(rotations), rng.uniform(-1.0, 1.0, (n, 45)), 0.04 * np.arange(n)
+    fingers[n // 2 :] = fingers[n // 2]
+    times = np.linspace(0.0, ends[-1], 40 * (n - 1) + 1)
+    angles = resample_poses(ends, np.zeros((n, 3)), keyframes, times)[:, 3:]
+    expected = np.unwrap(Slerp(ends, keyframes)(times).as_euler("XYZ"), axis=0)
+    np.testing.assert_allclose(angles, expected, atol=2.0**-23)
+    joint = Slerp(ends, Rotation.from_euler("XYZ", fingers[:, 21:24]))(times).as_euler("XYZ")
+    np.testing.assert_allclose(resample_fingers(ends, fingers, times)[:, 21:24], joint, atol=2.0**-23)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_angles_have_no_jumps(axis: int) -> None:
+    """The angles of a motion of more than two turns about an axis are continuous."""
+    vectors, ends = np.zeros((40, 3)), 0.04 * np.arange(40)
+    vectors[:, axis] = np.linspace(0.0, 14.0, 40)
+    times = np.linspace(0.0, ends[-1], 1561)
+    angles = resample_poses(ends, np.zeros((40, 3)), Rotation.from_rotvec(vectors), times)[:, 3:]
+    np.testing.assert_allclose(angles[:, axis], np.linspace(0.0, 14.0, len(angles)), atol=2e-6)
+    assert np.abs(np.delete(angles, axis, axis=1)).max() < 1e-6
