@@ -92,10 +92,10 @@ def test_human_grasps_hold_in_the_simulator(name: str, side: Side) -> None:
 
 
 def test_built_human_grasps_are_like_the_shipped_ones() -> None:
-    name, side = "009_gelatin_box", "left"
-    built = make_human_grasps(name, read_solid(find_object_urdf(name)), SUBJECT_SIZES[0], side, 0)
+    name = "009_gelatin_box"
+    built = make_human_grasps(name, read_solid(find_object_urdf(name)), SUBJECT_SIZES[0], "left", 0)
     with np.load(GRASPS_FILE, allow_pickle=False) as archive:
         assert all(archive[key].dtype == values.dtype for key, values in built.items())
-    shipped = load_human_grasps(name, 1, side)
+    shipped = load_human_grasps(name, 1, "left")
     np.testing.assert_allclose(np.sort(built["wrist_distance"]), shipped.wrist_distance, atol=0.01)
     assert built["touching"][:, 4].all()

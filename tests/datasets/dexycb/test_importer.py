@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,16 +130,17 @@ def test_invalid_arguments(given: Path, tmp_path: Path) -> None:
     raw, mano, out, hostile = given / "raw", given / "mano", tmp_path / "out", tmp_path / "mano"
     shutil.copytree(mano, hostile)
     (hostile / "MANO_LEFT.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/no'\ntR.")
-    for arguments, options, error, message in (
+    cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
         ((tmp_path, mano), {}, DataNotFoundError, "no raw DexYCB folder"),
         ((raw, tmp_path), {}, DataNotFoundError, r"holds no MANO_RIGHT\.pkl"),
         ((raw, mano), {"scenes": [1000]}, SceneError, "scene 1000 is not in DexYCB"),
         ((raw, mano), {"workers": 0}, OptionError, r"workers must be .* got 0"),
         (("", mano), {}, OptionError, "dexycb must be a path"),
         ((raw, hostile), {}, UnsafeFileError, r"MANO_LEFT\.pkl"),
-    ):
+    ]
+    for (dexycb, models), options, error, message in cases:
         with pytest.raises(error, match=message):
-            import_dexycb(*arguments, out, **options)  # type: ignore[arg-type]
+            import_dexycb(dexycb, models, out, **options)
     assert not out.exists()
 
 

@@ -38,7 +38,8 @@ def test_keyframes_are_the_recorded_ones_in_the_tag_frame(seed: int) -> None:
     poses, pose = object_poses(6, seed=seed)[:, 0], tag_pose(seed)
     tag_from_world = Rotation.from_matrix(pose[:, :3]).inv()
     found = compute_object_trajectory(poses, TagFrame.from_extrinsics(pose))
-    assert (found.shape, found.dtype) == ((201, 6), np.float32)
+    assert found.dtype == np.float32
+    assert found.shape == (201, 6)
     keys = found[::STRIDE].astype(np.float64)
     np.testing.assert_allclose(keys[:, :3], (poses[:, 4:] - pose[:, 3]) @ pose[:, :3], atol=1e-5)
     expected = tag_from_world * Rotation.from_quat(poses[:, :4])
@@ -58,7 +59,8 @@ def test_keyframes_are_the_recorded_ones_in_the_tag_frame(seed: int) -> None:
 @pytest.mark.parametrize(("first", "last"), [(0, 9), (2, 5)])
 def test_frames_without_a_hand_are_zero(first: int, last: int) -> None:
     found = trajectory(hand_poses(10, first, last))
-    assert (found.shape, found.dtype) == ((361, 51), np.float32)
+    assert found.dtype == np.float32
+    assert found.shape == (361, 51)
     np.testing.assert_array_equal(np.flatnonzero(found.any(axis=1)), np.arange(first * STRIDE, last * STRIDE + 1))
 
 

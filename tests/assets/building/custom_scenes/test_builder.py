@@ -122,8 +122,15 @@ def test_every_kind_of_physics(scenes: CustomSceneFolder, physics: str, scene_id
 @pytest.mark.slow
 def test_results_of_custom_scenes(scenes: CustomSceneFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shorten_episodes(monkeypatch, 1000)
-    options = {"dataset": scenes.dataset, "scenes": [2], "physics": "fast", "workers": 1, "progress": False}
-    report = handover_marl.evaluate_pair(receiver="hold", out=tmp_path / "out", **options)
+    report = handover_marl.evaluate_pair(
+        dataset=scenes.dataset,
+        scenes=[2],
+        receiver="hold",
+        physics="fast",
+        workers=1,
+        out=tmp_path / "out",
+        progress=False,
+    )
     assert "data: own data: boxes" in report.heading
     assert "all test, 1 of 3 scenes" in report.heading
     assert "Own data: not comparable" in report.format_notes()

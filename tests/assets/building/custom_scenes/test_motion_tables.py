@@ -96,7 +96,7 @@ def test_units_frames_and_orders_of_files(tmp_path: Path) -> None:
     expected, changed = recording["object"], {"time": recording["time"] * 1000.0 + 5e6}
     turned = np.roll(expected[:, 3:], 1, axis=1) * np.where(np.arange(181) % 2, -1.0, 1.0)[:, None]
     changed["object"] = np.hstack([(expected[:, :3] - [0.0, 0.0, TABLE_HEIGHT]) * 1000.0, turned])
-    np.savez(tmp_path / "motion.npz", **changed)
+    np.savez(tmp_path / "motion.npz", **changed)  # type: ignore[arg-type]
     config = MotionConfig(frame="table", length="mm", time="ms", quaternion="wxyz")
     for table in (
         read_motion_table(tmp_path / "motion.npz", config),

@@ -14,7 +14,7 @@ from handover_marl.errors import DataFormatError, HandoverError
 from tests.custom_scenes import make_box
 from tests.unreadable import check_content_refusal
 
-ROUGH = {"concavity": 1.0}
+ROUGH: dict[str, Any] = {"concavity": 1.0}
 BOX = make_box()
 VERTICES, FACES = np.array(BOX.vertices), np.array(BOX.faces)
 TURNED = np.where(np.arange(12)[:, None] == 4, FACES[:, ::-1], FACES)
