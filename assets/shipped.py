@@ -120,7 +120,7 @@ def find_vision_weights(setup: str) -> Path:
     return DATA_ROOT / f"vision_{setup}.npz"
 
 
-def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.float64] | None:
+def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
     """Load the gripper poses (100, 4, 4) of a YCB class in the object's frame (m), None for a class without grasps.
 
     Raises:
@@ -130,7 +130,7 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
-    return np.asarray(_load_npz(path)[name].astype(np.float64))
+    return np.asarray(_load_npz(GRASPS_PATH)[name].astype(np.float64))
 
 
 def load_validation_record(name: str) -> ValidationRecord | None:

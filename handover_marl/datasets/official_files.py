@@ -69,23 +69,22 @@ def find_hand_origin(folder: Path) -> FileOrigin:
     A compiled hand has equal visual and collision meshes except for three links, and its meshes are open surfaces.
     Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh cannot be read.
     """
-
-    def mesh(kind: str, link: int) -> bytes:
-        return read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj")
-
-    def vertices(kind: str, link: int) -> set[bytes]:
-        return {line for line in mesh(kind, link).splitlines() if line.startswith(b"v ")}
-
-    links = [link for link in range(1, N_HAND_MESHES + 1) if link not in REDUCED_COLLISION_LINKS]
     try:
-        compiled = (
-            all(mesh("visual", link) == mesh("collision", link) for link in links)
-            and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
-            and _is_open(mesh("visual", 1))
+        visual, collision = (
+            [read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj") for link in range(1, N_HAND_MESHES + 1)]
+            for kind in ("visual", "collision")
         )
     except (OSError, ValueError):
         return FileOrigin.UNKNOWN
-    return FileOrigin.ORIGINAL if compiled else FileOrigin.STAND_IN
+    is_compiled = _is_open(visual[0]) and all(
+        _list_vertices(touched) <= _list_vertices(seen) if link in REDUCED_COLLISION_LINKS else touched == seen
+        for link, (seen, touched) in enumerate(zip(visual, collision, strict=True), start=1)
+    )
+    return FileOrigin.ORIGINAL if is_compiled else FileOrigin.STAND_IN
+
+
+def _list_vertices(mesh: bytes) -> set[bytes]:
+    return {line for line in mesh.splitlines() if line.startswith(b"v ")}
 
 
 def _is_open(mesh: bytes) -> bool:

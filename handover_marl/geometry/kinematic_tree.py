@@ -21,10 +21,9 @@ from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix, rotat
 
 Array = npt.NDArray[np.float64]
 
-_REVOLUTE = ("revolute", "continuous")
+#: Joint types of URDF files that turn about an axis.
+REVOLUTE = ("revolute", "continuous")
 _PRISMATIC = ("prismatic",)
-# A point nearer to a joint axis than this is on it (m).
-_ON_AXIS_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ class KinematicTree:
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
         self.joints = tuple(joints)
-        is_moving = [joint.kind in (*_REVOLUTE, *_PRISMATIC) for joint in joints]
+        is_moving = [joint.kind in (*REVOLUTE, *_PRISMATIC) for joint in joints]
         self.n_dof = sum(is_moving)
         self.moving_links: list[int] = np.flatnonzero(is_moving).tolist()
         # Fixed joints read the zero that is appended to the joint positions.
@@ -97,7 +96,7 @@ class KinematicTree:
         offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
         turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
-        is_revolute = np.array([joint.kind in _REVOLUTE for joint in joints], dtype=bool)[:, None]
+        is_revolute = np.array([joint.kind in REVOLUTE for joint in joints], dtype=bool)[:, None]
         is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
         cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
         slides = (turns @ (axes * is_prismatic)[..., None])[..., 0]
@@ -131,52 +130,6 @@ class KinematicTree:
             ValueError: There is no such link.
         """
         return [joint.link for joint in self.joints].index(name)
-
-    def list_revolute_joints(self, link: int) -> list[int]:
-        """List the child links of the revolute joints from the base to a link, in this order.
-
-        Raises:
-            ValueError: A joint on the way is prismatic.
-        """
-        path: list[int] = []
-        while link >= 0:
-            if self.joints[link].kind in _PRISMATIC:
-                raise ValueError(f"the joint of link {link} is prismatic")
-            if self.joints[link].kind in _REVOLUTE:
-                path.insert(0, link)
-            link = self.joints[link].parent
-        return path
-
-    def compute_reach_sphere(self, link: int) -> tuple[Array, float]:
-        """Compute a sphere that a link's origin cannot leave: center (3,) and radius (m).
-
-        The center is in the base link's frame; joint limits are ignored. The radius is the sum of
-        the distances between successive joint origins. An origin on the axis of the previous joint
-        does not move with that joint, so that both distances count as one straight segment.
-
-        Raises:
-            ValueError: A joint between base and link is prismatic.
-        """
-        origins, rotations = (value[0] for value in self.compute_link_frames(np.zeros((1, self.n_dof))))
-        path = self.list_revolute_joints(link)
-
-        def is_on_axis(point: Array, joint: int) -> bool:
-            axis = rotations[joint] @ self.joints[joint].axis
-            return bool(np.linalg.norm(np.cross(point - origins[joint], axis)) < _ON_AXIS_M)
-
-        while path and is_on_axis(origins[link], path[-1]):
-            path.pop()
-        while len(path) > 1 and is_on_axis(origins[path[1]], path[0]):
-            path.pop(0)
-        if not path:
-            return origins[link], 0.0
-        center = anchor = origins[path[0]]
-        radius = 0.0
-        for joint in path[1:]:
-            if not is_on_axis(anchor, joint):
-                radius += float(np.linalg.norm(origins[joint] - anchor))
-                anchor = origins[joint]
-        return center, radius + float(np.linalg.norm(origins[link] - anchor))
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute the largest distance (m) from a link's origin to shapes that the link carries.
@@ -261,7 +214,7 @@ def _read_joints(robot: ET.Element) -> list[TreeJoint]:
 
 def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
     kind = element.attrib["type"]
-    if kind not in (*_REVOLUTE, *_PRISMATIC, "fixed"):
+    if kind not in (*REVOLUTE, *_PRISMATIC, "fixed"):
         raise ValueError(f"a {kind} joint")
     axis = np.array(read_attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
     length = np.linalg.norm(axis)

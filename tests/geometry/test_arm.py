@@ -18,7 +18,7 @@ from tests.planning.robots import ARM, LIMITS, TREE, random_joints
 
 HAND = TREE.get_link(HAND_LINK)
 STAND = np.array([*PandaConfig().base_position, *PandaConfig().base_orientation])
-RANGE = ReachabilityBound(TREE, HAND, STAND)
+RANGE = ReachabilityBound(STAND)
 
 
 def test_frames_and_jacobians_are_those_of_the_model() -> None:
@@ -75,5 +75,5 @@ def test_a_hand_that_points_back_reaches_less() -> None:
     start = PandaConfig().start_joints
     assert kinematics.solve(start, position, away) is not None
     assert kinematics.solve(start, position, back) is None
-    kinematics._reachability = ReachabilityBound(TREE, HAND, STAND + np.array([*(position - STAND[:3]), 0, 0, 0, 0]))
+    kinematics._reachability = ReachabilityBound(STAND + np.array([*(position - STAND[:3]), 0, 0, 0, 0]))
     assert kinematics.solve(start, position, back) is None, "searching finds nothing either"

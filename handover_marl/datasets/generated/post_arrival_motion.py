@@ -15,12 +15,11 @@ from handover_marl.config import TABLE_HEIGHT, PandaConfig
 from handover_marl.datasets.generated.motion import KEYFRAME_PERIOD, KeyframeMotion, minimum_jerk
 from handover_marl.datasets.generated.placement import JOINT_CLEARANCE, SimulatedGiver
 from handover_marl.datasets.generated.random_stream import RandomStream
+from handover_marl.geometry.panda import SHOULDER_HEIGHT
 from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
 
-#: Height (m) of the Panda's shoulder above its base.
-SHOULDER_HEIGHT: Final = 0.333
 #: Duration of a scene's motion (s).
 DURATION: Final = 8.0
 #: Smallest and largest distance of the handover position from the robot's shoulder, and smallest height above the

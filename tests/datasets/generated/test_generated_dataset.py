@@ -24,12 +24,12 @@ from handover_marl.datasets.generated.post_arrival_motion import (
     MAX_SPEED,
     MIN_HEIGHT,
     REACH,
-    SHOULDER_HEIGHT,
     draw_far_positions,
 )
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.errors import DataNotFoundError, HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
+from handover_marl.geometry.panda import SHOULDER_HEIGHT
 
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
