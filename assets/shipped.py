@@ -19,8 +19,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.execution.options import require_pybullet
+from handover_marl.execution.reading import read_arrays, report_damage
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -150,10 +151,5 @@ def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
 
 @functools.cache
 def _load_npz(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return MappingProxyType({name: archive[name] for name in archive.files})
-    except FileNotFoundError as error:
-        raise DataNotFoundError(f"{path} is missing; install the library again") from error
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(f"{path}: not a readable file of arrays ({error}); install the library again") from error
+    with report_damage(path, "file of arrays", "install the library again"):
+        return MappingProxyType(read_arrays(path))

@@ -29,10 +29,9 @@ from handover_marl.datasets.official_files import (
     require_file,
 )
 from handover_marl.datasets.restricted_pickle import load_restricted
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
@@ -54,17 +53,11 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
     Raises:
         DataFormatError: The file lacks a key or has an invalid object or hand.
     """
-    try:
+    advice = "it needs name, ycb_ids, ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data"
+    with report_damage(path, "meta file of a scene", advice):
         meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
         ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
         check_scene_meta(path, ids, grasped, sides)
-    except DataFormatError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataFormatError(
-            f"{path}: not a scene's meta file ({type(error).__name__}: {error}). It needs name, ycb_ids, "
-            "ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data."
-        ) from error
     order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
     ids = [ids[index] for index in order]
     names = tuple(CLASS_NAMES[number] for number in ids)
@@ -77,14 +70,9 @@ def _read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.flo
     Raises:
         DataFormatError: The file is damaged or has another number of objects.
     """
-    try:
+    with report_damage(path, "pose file", "it may be truncated, copy or expand it again"):
         arrays = read_arrays(path, ("pose_y", "pose_m"), MAX_MOTION_BYTES)
         objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(
-            f"{path}: not a readable pose file ({type(error).__name__}: {error}). It may be truncated; "
-            "copy or expand it again."
-        ) from error
     n_objects = len(order)
     if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
         raise DataFormatError(
@@ -125,7 +113,7 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         UnsafeFileError: The pickle uses something other than arrays and plain values.
         DataFormatError: The file is damaged, or has no finite poses.
     """
-    try:
+    with report_damage(path, "grasp file", "copy it again from the HandoverSim data"):
         stream = io.BytesIO(read_plain_file(path, _MAX_GRASP_BYTES))
         np.lib.format.read_magic(stream)
         np.lib.format.read_array_header_1_0(stream)
@@ -136,15 +124,6 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         grasps: npt.NDArray[np.float64] = by_name["transforms"].astype(np.float64)
         if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
             raise ValueError(f"'transforms' must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
-    except UnsafeFileError as error:
-        raise UnsafeFileError(
-            f"{path}: refused to load, the pickle {error} and may run foreign code. "
-            "Replace it by the original HandoverSim file."
-        ) from None
-    except Exception as error:  # Damaged pickles raise exceptions of many types.
-        raise DataFormatError(
-            f"{path}: not a readable grasp file ({shorten_text(error)}). Copy it again from the HandoverSim data."
-        ) from error
     return grasps
 
 

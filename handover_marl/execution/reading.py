@@ -4,9 +4,11 @@ Pipes, sockets, devices and folders are refused before they are opened, since op
 may never end; files and archives that are too large are refused before they are read.
 """
 
+import contextlib
 import io
 import stat
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
 #: Largest accepted size of a file of data or weights without a limit of its own (bytes).
@@ -125,6 +128,32 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases are not allowed")
         return super().compose_node(parent, index)
+
+
+@contextlib.contextmanager
+def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
+    """Turn exceptions of a reader in a `with` block into errors that name the file, its kind and what to do.
+
+    Readers of damaged files raise exceptions of many types. Errors that name the file already pass.
+
+    Raises:
+        DataNotFoundError: The file does not exist.
+        UnsafeFileError: A pickle in the file may run code.
+        DataFormatError: The file is damaged.
+    """
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DataNotFoundError(f"{path} does not exist; {advice}") from error
+    except UnsafeFileError as error:
+        raise UnsafeFileError(
+            f"{path}: refused to load, the pickle {error} and may run foreign code; {advice}"
+        ) from None
+    except Exception as error:
+        if isinstance(error, HandoverError) and str(error).startswith(str(path)):
+            raise
+        reason = str(error) if isinstance(error, HandoverError) else shorten_text(error)
+        raise DataFormatError(f"{path}: not a readable {what} ({reason}); {advice}") from error
 
 
 def _open_source(source: Path | bytes) -> Path | io.BytesIO:

@@ -51,7 +51,7 @@ def test_damaged_files(tmp_path: Path, content: object) -> None:
         path.write_bytes(path.read_bytes()[:content])
     else:
         np.save(path, np.array(content, dtype=object), allow_pickle=True)
-    with pytest.raises(DataFormatError, match=r"g\.npy.*Copy it again"):
+    with pytest.raises(DataFormatError, match=r"g\.npy.*copy it again"):
         load_grasps(path)
 
 

@@ -65,7 +65,7 @@ def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.M
     [
         ({"ycb_ids": []}, "0 objects"),
         ({"ycb_ids": [19]}, "unknown object class 19"),
-        ({"ycb_ids": 2}, "not a scene's meta file"),
+        ({"ycb_ids": 2}, "not a readable meta file"),
         ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
         ({"mano_sides": ["both"]}, "mano_sides"),
     ],

@@ -20,9 +20,9 @@ from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
 from handover_marl.datasets.custom.dataset import DURATION, MAX_FINGER_ANGLE
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
+from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.poses import compose
 
 Array = npt.NDArray[np.float64]
@@ -130,18 +130,11 @@ def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config
 def _read_file(path: Path) -> dict[str, Any]:
     if path.suffix.lower() not in (".csv", ".npz"):
         raise DataFormatError(f"{path}: a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
-    try:
+    with report_damage(path, "motion file", "give the path of a .csv or .npz file, or write it again"):
+        if path.suffix.lower() == ".npz":
+            return dict(read_arrays(path, largest=_MAX_BYTES))
         data = read_plain_file(path, _MAX_BYTES)
-    except FileNotFoundError:
-        raise DataNotFoundError(f"motion file {path} does not exist; give the path of a .csv or .npz file") from None
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot be read ({error}); give a .csv or .npz file") from error
-    if path.suffix.lower() == ".csv":
-        return _parse_csv(path, data)
-    try:
-        return dict(read_arrays(data, largest=_MAX_BYTES))
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
-        raise DataFormatError(f"{path}: not a readable .npz file ({shorten_text(error)}); write it again") from error
+    return _parse_csv(path, data)
 
 
 def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:

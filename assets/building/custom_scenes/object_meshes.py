@@ -21,10 +21,9 @@ from handover_marl.assets.shipped import (
 )
 from handover_marl.datasets.custom.dataset import EXTENT, MASS, MAX_OFFSET
 from handover_marl.datasets.custom.dataset import FRICTION as FRICTION_RANGE
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.options import require_modules
-from handover_marl.execution.reading import check_plain_file
+from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import read_obj
 
@@ -132,23 +131,13 @@ def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
     if isinstance(source, trimesh.Trimesh):
         return source.copy()
     path = Path(source).expanduser()
-    try:
+    with report_damage(path, "mesh", "give a mesh file that trimesh reads, such as STL, OBJ or PLY"):
         check_plain_file(path, _MAX_BYTES)
-    except FileNotFoundError:
-        raise DataNotFoundError(f"mesh file {path} does not exist; give the path of a mesh file") from None
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot be read ({error}); give a mesh file") from error
-    if path.suffix.lower() == ".obj":
-        # trimesh misreads vertex numbers that count back, tabs, comments and byte order marks.
-        obj = read_obj(path)
-        return trimesh.Trimesh(obj.vertices, obj.faces, process=False)
-    try:
+        if path.suffix.lower() == ".obj":
+            # trimesh misreads vertex numbers that count back, tabs, comments and byte order marks.
+            obj = read_obj(path)
+            return trimesh.Trimesh(obj.vertices, obj.faces, process=False)
         loaded: Any = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # trimesh and its readers raise many types on damaged files
-        raise DataFormatError(
-            f"{path}: no mesh that trimesh can read ({type(error).__name__}: {shorten_text(error)}); export it as STL, "
-            "OBJ or PLY"
-        ) from error
     if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
         raise DataFormatError(f"{path}: has no triangles; export a triangle mesh as STL, OBJ or PLY")
     return loaded

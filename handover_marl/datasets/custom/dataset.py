@@ -28,7 +28,7 @@ from handover_marl.datasets.dataset import Dataset, Scene, SceneAssets, SceneInf
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, UnknownNameError, check_name
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import FINGERTIPS, PANDA
@@ -212,21 +212,17 @@ class CustomDataset(Dataset):
 
     def _load_grasps(self, object_name: str) -> Array | None:
         path = _require_file(self.folder / OBJECT_FOLDER / object_name / GRASP_FILE)
-        try:
+        with report_damage(path, "grasp file", "add the object again"):
             grasps = read_arrays(path, ("grasps",), _MAX_BYTES)["grasps"].astype(np.float64)
             check_grasps(grasps, self._read_vertices(object_name))
-        except Exception as error:  # NumPy and zipfile raise many types on damaged files
-            raise DataFormatError(f"{path}: not a readable grasp file ({error}); add the object again") from error
         return grasps if len(grasps) else None
 
     def _load_vertices(self, object_name: str) -> Array:
         """Return the checked vertices (v, 3) of an object's collision shapes in its frame (m)."""
         urdf = self.find_object_urdf(object_name)
         vertices, _ = read_collision_mesh(urdf)
-        try:
+        with report_damage(urdf, "model", "add the object again"):
             check_vertices(vertices)
-        except DataFormatError as error:
-            raise DataFormatError(f"{urdf}: {error}; add the object again") from None
         return vertices
 
 
@@ -235,7 +231,7 @@ def _read_motion(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int] | tuple[None, None]]:
     """Return the checked motion of objects and hand, and the first and last frame with the hand, None without one."""
     _require_file(path)
-    try:
+    with report_damage(path, "motion", "add the motion again"):
         arrays = read_arrays(path, ("object_dof", "hand_dof", "hand_span"), _MAX_BYTES)
         n_frames = len(arrays["object_dof"])
         expected = {"object_dof": (n_frames, len(bodies), OBJECT_DOF), "hand_dof": (n_frames, HAND_DOF)}
@@ -254,8 +250,6 @@ def _read_motion(
         check_objects(objects, bodies)
         if has_hand:
             check_hand(hand[first : last + 1], objects[first : last + 1])
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
-        raise DataFormatError(f"{path}: not a readable motion ({error}); add the motion again") from error
     return objects, hand, (first, last) if has_hand else (None, None)
 
 

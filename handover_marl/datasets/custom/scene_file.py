@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from handover_marl.datasets.splits import SETUPS, SPLITS
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text, write_atomically
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 FORMAT_NAME: Final = "handover_marl scenes"
@@ -151,7 +151,12 @@ def read_scene_file(folder: Path) -> SceneFile:
         DataFormatError: The file is damaged.
     """
     path = folder / SCENE_FILE
-    try:
+    if not path.exists():
+        raise DataNotFoundError(
+            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
+            "`handover-marl scenes add-object`"
+        )
+    with report_damage(path, "file", "restore it from a copy"):
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         if (content.pop("format"), content.pop("version")) != (FORMAT_NAME, FORMAT_VERSION):
             raise ValueError(f"format and version must be {FORMAT_NAME!r} and {FORMAT_VERSION}")
@@ -173,13 +178,6 @@ def read_scene_file(folder: Path) -> SceneFile:
             raise ValueError(
                 f"unknown class {unknown[0]!r}" if unknown else "a split names a scene that does not exist"
             )
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise DataNotFoundError(
-            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
-            "`handover-marl scenes add-object`"
-        ) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataFormatError(f"{path}: not a readable file ({shorten_text(error)}); restore it from a copy") from error
     return found
 
 

@@ -22,7 +22,7 @@ from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Floa
 from handover_marl.datasets.official import check_scene_meta
 from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_arrays, read_yaml
+from handover_marl.execution.reading import read_arrays, read_yaml, report_damage
 from handover_marl.geometry.ycb import SUBJECTS
 
 SEQUENCES_PER_SUBJECT = 100
@@ -196,10 +196,8 @@ def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
 
 
 def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
-    try:
+    with report_damage(path, "pose file", "expand DexYCB's archives again"):
         arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise _damaged_file_error(path, shorten_text(error)) from error
     objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
     n = len(objects)
     if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
