@@ -65,7 +65,7 @@ def test_every_form_of_the_format(tmp_path: Path) -> None:
         (f"{TRIANGLE}v 0 0 1\nf 1 2 3\nf 2 3", "at least three corners"),
         (f"{TRIANGLE}f 1 2 4\n", "not there"),
         (f"{TRIANGLE}f 1 2 -4\n", "not there"),
-        (f"{TRIANGLE}f one two three\n", "not an OBJ file"),
+        (f"{TRIANGLE}f one two three\n", "not a readable OBJ file"),
     ],
 )
 def test_damaged_files(tmp_path: Path, text: str, message: str) -> None:

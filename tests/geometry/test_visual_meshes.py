@@ -105,7 +105,7 @@ def test_damaged_textures_are_reported(tmp_path: Path) -> None:
     Image.new("RGB", (1, 1), (9, 8, 7)).save(tmp_path / "image.png")
     np.testing.assert_array_equal(read_colors(urdf), [[9, 8, 7]] * 4)
     (tmp_path / "image.png").write_bytes(b"nothing")
-    with pytest.raises(DataFormatError, match=r"mesh\.obj: cannot read its texture"):
+    with pytest.raises(DataFormatError, match=r"mesh\.obj: not a readable OBJ file with a texture"):
         read_surfaces(urdf, read_tree(urdf))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
@@ -49,15 +49,12 @@ def read_obj(path: Path) -> ObjMesh:
     curves are ignored.
 
     Raises:
+        DataNotFoundError: The file does not exist.
         DataFormatError: The file cannot be read, has no triangle, a vertex that is not three finite numbers, a face
             with fewer than three corners, or a face with a vertex number out of range.
     """
-    try:
+    with report_damage(path, "OBJ file of triangles", "check the file"):
         return _parse_obj(path, split_obj_lines(read_plain_file(path)))
-    except (OSError, ValueError, IndexError) as error:
-        if isinstance(error, DataFormatError):
-            raise
-        raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
 
 
 def split_obj_lines(content: bytes) -> Iterator[list[str]]:
