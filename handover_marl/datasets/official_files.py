@@ -13,8 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.reading import check_plain_file, read_plain_file
+from handover_marl.execution.reading import check_plain_file, read_plain_file, report_damage
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
 #: URDFs of the robot's variants, relative to `assets/`.
@@ -118,18 +117,10 @@ def require_file(path: Path) -> Path:
     """Return a path if it is a readable plain file, else raise an error.
 
     Raises:
-        DataNotFoundError: The file is missing or cannot be read.
-        DataFormatError: The path is a folder, pipe or device, or the file is too large.
+        DataNotFoundError: The file is missing.
+        DataFormatError: The file cannot be read or is too large, or the path is a folder, pipe or device.
     """
-    try:
+    advice = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
+    with report_damage(path, "file", advice):
         check_plain_file(path)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise DataNotFoundError(
-            f"{path} is missing. The data folder is incomplete (list what is missing with handover-marl doctor): copy "
-            "or expand the HandoverSim data again."
-        ) from error
-    except OSError as error:
-        raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
-    except ValueError as error:
-        raise DataFormatError(f"{path} cannot be read ({error}); copy or expand the HandoverSim data again") from error
     return path

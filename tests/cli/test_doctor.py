@@ -28,7 +28,7 @@ def test_missing_scenes_are_listed(fake_data: Path, tmp_path: Path) -> None:
     (level, name, text), *models = check_data_folder(folder)
     assert (level, name) == ("fault", "scenes")
     assert text.startswith(f"4 of 1000 in {folder}")
-    assert "meta_000.json is missing" in text
+    assert "meta_000.json does not exist" in text
     assert text.endswith("and 976 more")
     assert {name for _, name, _ in models} == {"models"}
 

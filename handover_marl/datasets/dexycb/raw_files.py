@@ -20,12 +20,13 @@ from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
 from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
 from handover_marl.datasets.official import check_scene_meta
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_arrays, read_yaml, report_damage
 from handover_marl.geometry.ycb import SUBJECTS
 
 SEQUENCES_PER_SUBJECT = 100
+_KIND_AND_ADVICE = "file of DexYCB", "the download may be incomplete, expand DexYCB's archives again"
 _MAX_YAML_BYTES = 64_000  # official files have a few thousand
 _MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand
 
@@ -152,62 +153,35 @@ def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
         DataFormatError: The file lacks a key, or has an invalid object or hand.
     """
     path = sequence.folder / "meta.yml"
-    content = _read_mapping(path)
-    keys = ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
-    meta = {key: _get(path, content, key) for key in keys}
-    try:
+    with report_damage(path, *_KIND_AND_ADVICE):
+        content: Any = read_yaml(path, _MAX_YAML_BYTES)
+        meta = {key: content[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")}
         check_scene_meta(path, meta["ycb_ids"], meta["ycb_grasp_ind"], meta["mano_sides"])
         (_,) = meta["mano_calib"]
-    except (TypeError, ValueError) as error:
-        raise _damaged_file_error(path, shorten_text(error)) from error
     return meta
-
-
-def _read_mapping(path: Path) -> object:
-    try:
-        return read_yaml(path, _MAX_YAML_BYTES)
-    except OSError as error:
-        raise DataNotFoundError(
-            f"{path} cannot be read ({error.strerror or error}); the download may be incomplete, expand DexYCB's "
-            "archives again"
-        ) from error
-    except ValueError as error:
-        raise _damaged_file_error(path, str(error)) from error
-
-
-def _get(path: Path, content: object, key: str) -> Any:
-    if not isinstance(content, dict) or key not in content:
-        raise _damaged_file_error(path, f"it has no {key}")
-    return content[key]
 
 
 def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
     """Read numbers from a YAML file, below a key of the mapping below another key and so on."""
-    values = _read_mapping(path)
-    for key in keys:
-        values = _get(path, values, key)
-    try:
+    with report_damage(path, *_KIND_AND_ADVICE):
+        values: Any = read_yaml(path, _MAX_YAML_BYTES)
+        for key in keys:
+            values = values[key]
         numbers = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise _damaged_file_error(path, f"{shorten_text(values)} where {count} numbers belong")
+        if numbers.shape != (count,) or not np.isfinite(numbers).all():
+            raise ValueError(f"{shorten_text(values)} where {count} numbers belong")
     return numbers
 
 
 def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
-    with report_damage(path, "pose file", "expand DexYCB's archives again"):
+    with report_damage(path, *_KIND_AND_ADVICE):
         arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
-    objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
-    n = len(objects)
-    if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
-        raise _damaged_file_error(path, f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
-    if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
-        raise _damaged_file_error(path, "a pose is not finite")
-    if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
-        raise _damaged_file_error(path, f"{n} frames, of which few have a hand")
+        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+        n = len(objects)
+        if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
+            raise ValueError(f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
+        if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
+            raise ValueError("a pose is not finite")
+        if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+            raise ValueError(f"{n} frames, of which few have a hand")
     return objects, hand[:, 0]
-
-
-def _damaged_file_error(path: Path, fault: str) -> DataFormatError:
-    return DataFormatError(f"{path}: not as DexYCB writes it ({fault}); expand DexYCB's archives again")
