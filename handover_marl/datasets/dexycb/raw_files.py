@@ -3,8 +3,9 @@
 <raw>/<subject>/<sequence>/meta.yml, pose.npz   (camera folders are not read)
 <raw>/calibration/                              camera extrinsics and hand shapes
 
-A scene number is 100 * subject + the rank of the recording's name among the names of the subject's 100
-recordings, even if other recordings are missing.
+A scene number is 100 * subject + the rank of the recording's name among the names of the subject's
+recordings. Known DexYCB names have their official rank, even if other recordings are missing. A
+subject with other names must have all 100 recordings.
 """
 
 from dataclasses import dataclass
@@ -80,8 +81,9 @@ def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
         )
     sequences, missing = list[SequenceFolder](), list[str]()
     for number, subject in enumerate(SUBJECTS):
-        folder, names = raw / subject, read_sequence_names()[subject]
-        found = [name for name in names if (folder / name).is_dir()]
+        folder, known = raw / subject, read_sequence_names()[subject]
+        found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        names = found if len(found) == SEQUENCES_PER_SUBJECT and not {*found} & {*known} else known
         sequences += [
             SequenceFolder(SEQUENCES_PER_SUBJECT * number + rank, f"{subject}/{name}", folder / name)
             for rank, name in enumerate(names)

@@ -1,4 +1,5 @@
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,14 @@ def test_dexycbs_recordings_have_their_official_numbers(tmp_path: Path, ranks: r
     assert (sequences[0].subject, sequences[0].calibration) == (SUBJECTS[6], tmp_path / "calibration")
     reported = [text for text in missing if f"lacks {100 - len(ranks)} of 100 recordings" in text]
     assert (len(missing), len(reported)) == ((9, 0) if len(ranks) == 100 else (10, 1))
+
+
+def test_other_recordings_are_numbered_if_all_are_there(tmp_path: Path) -> None:
+    names = [f"20200903_{9000 + 7 * rank:06d}" for rank in range(100)]
+    write_names(tmp_path, 3, names[::-1])
+    assert [one.folder.name for one in find_sequences(tmp_path)[0]] == names
+    shutil.rmtree(tmp_path / SUBJECTS[3] / names[0])
+    assert not find_sequences(tmp_path)[0]
 
 
 def test_recording_and_missing_files(tmp_path: Path) -> None:
