@@ -10,12 +10,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, euler_from_matrices
+from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side
 from handover_marl.errors import check_name
 from handover_marl.geometry.poses import rotate_points
+from handover_marl.geometry.rotations import euler_from_matrices
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-#: Path of the grasps, made by `building/human_grasps.py`.
+#: Path of the grasps, made by `building/grasps.py`.
 GRASPS_FILE: Final = Path(__file__).parent / "data" / "human_grasps.npz"
 
 #: YCB class names in the order of the file.

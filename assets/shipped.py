@@ -19,8 +19,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
+from handover_marl.errors import check_name
 from handover_marl.execution.options import require_pybullet
+from handover_marl.execution.reading import read_arrays, report_damage
 from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -45,12 +46,12 @@ PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "p
 #: height of 0.92 m and four legs.
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
 
-#: Path of the robot grasps, made and validated in simulation by `building/robot_grasps.py`.
+#: Path of the robot grasps, made and validated in simulation by `building/grasps.py`.
 GRASPS_PATH = DATA_ROOT / "grasps.npz"
 #: YCB classes that are wider than the gripper opens; neither the library nor HandoverSim has grasps.
 CLASSES_WITHOUT_GRASPS = ("002_master_chef_can", "036_wood_block")
 
-#: Path of the grasp validations, made by `building/grasp_validations.py`.
+#: Path of the grasp validations, made by `building/grasps.py`.
 VALIDATION_PATH = DATA_ROOT / "grasp_validations.npz"
 #: Result of the validation of an object's n grasps, (n, 4). Columns: index of the tilted copy of a
 #: known grasp, or -1 for the known grasp itself; number of shaken poses, in and around the grasp,
@@ -120,7 +121,7 @@ def find_vision_weights(setup: str) -> Path:
     return DATA_ROOT / f"vision_{setup}.npz"
 
 
-def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.float64] | None:
+def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
     """Load the gripper poses (100, 4, 4) of a YCB class in the object's frame (m), None for a class without grasps.
 
     Raises:
@@ -130,21 +131,17 @@ def load_object_grasps(name: str, path: Path = GRASPS_PATH) -> npt.NDArray[np.fl
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
-    return np.asarray(_load_npz(path)[name].astype(np.float64))
+    return np.asarray(_load_npz(GRASPS_PATH)[name].astype(np.float64))
 
 
-def load_validation_record(name: str, path: Path = VALIDATION_PATH) -> ValidationRecord | None:
-    """Return the `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is no such record.
-
-    Raises:
-        DataFormatError: The file is damaged.
-    """
-    record = load_validation_records(path).get(name)
+def load_validation_record(name: str) -> ValidationRecord | None:
+    """Return the shipped `ValidationRecord` (n, 4) of an object's grasps by its name, or None if there is none."""
+    record = load_validation_records(VALIDATION_PATH).get(name)
     return None if record is None else record.copy()
 
 
 def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
-    """Load all grasp validation records of a file by name; return no records if the file is missing.
+    """Load the grasp validation records of a file by the objects' names; return no records if the file is missing.
 
     Raises:
         DataFormatError: The file is damaged.
@@ -154,10 +151,5 @@ def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
 
 @functools.cache
 def _load_npz(path: Path) -> Mapping[str, npt.NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return MappingProxyType({name: archive[name] for name in archive.files})
-    except FileNotFoundError as error:
-        raise DataNotFoundError(f"{path} is missing; install the library again") from error
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise DataFormatError(f"{path}: not a readable file of arrays ({error}); install the library again") from error
+    with report_damage(path, "file of arrays", "install the library again"):
+        return MappingProxyType(read_arrays(path))

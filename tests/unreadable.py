@@ -62,7 +62,7 @@ def check_content_refusal(read: Callable[[Path], object], path: Path, content: b
 
 
 @contextlib.contextmanager
-def refuses_within(seconds: float, error: type[Exception], kind: str) -> Iterator[None]:
+def refuses_within(seconds: float, error: type[Exception] | tuple[type[Exception], ...], kind: str) -> Iterator[None]:
     """Check that a block ends within some seconds, with an error that states why the file is unreadable."""
     match = "larger than" if kind == "large" else "not a plain file"
     with ends_within(seconds), pytest.raises(error, match=match):

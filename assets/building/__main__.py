@@ -2,11 +2,9 @@
 
 import tyro
 
-from handover_marl.assets.building.grasp_validations import build_grasp_validations
+from handover_marl.assets.building.grasps import build_grasp_validations, build_human_grasps, build_robot_grasps
 from handover_marl.assets.building.hands import build_hands
-from handover_marl.assets.building.human_grasps import build_human_grasps
 from handover_marl.assets.building.objects import build_objects
-from handover_marl.assets.building.robot_grasps import build_robot_grasps
 
 if __name__ == "__main__":
     tyro.extras.subcommand_cli_from_dict(

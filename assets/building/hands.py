@@ -13,15 +13,15 @@ import numpy.typing as npt
 import trimesh
 from rich.progress import track
 
-from handover_marl.assets.anthropometry import REFERENCE_SIZE, SKIN_COLORS
 from handover_marl.assets.building.shapes import make_hull
 from handover_marl.assets.hand_model import (
     HANDS_FOLDER,
     MESH_NAMES,
+    REFERENCE_SIZE,
     SIDES,
+    SKIN_COLORS,
     SUBJECTS,
     FloatArray,
-    HandGeometry,
     Side,
     format_hand_name,
     format_hand_urdf,
@@ -54,17 +54,15 @@ def build_hands(out: Path = HANDS_FOLDER) -> None:
             write_hand_urdf(out, subject, side)
 
 
-def make_reference_hand() -> HandGeometry:
-    """Return the reference right hand, for which the meshes are made."""
-    return scale_hand(REFERENCE_SIZE, "right")
+# The meshes are made for the reference right hand.
+_HAND = scale_hand(REFERENCE_SIZE, "right")
 
 
 def make_visual_mesh(link: int) -> trimesh.Trimesh:
     """Return the visual mesh (m) of a hand link (0 palm, 1 to 15 phalanges) in its own frame."""
     if link == 0:
-        return _make_palm_mesh(make_reference_hand())
-    ring, profile, waist = 18, 6, 0.94
-    return _make_capsule(link, ring, profile, waist)
+        return _make_palm_mesh()
+    return _make_capsule(link, ring=18, profile=6, waist=0.94)
 
 
 def make_collision_mesh(link: int) -> trimesh.Trimesh:
@@ -73,7 +71,7 @@ def make_collision_mesh(link: int) -> trimesh.Trimesh:
         return make_hull(np.asarray(_make_capsule(link, 8, 3, 1.0).vertices))
     spheres = [
         end + radius * _make_sphere_points(7, 1)
-        for start, stop, first, last in make_palm_capsules(make_reference_hand())
+        for start, stop, first, last in make_palm_capsules(_HAND)
         for end, radius in ((start, first), (stop, last))
     ]
     hull = make_hull(np.vstack(spheres))
@@ -82,8 +80,7 @@ def make_collision_mesh(link: int) -> trimesh.Trimesh:
 
 def _make_capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.Trimesh:
     """Return a tapered capsule along a phalanx, with `waist` times the radius in its middle."""
-    hand = make_reference_hand()
-    tip, (first, last) = hand.tips[link - 1], hand.radii[link - 1]
+    tip, (first, last) = _HAND.tips[link - 1], _HAND.radii[link - 1]
     length = float(np.linalg.norm(tip))
     # The spheres are tangent to the cone; otherwise there is a dent at the joint.
     slope = np.arcsin((first - last) / length)
@@ -99,8 +96,8 @@ def _make_capsule(link: int, ring: int, profile: int, waist: float) -> trimesh.T
     return mesh
 
 
-def _make_palm_mesh(hand: HandGeometry) -> trimesh.Trimesh:
-    capsules = [(a, b - a, r0, r1) for a, b, r0, r1 in make_palm_capsules(hand) + make_forearm_capsules(hand)]
+def _make_palm_mesh() -> trimesh.Trimesh:
+    capsules = [(a, b - a, r0, r1) for a, b, r0, r1 in make_palm_capsules(_HAND) + make_forearm_capsules(_HAND)]
 
     def inside(x: float, y: float, z: float) -> float:
         # Smooth union: soft maximum of the depths below the capsules' surfaces.

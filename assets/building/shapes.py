@@ -139,6 +139,13 @@ def loft(
     return Piece(visual, tuple(parts) if collides else ())
 
 
+def stack(
+    outlines: Iterable[Array], heights: Iterable[float], color: str | Sequence[str], breaks: Sequence[int] = ()
+) -> Piece:
+    """Return the closed surface through outlines (n, 2) at heights z, see `loft`."""
+    return loft(stack_outlines(outlines, heights), color, breaks)
+
+
 def revolve_wall(stations: npt.ArrayLike, color: str, n: int = 48, n_parts: int = 20) -> Piece:
     """Return a thin wall as a surface of revolution about the z axis, with `n` sides.
 
@@ -159,7 +166,7 @@ def make_block(size: Sequence[float], color: str, corner: float = 1.5) -> Piece:
     x, y, z = size
     full, inset = make_rectangle(x, y, corner), make_rectangle(x - 2 * corner, y - 2 * corner, corner * 0.5)
     heights = (-z / 2, -z / 2 + corner, z / 2 - corner, z / 2)
-    return loft(stack_outlines([inset, full, full, inset], heights), color)
+    return stack([inset, full, full, inset], heights, color)
 
 
 def make_label(low: Sequence[float], high: Sequence[float], color: str) -> Piece:

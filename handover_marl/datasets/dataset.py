@@ -253,14 +253,3 @@ class Dataset(ABC):
         """
         objects = tuple(self.find_object_urdf(name) for name in info.object_names)
         return SceneAssets(table=TABLE_URDF, panda=self.panda_urdf, objects=objects, hand=hand)
-
-    def make_scene(
-        self,
-        info: SceneInfo,
-        assets: SceneAssets,
-        object_dof: npt.NDArray[np.float32],
-        hand_dof: npt.NDArray[np.float32],
-        hand_span: tuple[int, int] | None,
-    ) -> Scene:
-        """Make a `Scene` of this data set, with the first and last frame of the hand, or None without one."""
-        return Scene(info, self.name, assets, object_dof, hand_dof, *(hand_span or (None, None)))

@@ -1,19 +1,24 @@
 """Data set of DexYCB recordings in the folder layout of HandoverSim.
 
-<data_dir>/dex-ycb-cache/   meta_NNN.json and pose_NNN.npz of every scene
+<data_dir>/dex-ycb-cache/   files of every scene:
+    meta_NNN.json           name, ycb_ids, ycb_grasp_ind, mano_sides, mano_betas
+    pose_NNN.npz            pose_y (T, n, 6), pose_m (T, 1, 51) at 1 kHz in the table's frame (m, rad)
 <data_dir>/assets/          URDFs of objects, hands, Panda and table; grasps/<class>.npy
 """
 
 import hashlib
 import io
+import json
 import os
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
+from handover_marl.config import HAND_DOF, MAX_OBJECTS, OBJECT_DOF
 from handover_marl.datasets.dataset import TABLE_HEIGHT, Dataset, Scene, SceneAssets, SceneInfo
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
@@ -24,15 +29,81 @@ from handover_marl.datasets.official_files import (
     require_file,
 )
 from handover_marl.datasets.restricted_pickle import load_restricted
-from handover_marl.datasets.scene_files import CACHE_FOLDER, read_scene_info, read_scene_motion
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import DataFormatError, DataNotFoundError
 from handover_marl.execution.options import check_path
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.panda import PANDA
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-_MAX_BYTES = 20_000_000  # official files have less than 1 MB
+#: Folder of the motion files within a data folder.
+CACHE_FOLDER = "dex-ycb-cache"
+#: Largest accepted size of a scene's motion (bytes, unpacked).
+MAX_MOTION_BYTES = 500_000_000
+_MAX_META_BYTES, _MAX_GRASP_BYTES = 1_000_000, 20_000_000  # official grasp files have less than 1 MB
+
+
+def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
+    """Read the meta file of a scene.
+
+    Returns:
+        Description of the scene, and the indices of its objects in the pose file, the handed-over
+        one first.
+
+    Raises:
+        DataFormatError: The file lacks a key or has an invalid object or hand.
+    """
+    advice = "it needs name, ycb_ids, ycb_grasp_ind and mano_sides; copy it again from the HandoverSim data"
+    with report_damage(path, "meta file of a scene", advice):
+        meta = json.loads(read_plain_file(path, _MAX_META_BYTES))
+        ids, grasped, sides, name = (meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "name"))
+        check_scene_meta(path, ids, grasped, sides)
+    order = [grasped, *(index for index in range(len(ids)) if index != grasped)]
+    ids = [ids[index] for index in order]
+    names = tuple(CLASS_NAMES[number] for number in ids)
+    return SceneInfo(scene_id, name, sides[0], tuple(ids), names), order
+
+
+def _read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Read the motion of the objects (T, n, 6), in the order from `_read_scene_info`, and of the hand (T, 51).
+
+    Raises:
+        DataFormatError: The file is damaged or has another number of objects.
+    """
+    with report_damage(path, "pose file", "it may be truncated, copy or expand it again"):
+        arrays = read_arrays(path, ("pose_y", "pose_m"), MAX_MOTION_BYTES)
+        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+    n_objects = len(order)
+    if objects.ndim != 3 or objects.shape[1:] != (n_objects, OBJECT_DOF) or len(objects) == 0:
+        raise DataFormatError(
+            f"{path}: pose_y has shape {objects.shape}, expected (T, {n_objects}, {OBJECT_DOF}) "
+            "for the objects that its meta file lists"
+        )
+    if hand.shape != (len(objects), 1, HAND_DOF):
+        raise DataFormatError(f"{path}: pose_m has shape {hand.shape}, expected ({len(objects)}, 1, {HAND_DOF})")
+    if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
+        raise DataFormatError(f"{path}: the motion is not finite everywhere; copy the file again")
+    return objects[:, order], hand[:, 0].copy()
+
+
+def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
+    """Check class numbers, index of the handed-over object and hand (["right"] or ["left"]) of a meta file.
+
+    Raises:
+        DataFormatError: A scene cannot have these objects or hands.
+    """
+    unknown = [number for number in ids if number not in SCENE_CLASSES]
+    if unknown:
+        raise DataFormatError(
+            f"{path}: unknown object class {unknown[0]} in ycb_ids; classes of scenes are "
+            f"{', '.join(map(str, SCENE_CLASSES))}"
+        )
+    if not 1 <= len(ids) <= MAX_OBJECTS:
+        raise DataFormatError(f"{path}: {len(ids)} objects in ycb_ids, expected 1 to {MAX_OBJECTS}")
+    if not 0 <= grasped < len(ids):
+        raise DataFormatError(f"{path}: ycb_grasp_ind {grasped} is not an index into {len(ids)} ycb_ids")
+    if sides not in (["right"], ["left"]):
+        raise DataFormatError(f"{path}: mano_sides is {sides}, expected ['right'] or ['left']")
 
 
 def load_grasps(path: Path) -> npt.NDArray[np.float64]:
@@ -42,8 +113,8 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         UnsafeFileError: The pickle uses something other than arrays and plain values.
         DataFormatError: The file is damaged, or has no finite poses.
     """
-    try:
-        stream = io.BytesIO(read_plain_file(path, _MAX_BYTES))
+    with report_damage(path, "grasp file", "copy it again from the HandoverSim data"):
+        stream = io.BytesIO(read_plain_file(path, _MAX_GRASP_BYTES))
         np.lib.format.read_magic(stream)
         np.lib.format.read_array_header_1_0(stream)
         content = load_restricted(stream.read())
@@ -53,15 +124,6 @@ def load_grasps(path: Path) -> npt.NDArray[np.float64]:
         grasps: npt.NDArray[np.float64] = by_name["transforms"].astype(np.float64)
         if grasps.ndim != 3 or grasps.shape[1:] != (4, 4) or not np.isfinite(grasps).all():
             raise ValueError(f"'transforms' must be finite numbers of shape (n, 4, 4), got shape {grasps.shape}")
-    except UnsafeFileError as error:
-        raise UnsafeFileError(
-            f"{path}: refused to load, the pickle {error} and may run foreign code. "
-            "Replace it by the original HandoverSim file."
-        ) from None
-    except Exception as error:  # Damaged pickles raise exceptions of many types.
-        raise DataFormatError(
-            f"{path}: not a readable grasp file ({shorten_text(error)}). Copy it again from the HandoverSim data."
-        ) from error
     return grasps
 
 
@@ -93,7 +155,9 @@ class OfficialDataset(Dataset):
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
                 )
         self._assets = self.data_dir / "assets"
-        self._info = lru_cache(maxsize=None)(lambda scene_id: read_scene_info(self._find_meta_file(scene_id), scene_id))
+        self._info = lru_cache(maxsize=None)(
+            lambda scene_id: _read_scene_info(self._find_meta_file(scene_id), scene_id)
+        )
         self._load_grasps = lru_cache(maxsize=None)(load_grasps)
         self._origin = lru_cache(maxsize=None)(lambda path: find_origin(self._assets, path))
         self._hand_origin = lru_cache(maxsize=None)(lambda name: find_hand_origin(self._assets / name))
@@ -112,12 +176,12 @@ class OfficialDataset(Dataset):
         """Load a scene with its motion in the world frame."""
         self.check_scene_id(scene_id)
         info, order = self._info(scene_id)
-        object_dof, hand_dof = read_scene_motion(require_file(self._pose_path(scene_id)), order)
+        object_dof, hand_dof = _read_scene_motion(require_file(self._pose_path(scene_id)), order)
         present = np.flatnonzero(hand_dof.any(axis=1))
         object_dof[:, :, 2] += TABLE_HEIGHT
         hand_dof[present, 2] += TABLE_HEIGHT
-        span = (int(present[0]), int(present[-1])) if len(present) else None
-        return self.make_scene(info, self._find_scene_assets(info), object_dof, hand_dof, span)
+        span = (int(present[0]), int(present[-1])) if len(present) else (None, None)
+        return Scene(info, self.name, self._find_scene_assets(info), object_dof, hand_dof, *span)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a YCB class's URDF."""
@@ -146,7 +210,9 @@ class OfficialDataset(Dataset):
             digest.update(read_plain_file(path))
         for urdf in (assets.table, assets.panda, assets.hand, *assets.objects):
             digest.update(read_plain_file(urdf))
-            digest.update(_encode_mesh_sizes(urdf))
+            # Hashing the contents of meshes would take seconds.
+            sizes = [(name, mesh.stat().st_size if mesh.is_file() else -1) for name, mesh in list_mesh_references(urdf)]
+            digest.update(b"\n".join(b"%s %d" % (name.encode(), size) for name, size in sizes))
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
@@ -160,6 +226,9 @@ class OfficialDataset(Dataset):
             notes += describe_origins("grasps", self._origin(f"grasps/{info.target_name}.npy"))
         notes += describe_origins("Panda", self._origin(PANDA_FILES[self.robot]))
         return ", ".join(notes)
+
+    def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
+        return _read_scene_info(self._find_meta_file(scene_id), scene_id)
 
     def _find_meta_file(self, scene_id: int) -> Path:
         return require_file(self.data_dir / CACHE_FOLDER / f"meta_{scene_id:03d}.json")
@@ -178,12 +247,3 @@ class OfficialDataset(Dataset):
     def _find_grasp_file(self, name: str) -> Path | None:
         path = self._assets / "grasps" / f"{name}.npy"
         return None if name in CLASSES_WITHOUT_GRASPS and not path.exists() else require_file(path)
-
-
-def _encode_mesh_sizes(urdf: Path) -> bytes:
-    """Return the names and sizes of a URDF's meshes; hashing their contents would take seconds."""
-    sizes = [
-        b"%s %d" % (name.encode(), mesh.stat().st_size if mesh.is_file() else -1)
-        for name, mesh in list_mesh_references(urdf)
-    ]
-    return b"\n".join(sizes)

@@ -13,8 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.execution.reading import check_plain_file, read_plain_file
+from handover_marl.execution.reading import check_plain_file, read_plain_file, report_damage
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 
 #: URDFs of the robot's variants, relative to `assets/`.
@@ -54,21 +53,9 @@ def list_required_files() -> tuple[str, ...]:
     return tuple(path for path in read_third_party_checksums() if not path.endswith(_OPTIONAL_ENDINGS))
 
 
-def is_stand_in_file(path: Path) -> bool:
-    """Return whether a file exists, can be read and is marked as a stand-in."""
-    try:
-        return _is_stand_in(read_plain_file(path))
-    except (OSError, ValueError):
-        return False
-
-
-def _is_stand_in(content: bytes) -> bool:
-    return STAND_IN.encode() in content[:_HEADER_BYTES]
-
-
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
     """Return the origin of a third-party file from its path in `assets/` and its content."""
-    if _is_stand_in(content):
+    if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
     same = known is not None and hashlib.sha256(content).hexdigest() == known
@@ -81,23 +68,22 @@ def find_hand_origin(folder: Path) -> FileOrigin:
     A compiled hand has equal visual and collision meshes except for three links, and its meshes are open surfaces.
     Hands made in another way have closed meshes. The origin is UNKNOWN if a mesh cannot be read.
     """
-
-    def mesh(kind: str, link: int) -> bytes:
-        return read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj")
-
-    def vertices(kind: str, link: int) -> set[bytes]:
-        return {line for line in mesh(kind, link).splitlines() if line.startswith(b"v ")}
-
-    links = [link for link in range(1, N_HAND_MESHES + 1) if link not in REDUCED_COLLISION_LINKS]
     try:
-        compiled = (
-            all(mesh("visual", link) == mesh("collision", link) for link in links)
-            and all(vertices("collision", link) <= vertices("visual", link) for link in REDUCED_COLLISION_LINKS)
-            and _is_open(mesh("visual", 1))
+        visual, collision = (
+            [read_plain_file(folder / "meshes" / kind / f"mesh{link}.obj") for link in range(1, N_HAND_MESHES + 1)]
+            for kind in ("visual", "collision")
         )
     except (OSError, ValueError):
         return FileOrigin.UNKNOWN
-    return FileOrigin.ORIGINAL if compiled else FileOrigin.STAND_IN
+    is_compiled = _is_open(visual[0]) and all(
+        _list_vertices(touched) <= _list_vertices(seen) if link in REDUCED_COLLISION_LINKS else touched == seen
+        for link, (seen, touched) in enumerate(zip(visual, collision, strict=True), start=1)
+    )
+    return FileOrigin.ORIGINAL if is_compiled else FileOrigin.STAND_IN
+
+
+def _list_vertices(mesh: bytes) -> set[bytes]:
+    return {line for line in mesh.splitlines() if line.startswith(b"v ")}
 
 
 def _is_open(mesh: bytes) -> bool:
@@ -115,6 +101,11 @@ def find_origin(assets: Path, path: str) -> FileOrigin:
         return FileOrigin.UNKNOWN
 
 
+def is_stand_in_file(path: Path) -> bool:
+    """Return whether a file exists, can be read and is marked as a stand-in."""
+    return find_origin(path.parent, path.name) is FileOrigin.STAND_IN
+
+
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
     """Return notes on a kind of files, such as "stand-in grasps"; no notes if all are HandoverSim's own."""
     if FileOrigin.STAND_IN in origins:
@@ -126,18 +117,10 @@ def require_file(path: Path) -> Path:
     """Return a path if it is a readable plain file, else raise an error.
 
     Raises:
-        DataNotFoundError: The file is missing or cannot be read.
-        DataFormatError: The path is a folder, pipe or device, or the file is too large.
+        DataNotFoundError: The file is missing.
+        DataFormatError: The file cannot be read or is too large, or the path is a folder, pipe or device.
     """
-    try:
+    advice = "list what is missing with handover-marl doctor, and copy or expand the HandoverSim data again"
+    with report_damage(path, "file", advice):
         check_plain_file(path)
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise DataNotFoundError(
-            f"{path} is missing. The data folder is incomplete (list what is missing with handover-marl doctor): copy "
-            "or expand the HandoverSim data again."
-        ) from error
-    except OSError as error:
-        raise DataNotFoundError(f"{path} cannot be read ({error.strerror or error}); check its rights") from error
-    except ValueError as error:
-        raise DataFormatError(f"{path} cannot be read ({error}); copy or expand the HandoverSim data again") from error
     return path

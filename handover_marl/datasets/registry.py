@@ -1,15 +1,12 @@
-"""Opening of data sets by name, `KIND` or `KIND:ARGUMENT`, on this machine and on worker machines.
-
-To add a kind, add an entry to `KINDS`.
-"""
+"""Opening of data sets by name, `KIND` or `KIND:ARGUMENT`, on this machine and on worker machines."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from platform import node
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.datasets.official import OfficialDataset
@@ -28,85 +25,28 @@ DATA_FOLDER_ADVICE = (
 )
 
 
-@dataclass(frozen=True)
-class DatasetKind:
+class DatasetKind(NamedTuple):
     """Kind of data sets.
 
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
         usage: Form of the name, for help and errors; "KIND:..." if the name has an argument.
-        open_dataset: Function from argument ("" without one), data folder (None without one) and robot to the data set.
         note: Sentence below the tables of reports; "" for none.
     """
 
     title: str
     usage: str
-    open_dataset: Callable[[str, str | None, str], Dataset]
     note: str = ""
 
 
-def _open_synthetic(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    _refuse_folder("synthetic", data_dir)
-    # DexYCB needs none of the generator's imports, which take long.
-    from handover_marl.datasets.synthetic import SyntheticDataset
-
-    return SyntheticDataset(robot)
-
-
-def _open_generated(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    _refuse_folder("generated", data_dir)
-    from handover_marl.datasets.generated.dataset import GeneratedDataset
-
-    return GeneratedDataset(argument, robot)
-
-
-def _refuse_folder(kind: str, data_dir: str | None) -> None:
-    if data_dir is not None:
-        raise OptionError(f"{kind} scenes need no data folder, but data_dir is {data_dir}; leave one of them out")
-
-
-def _open_dexycb(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
-    if not chosen:
-        raise DataNotFoundError(
-            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
-            "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
-        )
-    try:
-        folder = check_path("data_dir", chosen).resolve()
-    except (OSError, ValueError, RuntimeError) as error:
-        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be used ({error})") from error
-    return OfficialDataset(folder, robot)
-
-
-def _open_custom(argument: str, data_dir: str | None, robot: str) -> Dataset:
-    from handover_marl.datasets.custom import open_custom_dataset
-
-    return open_custom_dataset(argument, data_dir, robot)
-
-
+_NOTE = "not comparable with published results, which are on DexYCB."
 #: Kinds of data sets by name, in the order of help texts.
 KINDS: Mapping[str, DatasetKind] = MappingProxyType(
     {
-        "synthetic": DatasetKind(
-            title="synthetic scenes",
-            usage="synthetic",
-            open_dataset=_open_synthetic,
-            note="Synthetic scenes are generated: not comparable with published results, which are on DexYCB.",
-        ),
-        "generated": DatasetKind(
-            title="generated scenes",
-            usage="generated:n=1000,seed=0",
-            open_dataset=_open_generated,
-            note="Generated scenes are not comparable with published results, which are on DexYCB.",
-        ),
-        "dexycb": DatasetKind(title="DexYCB", usage="dexycb", open_dataset=_open_dexycb),
-        "own": DatasetKind(
-            title="own data",
-            usage="own:FOLDER",
-            open_dataset=_open_custom,
-            note="Own data: not comparable with published results, which are on DexYCB.",
-        ),
+        "synthetic": DatasetKind("synthetic scenes", "synthetic", f"Synthetic scenes are generated: {_NOTE}"),
+        "generated": DatasetKind("generated scenes", "generated:n=1000,seed=0", f"Generated scenes are {_NOTE}"),
+        "dexycb": DatasetKind("DexYCB", "dexycb"),
+        "own": DatasetKind("own data", "own:FOLDER", f"Own data: {_NOTE}"),
     }
 )
 
@@ -128,11 +68,40 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     given = None if data_dir is None else str(check_path("data_dir", data_dir))
     if dataset == AUTO:
         dataset = "dexycb" if given or os.environ.get(DATA_DIR_VARIABLE) else "synthetic"
-    kind, argument = split_dataset_name(dataset)
-    return kind.open_dataset(argument, given, robot)
+    kind, argument = _split_name(dataset)
+    # DexYCB needs none of the imports of the others, which take long.
+    if kind == "dexycb":
+        return _open_dexycb(given, robot)
+    if kind == "own":
+        from handover_marl.datasets.custom import open_custom_dataset
+
+        return open_custom_dataset(argument, given, robot)
+    if given is not None:
+        raise OptionError(f"{kind} scenes need no data folder, but data_dir is {given}; leave one of them out")
+    if kind == "generated":
+        from handover_marl.datasets.generated.dataset import GeneratedDataset
+
+        return GeneratedDataset(argument, robot)
+    from handover_marl.datasets.synthetic import SyntheticDataset
+
+    return SyntheticDataset(robot)
 
 
-def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
+def _open_dexycb(data_dir: str | None, robot: str) -> Dataset:
+    chosen = data_dir or os.environ.get(DATA_DIR_VARIABLE)
+    if not chosen:
+        raise DataNotFoundError(
+            "no data folder given. Set data_dir=, --data-dir or HANDOVER_MARL_DATA to a folder in HandoverSim's "
+            "layout (dex-ycb-cache/ and assets/), or take the synthetic scenes (dataset='synthetic')."
+        )
+    try:
+        folder = check_path("data_dir", chosen).resolve()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise DataNotFoundError(f"data folder {str(chosen)[:200]!r} cannot be used ({error})") from error
+    return OfficialDataset(folder, robot)
+
+
+def _split_name(name: str) -> tuple[str, str]:
     """Return the kind and the argument of a data set's name.
 
     Raises:
@@ -142,24 +111,22 @@ def split_dataset_name(name: str) -> tuple[DatasetKind, str]:
     kind, separator, argument = text.partition(":")
     if kind not in KINDS or bool(separator) != (":" in KINDS[kind].usage) or (separator and not argument):
         raise UnknownNameError("dataset", name, ("auto", *(each.usage for each in KINDS.values())))
-    return KINDS[kind], argument
+    return kind, argument
 
 
 def format_dataset_title(name: str) -> str:
     """Return a data set's name in reports, such as "DexYCB"; an unknown name is returned unchanged."""
     try:
-        kind, argument = split_dataset_name(name)
+        kind, argument = _split_name(name)
     except UnknownNameError:
         return name
-    return f"{kind.title}: {argument}" if argument else kind.title
+    return f"{KINDS[kind].title}: {argument}" if argument else KINDS[kind].title
 
 
 def find_dataset_note(name: str) -> str:
     """Return the sentence that belongs below tables of a data set's results; empty if there is none."""
-    try:
-        return split_dataset_name(name)[0].note
-    except UnknownNameError:
-        return ""
+    kind = name.partition(":")[0]
+    return KINDS[kind].note if kind in KINDS else ""
 
 
 @dataclass(frozen=True)
@@ -183,13 +150,10 @@ class DataLocation:
         return cls(_resolve_path(data_dir), _resolve_path(environment))
 
     def resolve(self) -> str | None:
-        """Return the folder to use on this machine.
+        """Return the folder to use on this machine, or None to use this machine's `HANDOVER_MARL_DATA`.
 
         The order of preference is: `argument` if it exists on this machine, `HANDOVER_MARL_DATA` of
         this machine, `environment`.
-
-        Returns:
-            Path of the folder, or None to use this machine's `HANDOVER_MARL_DATA`.
         """
         if self.argument and Path(self.argument).is_dir():
             return self.argument

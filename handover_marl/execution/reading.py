@@ -4,9 +4,11 @@ Pipes, sockets, devices and folders are refused before they are opened, since op
 may never end; files and archives that are too large are refused before they are read.
 """
 
+import contextlib
 import io
 import stat
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
 #: Largest accepted size of a file of data or weights without a limit of its own (bytes).
@@ -38,21 +41,12 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     if not stat.S_ISREG(state.st_mode):
         raise ValueError("it is not a plain file")
     if state.st_size > largest:
-        raise ValueError(f"it is larger than {_format_size(largest)}")
+        raise ValueError(f"it is larger than {largest / 1e6:g} MB")
     return state.st_size
 
 
 def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
-    """Return the content of a plain file.
-
-    Args:
-        path: File, or link to a file.
-        largest: Largest allowed size (bytes).
-
-    Raises:
-        ValueError: The path is a folder, pipe, socket or device, or the file is too large.
-        OSError: The file cannot be read.
-    """
+    """Return the content of a plain file; arguments and errors are those of `check_plain_file`."""
     size = check_plain_file(path, largest)
     with path.open("rb") as stream:
         return stream.read(size)  # which may be less than the file has by now
@@ -72,9 +66,9 @@ def check_archive(source: Path | bytes, largest: int) -> None:
     """
     if isinstance(source, Path):
         check_plain_file(source, largest + _MAX_ARCHIVE_OVERHEAD)
-    with zipfile.ZipFile(_open_source(source)) as archive:
+    with zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source) as archive:
         if sum(part.file_size for part in archive.infolist()) > largest:
-            raise ValueError(f"it unpacks to more than {_format_size(largest)}")
+            raise ValueError(f"it unpacks to more than {largest / 1e6:g} MB")
 
 
 def read_arrays(
@@ -91,7 +85,7 @@ def read_arrays(
         Exception: The file is damaged; NumPy and zipfile then raise exceptions of many kinds.
     """
     check_archive(source, largest)
-    with np.load(_open_source(source), allow_pickle=False) as archive:
+    with np.load(io.BytesIO(source) if isinstance(source, bytes) else source, allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in (archive.files if names is None else names)}
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray):  # NumPy returns unknown members as bytes
@@ -127,9 +121,26 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _open_source(source: Path | bytes) -> Path | io.BytesIO:
-    return io.BytesIO(source) if isinstance(source, bytes) else source
+@contextlib.contextmanager
+def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
+    """Turn exceptions of a reader in a `with` block into errors that name the file, its kind and what to do.
 
+    Readers of damaged files raise exceptions of many types. Errors that name the file already pass.
 
-def _format_size(size: int) -> str:
-    return f"{size / 1e6:g} MB"
+    Raises:
+        DataNotFoundError: The file does not exist.
+        UnsafeFileError: A pickle in the file may run code.
+        DataFormatError: The file is damaged.
+    """
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise DataNotFoundError(f"{path} does not exist; {advice}") from error
+    except UnsafeFileError as error:
+        fault = f"refused to load, the pickle {error} and may run foreign code"
+        raise UnsafeFileError(f"{path}: {fault}; {advice}") from None
+    except Exception as error:
+        if isinstance(error, HandoverError) and str(error).startswith(str(path)):
+            raise
+        reason = str(error) if isinstance(error, HandoverError) else shorten_text(error)
+        raise DataFormatError(f"{path}: not a readable {what} ({reason}); {advice}") from error

@@ -14,13 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.arrays import AnyArray, as_arrays, is_tensor
-from handover_marl.geometry.kinematic_tree import KinematicTree
-from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN
-from handover_marl.geometry.poses import (
-    transform_points,
-)
+from handover_marl.geometry.kinematic_tree import REVOLUTE, KinematicTree
+from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK, OPEN, SHOULDER_HEIGHT
+from handover_marl.geometry.poses import transform_points
 
 Array = npt.NDArray[np.float64]
+
+# Largest distances of the Panda's hand and of its wrist from the shoulder, and height along the hand's z axis and
+# radius of the circle of the wrist around the last joint's axis (m).
+_ARM_LENGTH, _WRIST_RANGE = 0.8578930066326846, 0.7193542034041307
+_WRIST_HEIGHT, _WRIST_RADIUS = -0.107, 0.088
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,10 @@ class ArmKinematics:
         if missing:
             raise SimulationError(f"the robot must be a Panda, its model has no link {sorted(missing)}; check the URDF")
         hand = names.index(HAND_LINK)
-        revolute = tree.list_revolute_joints(hand)
+        revolute, link = list[int](), hand
+        while link >= 0:
+            revolute = [link, *revolute] if tree.joints[link].kind in REVOLUTE else revolute
+            link = tree.joints[link].parent
         self.link_names = [names[link] for link in revolute] + [HAND_LINK, *FINGER_LINKS]
         self.n_joints = len(revolute)
         for link in revolute:
@@ -195,24 +201,11 @@ class ReachabilityBound:
     the distance of a point of that circle from the shoulder must be at most the length of the arm without the hand.
 
     Args:
-        tree: Kinematic tree of the arm.
-        hand: Number of the hand link, which only revolute joints may carry.
         world_from_base: (7,) pose of the robot's base, xyz (m) and quaternion xyzw.
     """
 
-    def __init__(self, tree: KinematicTree, hand: int, world_from_base: Array) -> None:
-        center, self._arm_length = tree.compute_reach_sphere(hand)
-        self._shoulder = transform_points(world_from_base, center)
-        last, before = tree.list_revolute_joints(hand)[:-3:-1]
-        origins, rotations = (value[0] for value in tree.compute_link_frames(np.zeros((1, tree.n_dof))))
-        hand_from_base = rotations[hand].T
-        self._axis = hand_from_base @ rotations[last] @ tree.joints[last].axis
-        wrist = hand_from_base @ (origins[before] - origins[hand])
-        pivot = hand_from_base @ (origins[last] - origins[hand])
-        self._circle_center = pivot + self._axis * np.dot(wrist - pivot, self._axis)
-        self._circle_radius = float(np.linalg.norm(wrist - self._circle_center))
-        self._wrist_distance = float(np.linalg.norm(wrist))
-        self._wrist_range = tree.compute_reach_sphere(before)[1]
+    def __init__(self, world_from_base: Array) -> None:
+        self._shoulder = transform_points(world_from_base, (0.0, 0.0, SHOULDER_HEIGHT))
 
     def is_unreachable(
         self, position: npt.ArrayLike, orientation: npt.ArrayLike | None, distance: float, angle: float
@@ -222,15 +215,15 @@ class ReachabilityBound:
         The tolerances are those of position (m) and orientation (rad).
         """
         target = np.asarray(position, dtype=np.float64)
-        is_too_far = np.asarray(np.linalg.norm(target - self._shoulder, axis=-1) > self._arm_length + distance)
+        is_too_far = np.asarray(np.linalg.norm(target - self._shoulder, axis=-1) > _ARM_LENGTH + distance)
         if orientation is None:
             return is_too_far
         world_from_hand = Rotation.from_quat(np.asarray(orientation, dtype=np.float64))
-        shoulder = world_from_hand.apply(self._shoulder - target, inverse=True) - self._circle_center
-        height = shoulder @ self._axis
-        radius = np.linalg.norm(shoulder - height[..., None] * self._axis, axis=-1)
-        nearest = np.hypot(height, radius - self._circle_radius)
-        return np.asarray(is_too_far | (nearest > self._wrist_range + distance + angle * self._wrist_distance))
+        shoulder = world_from_hand.apply(self._shoulder - target, inverse=True)
+        radius = np.linalg.norm(shoulder[..., :2], axis=-1)
+        nearest = np.hypot(shoulder[..., 2] - _WRIST_HEIGHT, radius - _WRIST_RADIUS)
+        slack = distance + angle * np.hypot(_WRIST_HEIGHT, _WRIST_RADIUS)
+        return np.asarray(is_too_far | (nearest > _WRIST_RANGE + slack))
 
 
 def as_row(values: npt.ArrayLike) -> Array:

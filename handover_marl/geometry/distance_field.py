@@ -18,8 +18,8 @@ Array = npt.NDArray[np.float64]
 OUTSIDE_DISTANCE = 1.0
 #: Folder of the cached fields within the user's cache folder.
 CACHE_KIND = "distance_fields"
-#: Grid spacing of the cached fields (m).
-CELL = 0.006
+# Grid spacing of the cached fields (m).
+_CELL = 0.006
 # Increased when the computation changes, so that cached fields of older versions are not used.
 _VERSION = 1
 
@@ -99,20 +99,20 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
     return np.stack(gradient)
 
 
-def load_object_sdf(urdf: Path, margin: float, cell: float = CELL) -> DistanceField:
+def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The shapes may overlap, and have holes. The grid extends `margin` beyond the shapes; its spacing is `cell` (m).
+    The shapes may overlap, and have holes. The grid extends `margin` (m) beyond the shapes.
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.
     """
-    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin, cell)
+    return _load_object_sdf(urdf, urdf.stat().st_mtime_ns, margin)
 
 
 @functools.lru_cache(maxsize=32)
-def _load_object_sdf(urdf: Path, changed: int, margin: float, cell: float) -> DistanceField:
-    path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {cell} {margin}".encode())
+def _load_object_sdf(urdf: Path, changed: int, margin: float) -> DistanceField:
+    path = get_cache_path(CACHE_KIND, urdf, f"{_VERSION} {_CELL} {margin}".encode())
     arrays = load_cached_arrays(path, ("values", "lower", "cell"), "distance field")
     if arrays is not None:
         return DistanceField(arrays["values"], arrays["lower"], float(arrays["cell"]))
@@ -126,7 +126,9 @@ def _load_object_sdf(urdf: Path, changed: int, margin: float, cell: float) -> Di
         found = igl.signed_distance(points, vertices, faces, igl.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER)[0]
         return np.asarray(found, dtype=np.float64)
 
-    field = sample_distance_field(compute_distances, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, cell)
+    field = sample_distance_field(
+        compute_distances, vertices.min(axis=0) - margin, vertices.max(axis=0) + margin, _CELL
+    )
     content: Arrays = {"values": field.values, "lower": field.lower, "cell": np.array(field.cell)}
     save_cached_arrays(path, content, "distance field")
     return field

@@ -1,4 +1,4 @@
-"""Kinematic trees read from URDF files: forward kinematics of many configurations at once.
+"""Kinematic trees read from URDF files: forward kinematics of many configurations, or many models, at once.
 
 Links are numbered as Bullet numbers them. Quaternions are xyzw.
 """
@@ -14,17 +14,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.errors import SimulationError
-from handover_marl.geometry.arrays import AnyArray, get_namespace, make_constant
+from handover_marl.errors import OptionError, SimulationError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, get_namespace, make_constant
 from handover_marl.geometry.model_files.urdf_xml import parse_urdf, read_attribute
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix, rotate_points, transform_points
 
 Array = npt.NDArray[np.float64]
 
-_REVOLUTE = ("revolute", "continuous")
+#: Joint types of URDF files that turn about an axis.
+REVOLUTE = ("revolute", "continuous")
 _PRISMATIC = ("prismatic",)
-# A point nearer to a joint axis than this is on it (m).
-_ON_AXIS_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +87,7 @@ class KinematicTree:
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
         self.joints = tuple(joints)
-        is_moving = [joint.kind in (*_REVOLUTE, *_PRISMATIC) for joint in joints]
+        is_moving = [joint.kind in (*REVOLUTE, *_PRISMATIC) for joint in joints]
         self.n_dof = sum(is_moving)
         self.moving_links: list[int] = np.flatnonzero(is_moving).tolist()
         # Fixed joints read the zero that is appended to the joint positions.
@@ -97,7 +96,7 @@ class KinematicTree:
         offsets = np.array([joint.offset for joint in joints]).reshape(-1, 3)
         turns = np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3)
         axes = np.array([joint.axis for joint in joints]).reshape(-1, 3)
-        is_revolute = np.array([joint.kind in _REVOLUTE for joint in joints], dtype=bool)[:, None]
+        is_revolute = np.array([joint.kind in REVOLUTE for joint in joints], dtype=bool)[:, None]
         is_prismatic = np.array([joint.kind in _PRISMATIC for joint in joints], dtype=bool)[:, None]
         cross = np.cross(np.eye(3), (axes * is_revolute)[:, None, :])
         slides = (turns @ (axes * is_prismatic)[..., None])[..., 0]
@@ -132,75 +131,12 @@ class KinematicTree:
         """
         return [joint.link for joint in self.joints].index(name)
 
-    def list_revolute_joints(self, link: int) -> list[int]:
-        """List the child links of the revolute joints from the base to a link, in this order.
-
-        Raises:
-            ValueError: A joint on the way is prismatic.
-        """
-        path: list[int] = []
-        while link >= 0:
-            if self.joints[link].kind in _PRISMATIC:
-                raise ValueError(f"the joint of link {link} is prismatic")
-            if self.joints[link].kind in _REVOLUTE:
-                path.insert(0, link)
-            link = self.joints[link].parent
-        return path
-
-    def compute_reach_sphere(self, link: int) -> tuple[Array, float]:
-        """Compute a sphere that a link's origin cannot leave: center (3,) and radius (m).
-
-        The center is in the base link's frame; joint limits are ignored. The radius is the sum of
-        the distances between successive joint origins. An origin on the axis of the previous joint
-        does not move with that joint, so that both distances count as one straight segment.
-
-        Raises:
-            ValueError: A joint between base and link is prismatic.
-        """
-        origins, rotations = (value[0] for value in self.compute_link_frames(np.zeros((1, self.n_dof))))
-        path = self.list_revolute_joints(link)
-
-        def is_on_axis(point: Array, joint: int) -> bool:
-            axis = rotations[joint] @ self.joints[joint].axis
-            return bool(np.linalg.norm(np.cross(point - origins[joint], axis)) < _ON_AXIS_M)
-
-        while path and is_on_axis(origins[link], path[-1]):
-            path.pop()
-        while len(path) > 1 and is_on_axis(origins[path[1]], path[0]):
-            path.pop(0)
-        if not path:
-            return origins[link], 0.0
-        center = anchor = origins[path[0]]
-        radius = 0.0
-        for joint in path[1:]:
-            if not is_on_axis(anchor, joint):
-                radius += float(np.linalg.norm(origins[joint] - anchor))
-                anchor = origins[joint]
-        return center, radius + float(np.linalg.norm(origins[link] - anchor))
-
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
         """Compute the largest distance (m) from a link's origin to shapes that the link carries.
 
         These are the shapes, in bounding spheres by link number, of the link and its descendants; joints may
         have any position.
         """
-        children: dict[int, list[int]] = {}
-        for child, joint in enumerate(self.joints):
-            children.setdefault(joint.parent, []).append(child)
-        reaches: dict[int, float] = {}
-        # Children have higher numbers than their parents.
-        for number in range(len(self.joints) - 1, link - 1, -1):
-            reaches[number] = self._compute_rigid_reach(number, children, spheres, reaches)
-        return reaches[link]
-
-    def _compute_rigid_reach(
-        self,
-        link: int,
-        children: dict[int, list[int]],
-        spheres: Mapping[int, BoundingSphere],
-        reaches: dict[int, float],
-    ) -> float:
-        """Compute a link's reach (m) from the reaches of descendants that move relative to it."""
         farthest = 0.0
         rigid = [(link, np.zeros(3), np.eye(3))]
         while rigid:
@@ -208,13 +144,13 @@ class KinematicTree:
             if number in spheres:
                 sphere = spheres[number]
                 farthest = max(farthest, float(np.linalg.norm(origin + turn @ sphere.center)) + sphere.radius)
-            for child in children.get(number, []):
+            for child in (child for child, joint in enumerate(self.joints) if joint.parent == number):
                 joint = self.joints[child]
                 start = origin + turn @ joint.offset
                 if joint.kind == "fixed":
                     rigid.append((child, start, turn @ joint.rotation))
                 else:
-                    farthest = max(farthest, float(np.linalg.norm(start)) + reaches[child])
+                    farthest = max(farthest, float(np.linalg.norm(start)) + self.compute_reach(child, spheres))
         return farthest
 
 
@@ -278,7 +214,7 @@ def _read_joints(robot: ET.Element) -> list[TreeJoint]:
 
 def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
     kind = element.attrib["type"]
-    if kind not in (*_REVOLUTE, *_PRISMATIC, "fixed"):
+    if kind not in (*REVOLUTE, *_PRISMATIC, "fixed"):
         raise ValueError(f"a {kind} joint")
     axis = np.array(read_attribute(element, "axis", "xyz", "1 0 0").split(), dtype=np.float64)
     length = np.linalg.norm(axis)
@@ -297,41 +233,73 @@ def matrix_from_rpy(rpy: str) -> Array:
     return np.asarray(Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix())
 
 
-@dataclass(frozen=True, eq=False)
-class LinkFrameTrajectory:
-    """Trajectory of the link frames of a URDF model in the world, at n times.
-
-    Attributes:
-        names: Names of the L links, in their numbering.
-        origins: (n, L, 3) world positions of the links' origins (m).
-        rotations: (n, L, 3, 3) rotation matrices from link to world frame.
-    """
-
-    names: tuple[str, ...]
-    origins: Array
-    rotations: Array
-
-    def get_positions(self, link: int | str) -> Array:
-        """Return the world positions (n, 3) of a link's origin (m) at all times."""
-        number = self.names.index(link) if isinstance(link, str) else link
-        return np.asarray(self.origins[:, number])
-
-    def select(self, times: npt.NDArray[np.bool_]) -> "LinkFrameTrajectory":
-        """Return the part of the trajectory where a mask (n,) over the times is True."""
-        return LinkFrameTrajectory(self.names, self.origins[times], self.rotations[times])
-
-
 def compute_link_trajectory(
     urdf: Path, dof: npt.ArrayLike, world_from_base: npt.ArrayLike = IDENTITY
-) -> LinkFrameTrajectory:
-    """Compute the link frames of a URDF model for joint positions (n, d) over time and a base pose (7,).
+) -> tuple[Array, Array]:
+    """Compute the link frames of a URDF model in the world for joint positions (n, d) over time and a base pose (7,).
+
+    Returns:
+        Origins (n, L, 3) of the L links (m), and rotation matrices (n, L, 3, 3) from link to world frame.
 
     Raises:
         SimulationError: The URDF file cannot be read.
     """
-    tree = read_tree(urdf)
-    origins, rotations = tree.compute_link_frames(dof)
+    origins, rotations = read_tree(urdf).compute_link_frames(dof)
     base = np.asarray(world_from_base, dtype=np.float64)
-    axes = rotate_points(base[3:], np.eye(3)).T
-    names = tuple(joint.link for joint in tree.joints)
-    return LinkFrameTrajectory(names, transform_points(base, origins), axes @ rotations)
+    return transform_points(base, origins), rotate_points(base[3:], np.eye(3)).T @ rotations
+
+
+class TreeBank:
+    """Kinematic trees of models that have the same joints; links may have different sizes.
+
+    Args:
+        noun: Plural of the models' kind, for errors, e.g. "hands".
+        arrays: Creator of arrays on the device.
+    """
+
+    def __init__(self, noun: str, arrays: ArrayFactory) -> None:
+        self._noun, self._arrays = noun, arrays
+        self._numbers: dict[tuple[Path, int], int] = {}
+        self._structure: list[npt.NDArray[np.int_]] = []
+        self._constants: list[RowBank] = []
+        self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
+
+    def add(self, urdf: Path) -> int:
+        """Copy the constants of a model to the device, unless they are there, and return its number.
+
+        Raises:
+            OptionError: The model has other joints than the models before.
+            SimulationError: The file is not a URDF.
+        """
+        key = urdf, urdf.stat().st_mtime_ns
+        if key not in self._numbers:
+            self._numbers[key] = self._add(urdf)
+        return self._numbers[key]
+
+    def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
+        """Compute origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
+
+        `joints` (r, k, d) are positions in k configurations of each model (rad, m), float64.
+        """
+        xp = self._arrays.xp
+        constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))
+        # Fixed joints read the zero that is appended.
+        values = xp.concat([joints, xp.zeros_like(joints[..., :1])], axis=-1)[..., self._columns]
+        return compute_tree_frames(constants, self._levels, values)
+
+    def _add(self, urdf: Path) -> int:
+        tree, arrays = read_tree(urdf), self._arrays
+        structure = [tree.columns, *(part for level in tree.levels for part in level)]
+        if not self._constants:
+            self._structure = structure
+            self._constants = [RowBank(arrays, part.shape, "float64") for part in tree.constants]
+            self._columns = arrays.asarray(tree.columns)
+            self._levels = [(arrays.asarray(links), arrays.asarray(parents)) for links, parents in tree.levels]
+        same = len(structure) == len(self._structure)
+        if not same or not all(map(np.array_equal, structure, self._structure)):
+            raise OptionError(
+                f"{urdf}: all {self._noun} must have the same joints with backend='warp', this one has others; use "
+                "backend='threads'"
+            )
+        (number,) = {bank.extend(part) for bank, part in zip(self._constants, tree.constants, strict=True)}
+        return number

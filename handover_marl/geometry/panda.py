@@ -20,6 +20,9 @@ HAND_FROM_CAMERA_LINK = (0.036, 0.0, 0.036, -0.5, 0.5, -0.5, 0.5)
 LOWER_LIMITS = (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973, 0.0, 0.0)
 UPPER_LIMITS = (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.752, 2.8973, 0.04, 0.04)
 
+#: Height of the shoulder, where the axes of the first two joints meet, above the base.
+SHOULDER_HEIGHT = 0.333
+
 #: Finger joint positions of the open and the closed gripper.
 OPEN, CLOSED = 0.04, 0.0
 

@@ -66,14 +66,15 @@ def compute_rotation_magnitudes(quaternions: AnyArray) -> AnyArray:
 def euler_from_quaternions(quaternions: AnyArray) -> AnyArray:
     """Convert quaternions (n, 4) xyzw to intrinsic XYZ Euler angles (n, 3) (rad)."""
     if is_tensor(quaternions):
-        return _euler_from_matrices(matrices_from_quaternions(quaternions))
+        return euler_from_matrices(matrices_from_quaternions(quaternions))
     with warnings.catch_warnings():
         # At gimbal lock the solution is not unique, and any is right.
         warnings.simplefilter("ignore", UserWarning)
         return Rotation.from_quat(quaternions).as_euler("XYZ")
 
 
-def _euler_from_matrices(matrices: AnyArray) -> AnyArray:
+def euler_from_matrices(matrices: AnyArray) -> AnyArray:
+    """Convert rotation matrices (..., 3, 3) to intrinsic XYZ Euler angles (..., 3) (rad), y within +-pi/2."""
     xp = get_namespace(matrices)
     sine = xp.clip(matrices[..., 0, 2], -1.0, 1.0)
     is_locked = xp.abs(sine) > 1.0 - 1e-14

@@ -18,7 +18,6 @@ from handover_marl.config import ARM_DOF, PANDA_DOF, PandaConfig
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.geometry.arm import ArmKinematics, IkSolver, IndependentArmKinematics, ReachabilityBound, as_row
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
 
 Array = npt.NDArray[np.float64]
@@ -250,12 +249,10 @@ class PandaIkSolver(IkSolver):
     """
 
     def __init__(self, urdf: Path, config: PandaConfig) -> None:
-        tree = read_tree(urdf)
-        self._arm = IndependentArmKinematics(tree)
+        self._arm = IndependentArmKinematics(read_tree(urdf))
         self._base = np.array([*config.base_position, *config.base_orientation])
         self._base_from_world = invert_pose(self._base)
-        hand = tree.get_link(HAND_LINK)
-        self._reach = ReachabilityBound(tree, hand, self._base)
+        self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
         """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import PandaConfig
-from handover_marl.geometry.kinematic_tree import BoundingSphere, LinkFrameTrajectory
+from handover_marl.geometry.kinematic_tree import BoundingSphere
 from handover_marl.geometry.poses import IDENTITY, transform_points
 
 Array = npt.NDArray[np.float64]
@@ -63,8 +63,8 @@ class ClearanceMonitor:
         hand_urdf: Path,
         robot: Array,
         hand: Array,
-        robot_frames: LinkFrameTrajectory,
-        hand_frames: LinkFrameTrajectory,
+        robot_frames: tuple[Array, Array],
+        hand_frames: tuple[Array, Array],
     ) -> float:
         """Compute the smallest distance between the surfaces of robot and hand (m) over n times.
 
@@ -74,7 +74,7 @@ class ClearanceMonitor:
             hand_urdf: Model of the human hand.
             robot: Joint positions (n, 9) of the Panda (rad, m).
             hand: Joint positions (n, 51) of the hand (m, rad).
-            robot_frames: Link frames of the Panda at these joint positions.
+            robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
             hand_frames: Link frames of the hand at these joint positions.
         """
         no_margin = np.zeros(len(robot))
@@ -85,8 +85,8 @@ class ClearanceMonitor:
         hand_urdf: Path,
         robot: Array,
         hand: Array,
-        robot_frames: LinkFrameTrajectory,
-        hand_frames: LinkFrameTrajectory,
+        robot_frames: tuple[Array, Array],
+        hand_frames: tuple[Array, Array],
         required: Array,
     ) -> float:
         """Compute the smallest difference of the distance of robot and hand and a required distance (m) over n times.
@@ -97,7 +97,7 @@ class ClearanceMonitor:
             hand_urdf: Model of the human hand.
             robot: Joint positions (n, 9) of the Panda (rad, m).
             hand: Joint positions (n, 51) of the hand (m, rad).
-            robot_frames: Link frames of the Panda at these joint positions.
+            robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
             hand_frames: Link frames of the hand at these joint positions.
             required: Required distances (n,) in m, at least 0.
         """
@@ -132,12 +132,12 @@ class _MovingSpheres:
         radii: Radii (b,) of the spheres (m).
     """
 
-    def __init__(self, spheres: dict[int, BoundingSphere], frames: LinkFrameTrajectory, world_from_base: Array) -> None:
+    def __init__(self, spheres: dict[int, BoundingSphere], frames: tuple[Array, Array], world_from_base: Array) -> None:
         links = [link for link in spheres if link >= 0]
-        rotations = frames.rotations[:, links]
+        origins, rotations = (part[:, links] for part in frames)
         offsets = np.array([spheres[link].center for link in links])
         self.radii = np.array([spheres[link].radius for link in links])
-        self.centers = frames.origins[:, links] + (rotations @ offsets[..., None])[..., 0]
+        self.centers = origins + (rotations @ offsets[..., None])[..., 0]
         self._rotations = rotations.reshape(*rotations.shape[:2], 9)
         if -1 in spheres:
             # The base does not move, but the hand may come near it.

@@ -396,9 +396,10 @@ def compute_robot_link_poses(log: EpisodeLog, snapshots: Sequence[JointSnapshot]
     Returns:
         Positions xyz (m) and quaternions xyzw.
     """
-    trajectory = compute_link_trajectory(log.scene.assets.panda, _stack_robot(snapshots), get_robot_base_pose(log))
-    chosen = [trajectory.names.index(name) for name in names]
-    return poses_from_rotations(trajectory.origins[:, chosen], trajectory.rotations[:, chosen])
+    urdf = log.scene.assets.panda
+    origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), get_robot_base_pose(log))
+    chosen = [read_tree(urdf).get_link(name) for name in names]
+    return poses_from_rotations(origins[:, chosen], rotations[:, chosen])
 
 
 def _stack_robot(snapshots: Sequence[JointSnapshot]) -> Array:
@@ -413,13 +414,13 @@ def _compute_body(
     is_present: npt.NDArray[np.bool_],
     base: Array = IDENTITY,
 ) -> Iterator[LinkTrajectory]:
-    trajectory = compute_link_trajectory(urdf, joints, base)
+    origins, rotations = compute_link_trajectory(urdf, joints, base)
     max_faces = _MAX_ROBOT_FACES if label is SegmentationLabel.ROBOT else _MAX_FACES
     for mesh in load_simplified_meshes(urdf, urdf.stat().st_mtime_ns, max_faces):
         poses, present = base[None], is_present[:1]
         if mesh.link >= 0:
-            origins, rotations = trajectory.origins[:, mesh.link], trajectory.rotations[:, mesh.link]
-            poses, present = poses_from_rotations(origins, rotations), is_present
+            poses = poses_from_rotations(origins[:, mesh.link], rotations[:, mesh.link])
+            present = is_present
         yield LinkTrajectory(f"{name}/{mesh.link + 1}", label, mesh, poses, present)
 
 

@@ -14,7 +14,7 @@ from handover_marl.datasets.dexycb.assets import write_hand_assets
 from handover_marl.datasets.dexycb.mano import read_mano_model
 from handover_marl.datasets.official_files import FileOrigin, find_hand_origin
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
-from tests.datasets.dexycb.mano_files import made_up_hand, official, write
+from tests.datasets.dexycb.raw_files import made_up_hand, official, write
 from tests.evaluation.deadline import ends_within
 from tests.unreadable import replace_by
 
@@ -28,7 +28,7 @@ def test_missing_scenes_are_listed(fake_data: Path, tmp_path: Path) -> None:
     (level, name, text), *models = check_data_folder(folder)
     assert (level, name) == ("fault", "scenes")
     assert text.startswith(f"4 of 1000 in {folder}")
-    assert "meta_000.json is missing" in text
+    assert "meta_000.json does not exist" in text
     assert text.endswith("and 976 more")
     assert {name for _, name, _ in models} == {"models"}
 

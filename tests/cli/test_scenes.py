@@ -50,7 +50,7 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
     [
         (["add-object", "mine", "box", "box.stl", *OBJECT], "unit='mm'"),
         (["add-object", "mine", "box", "gone.stl", *OBJECT], "does not exist"),
-        (["add-object", "mine", "025_mug", "box.stl", *OBJECT], "must not be the name of a YCB class"),
+        (["add-object", "mine", "025_mug", "box.stl", *OBJECT], "must not be one of 002_master_chef_can"),
         (["add-motion", "mine", "motion.csv", "--object", "box", "--subject", "a"], "unknown object 'box'"),
         ([*MUG, "--frame", "1,2"], "frame must be"),
         ([*MUG, "--hand", "big"], "hand must be"),

@@ -56,17 +56,17 @@ def test_missing_folders_and_files_are_named(tmp_path: Path, own_data: Path) -> 
 def test_data_folder_from_the_environment(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     assert open_dataset().load_info(5).subject == "20200709-subject-01"
+    with pytest.raises(SceneError, match="0 to 999"):
+        open_dataset().load_scene(1000)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"ycb_ids": [22]}, "unknown object class 22"),
         ({"ycb_ids": []}, "0 objects"),
-        ({"ycb_ids": [1, 2, 3, 4, 5, 6]}, "6 objects"),
-        ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
         ({"ycb_ids": [19]}, "unknown object class 19"),
-        ({"ycb_ids": 2}, "not a scene's meta file"),
+        ({"ycb_ids": 2}, "not a readable meta file"),
+        ({"ycb_grasp_ind": -1}, "ycb_grasp_ind -1"),
         ({"mano_sides": ["both"]}, "mano_sides"),
     ],
 )
@@ -76,32 +76,20 @@ def test_bad_meta(own_data: Path, changes: dict[str, object], message: str) -> N
         OfficialDataset(own_data).load_info(5)
 
 
-@pytest.mark.parametrize(
-    ("pose_y", "pose_m"),
-    [
-        (np.zeros((10, 2, 6)), np.zeros((10, 1, 51))),
-        (np.zeros((10, 1, 6)), np.zeros((9, 1, 51))),
-        (np.zeros((0, 1, 6)), np.zeros((0, 1, 51))),
-        (np.full((10, 1, 6), np.nan), np.zeros((10, 1, 51))),
-    ],
-)
-def test_wrong_shapes_of_motion(own_data: Path, pose_y: np.ndarray, pose_m: np.ndarray) -> None:
-    np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", pose_y=pose_y, pose_m=pose_m)
-    with pytest.raises(DataFormatError, match="pose_005"):
-        OfficialDataset(own_data).load_scene(5)
+def test_wrong_motion(own_data: Path) -> None:
+    for objects, hand in (((10, 2, 6), 10), ((10, 1, 6), 9), ((0, 1, 6), 0), ((10, 1, 6), 10)):
+        motion = {"pose_y": np.full(objects, np.nan), "pose_m": np.zeros((hand, 1, 51))}
+        np.savez(own_data / "dex-ycb-cache" / "pose_005.npz", **motion)  # type: ignore[arg-type]
+        with pytest.raises(DataFormatError, match="pose_005"):
+            OfficialDataset(own_data).load_scene(5)
 
 
-@pytest.mark.parametrize("name", ["002_master_chef_can", "036_wood_block"])
-def test_classes_without_grasps(own_data: Path, name: str) -> None:
-    (own_data / "assets" / "grasps" / f"{name}.npy").unlink(missing_ok=True)
-    assert OfficialDataset(own_data).load_grasps(name) is None
-    write_grasps(own_data / "assets" / "grasps" / f"{name}.npy", n=3)
-    assert OfficialDataset(own_data).load_grasps(name).shape == (3, 4, 4)
-
-
-def test_scene_numbers(fake_data: Path) -> None:
-    with pytest.raises(SceneError, match="0 to 999"):
-        OfficialDataset(fake_data).load_scene(1000)
+def test_classes_without_grasps(own_data: Path) -> None:
+    path = own_data / "assets" / "grasps" / "036_wood_block.npy"
+    path.unlink(missing_ok=True)
+    assert OfficialDataset(own_data).load_grasps("036_wood_block") is None
+    write_grasps(path, n=3)
+    assert OfficialDataset(own_data).load_grasps("036_wood_block").shape == (3, 4, 4)
 
 
 def test_fingerprint_depends_on_meta_grasps_and_meshes(own_data: Path) -> None:

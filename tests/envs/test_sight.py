@@ -213,5 +213,5 @@ def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_data_without_the_camera_robot(own_data: Path) -> None:
     (own_data / "assets/franka_panda/panda_gripper_hand_camera.urdf").unlink(missing_ok=True)
     env = handover_marl.parallel_env(data_dir=own_data, split="val", robot="panda_camera", scenes=[9])
-    with pytest.raises(DataNotFoundError, match=r"panda_gripper_hand_camera\.urdf is missing"):
+    with pytest.raises(DataNotFoundError, match=r"panda_gripper_hand_camera\.urdf does not exist"):
         env.reset()

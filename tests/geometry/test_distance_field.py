@@ -5,74 +5,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.geometry import distance_field as field_module
 from handover_marl.geometry.array_cache import get_cache_folder
-from handover_marl.geometry.distance_field import (
-    CACHE_KIND,
-    DistanceField,
-    load_object_sdf,
-    sample_distance_field,
-)
+from handover_marl.geometry.distance_field import CACHE_KIND, load_object_sdf, sample_distance_field
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
 
-RADIUS, REACH = 0.05, 0.2
+RADIUS, REACH, CELL = 0.05, 0.2, 0.005
+BALL = sample_distance_field(
+    lambda points: np.linalg.norm(points, axis=1) - RADIUS, np.full(3, -REACH), np.full(3, REACH), CELL
+)
 MARGIN = 0.1
 
 
-def ball() -> DistanceField:
-    corner = np.full(3, REACH)
-    return sample_distance_field(lambda points: np.linalg.norm(points, axis=1) - RADIUS, -corner, corner, 0.005)
-
-
-BALL = ball()
-places = st.lists(st.floats(-0.19, 0.19), min_size=3, max_size=3).map(np.array)
-
-
-@given(places)
-def test_distances_and_slopes_of_a_ball(place: np.ndarray) -> None:
-    points = place[:, None].astype(np.float32)
-    distance, slope = BALL.compute_distances_and_gradients(points)
-    length = np.linalg.norm(place)
-    assert distance[0] == pytest.approx(length - RADIUS, abs=2e-3)
-    assert BALL.compute_distances(points)[0] == distance[0]
-    if length > 0.02:
-        np.testing.assert_allclose(slope[:, 0], place / length, atol=0.15)
-
-
-@given(places)
-def test_gradients_are_derivatives_of_the_interpolation(place: np.ndarray) -> None:
-    # Use the centre of a cell, because the gradient jumps at the faces of cells.
-    cells = (place + REACH) / 0.005
-    place = (np.floor(cells) + 0.5) * 0.005 - REACH
-    small = 1e-3
-    _, slope = BALL.compute_distances_and_gradients(place[:, None].astype(np.float32))
+def test_distances_and_gradients_of_a_ball() -> None:
+    points = np.random.default_rng(0).uniform(-0.19, 0.19, (300, 3))
+    distances, slopes = BALL.compute_distances_and_gradients(points.T.astype(np.float32))
+    lengths = np.linalg.norm(points, axis=1)
+    np.testing.assert_allclose(distances, lengths - RADIUS, atol=2e-3)
+    np.testing.assert_array_equal(BALL.compute_distances(points.T.astype(np.float32)), distances)
+    far = lengths > 0.02
+    np.testing.assert_allclose(slopes.T[far], (points / lengths[:, None])[far], atol=0.15)
+    # Gradients are derivatives at the centres of cells; they jump at the faces.
+    points, small = (np.floor((points + REACH) / CELL) + 0.5) * CELL - REACH, 1e-3
+    _, slopes = BALL.compute_distances_and_gradients(points.T.astype(np.float32))
     for axis in range(3):
         step = small * np.eye(3)[axis]
-        ends = np.stack([place - step, place + step], axis=1).astype(np.float32)
-        below, above = BALL.compute_distances(ends)
-        assert slope[axis, 0] == pytest.approx((above - below) / (2 * small), abs=2e-3)
-
-
-@given(st.floats(-0.1, 0.3), st.floats(0.05, 0.2))
-def test_cost_falls_to_nothing_and_its_derivative_is_right(distance: float, padding: float) -> None:
-    small = 1e-5
-    around = np.array([distance - small, distance, distance + small])
-    below, here, above = compute_proximity_cost(around, padding)
-    assert here >= 0.0
-    assert (here == 0.0) == (distance >= padding)
-    assert compute_proximity_gradient(around, padding)[1] == pytest.approx((above - below) / (2 * small), abs=1e-3)
-
-
-@pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    field_module._load_object_sdf.cache_clear()
-    return get_cache_folder(CACHE_KIND)
+        below, above = (BALL.compute_distances((points + way * step).T.astype(np.float32)) for way in (-1, 1))
+        np.testing.assert_allclose(slopes[axis], (above - below) / (2 * small), atol=2e-3)
 
 
 def test_distance_outside_the_grid() -> None:
@@ -80,6 +42,22 @@ def test_distance_outside_the_grid() -> None:
     distance, slope = BALL.compute_distances_and_gradients(points)
     assert (distance == 1.0).tolist() == [True, True, False]
     assert not slope[:, :2].any()
+
+
+@pytest.mark.parametrize("padding", [0.05, 0.2])
+def test_cost_falls_to_nothing_and_its_derivative_is_right(padding: float) -> None:
+    distances, small = np.linspace(-0.1, 0.3, 41) + 1e-3, 1e-5
+    below, here, above = (compute_proximity_cost(distances + step, padding) for step in (-small, 0.0, small))
+    np.testing.assert_array_equal(here == 0.0, distances >= padding)
+    assert (here >= 0.0).all()
+    np.testing.assert_allclose(compute_proximity_gradient(distances, padding), (above - below) / (2 * small), atol=1e-3)
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    field_module._load_object_sdf.cache_clear()
+    return get_cache_folder(CACHE_KIND)
 
 
 def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
@@ -91,9 +69,8 @@ def test_field_of_a_box(cache: Path, fake_data: Path) -> None:
     inside = np.minimum(points - low, high - points).min(axis=1)
     wanted = np.where(inside > 0.0, -inside, np.linalg.norm(outside, axis=1))
     # Interpolation between the grid's nodes rounds off edges.
-    np.testing.assert_allclose(
-        load_object_sdf(urdf, MARGIN).compute_distances(points.T.astype(np.float32)), wanted, atol=3e-3
-    )
+    found = load_object_sdf(urdf, MARGIN).compute_distances(points.T.astype(np.float32))
+    np.testing.assert_allclose(found, wanted, atol=3e-3)
 
 
 def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -101,15 +78,13 @@ def test_a_truncated_cache_file_is_computed_again(cache: Path, caplog: pytest.Lo
     first = load_object_sdf(urdf, MARGIN)
     (kept,) = cache.iterdir()
     whole = kept.read_bytes()
-    for spoiled in (whole[: len(whole) // 2], b""):
-        kept.write_bytes(spoiled)
-        field_module._load_object_sdf.cache_clear()
-        with caplog.at_level(logging.WARNING):
-            again = load_object_sdf(urdf, MARGIN)
-        assert kept.name in caplog.text
-        np.testing.assert_array_equal(again.values, first.values)
-        assert kept.read_bytes() == whole
-        caplog.clear()
+    kept.write_bytes(whole[: len(whole) // 2])
+    field_module._load_object_sdf.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        again = load_object_sdf(urdf, MARGIN)
+    assert kept.name in caplog.text
+    np.testing.assert_array_equal(again.values, first.values)
+    assert kept.read_bytes() == whole
 
 
 def test_fields_are_computed_without_a_cache_folder(cache: Path, caplog: pytest.LogCaptureFixture) -> None:

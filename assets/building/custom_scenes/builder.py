@@ -4,7 +4,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -18,12 +18,11 @@ from handover_marl.assets.building.custom_scenes.finger_closing import close_han
 from handover_marl.assets.building.custom_scenes.motion_tables import (
     OBJECT,
     MotionConfig,
-    MotionTable,
     make_trajectory,
     read_motion_table,
 )
 from handover_marl.assets.building.custom_scenes.object_meshes import MeshConfig, make_object_mesh, write_object
-from handover_marl.assets.building.robot_grasps import make_robot_grasps
+from handover_marl.assets.building.grasps import make_robot_grasps
 from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side, make_hand_geometry
 from handover_marl.assets.shipped import URDF_NAME, find_object_urdf
 from handover_marl.config import MAX_OBJECTS, OBJECT_DOF
@@ -32,17 +31,17 @@ from handover_marl.datasets.custom.dataset import (
     MOTION_FOLDER,
     OBJECT_FOLDER,
     CustomDataset,
+    check_hand,
+    check_objects,
     get_motion_path,
 )
-from handover_marl.datasets.custom.ranges import check_hand, check_objects
 from handover_marl.datasets.custom.scene_file import (
+    RESERVED_SETUPS,
     SCENE_FILE,
     CustomObject,
     CustomScene,
     SceneFile,
-    check_class_name,
     check_file_name,
-    check_setup_name,
     read_scene_file,
 )
 from handover_marl.datasets.generated.shapes import read_solid
@@ -82,7 +81,7 @@ class CustomSceneFolder:
                 raise OptionError(f"name must be {known!r}, the name of the scenes in {self.folder}, got {name!r}")
             self._name = known
             return
-        self._name = _check("name", check_file_name, self.folder.name if name is None else name)
+        self._name = _check_name("name", self.folder.name if name is None else name)
         if self.folder.exists() and (not self.folder.is_dir() or any(self.folder.iterdir())):
             raise ResultsError(f"{self.folder} is not empty and has no {SCENE_FILE}; choose another folder")
 
@@ -127,27 +126,27 @@ class CustomSceneFolder:
             OptionError: The name is that of a YCB class or of an object of the folder, or no file name.
             DataNotFoundError, DataFormatError: The mesh file is missing, damaged or no solid body.
         """
-        text = _check("name", check_class_name, name)
+        text = _check_name("name", name, CLASS_NAMES.values())
         config = config or MeshConfig()
         source = mesh if isinstance(mesh, trimesh.Trimesh) else check_path("mesh", mesh)
-        self._check_new(text, self.content)
+        if text in [item.name for item in self.content.objects]:
+            raise OptionError(f"name must be new, got {text!r}, which {self.folder} has already; choose another one")
         with Console(stderr=True, quiet=not progress).status("convex parts"):
             item = make_object_mesh(source, config)
         with tempfile.TemporaryDirectory() as scratch:
             model = Path(scratch) / text
             model.mkdir()
             write_object(model, item, config)
-            report = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
-            write_arrays(model / GRASP_FILE, {"grasps": report.grasps.astype(np.float32)})
+            found, n_candidates = make_robot_grasps(model / URDF_NAME, grasps, seed, workers, progress)
+            write_arrays(model / GRASP_FILE, {"grasps": found.astype(np.float32)})
             with self._change(OBJECT_FOLDER) as content:
-                self._check_new(text, content)
                 added = CustomObject(
                     name=text,
                     number=max([LARGEST_YCB_CLASS, *(other.number for other in content.objects)]) + 1,
                     mass=round(item.mass, 6),
                     friction=float(config.friction),
-                    n_grasps=len(report.grasps),
-                    n_candidates=report.n_candidates,
+                    n_grasps=len(found),
+                    n_candidates=n_candidates,
                     repairs=item.repairs,
                 )
                 target = self.folder / OBJECT_FOLDER / text
@@ -199,10 +198,17 @@ class CustomSceneFolder:
         check_name("side", side, SIDES)
         if hand is not None:
             check_name("hand", hand, SUBJECTS)
-        person = _check("subject", check_file_name, subject)
+        person = _check_name("subject", subject)
         source = motion if isinstance(motion, Mapping) else check_path("motion", motion)
         table = read_motion_table(source, config or MotionConfig())
-        _check_bodies(table, others, hand)
+        missing, unknown = set(others) - set(table.bodies), set(table.bodies) - {OBJECT, *others}
+        if missing or unknown:
+            raise DataFormatError(
+                f"the motion has {'no ' if missing else ''}poses of {min(missing or unknown)!r}; the names in others "
+                "must be those of its columns"
+            )
+        if hand is not None and table.wrist is None:
+            raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
         urdfs = [self._find_urdf(item) for item in names]
         bodies = {body: read_collision_mesh(urdf)[0] for body, urdf in zip((OBJECT, *others), urdfs, strict=True)}
         check_objects(make_trajectory(table, others, None, None)["object_dof"], bodies)
@@ -216,7 +222,7 @@ class CustomSceneFolder:
             frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
             check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])
         if recording is not None:
-            _check("recording", check_file_name, recording)
+            _check_name("recording", recording)
         with self._change(MOTION_FOLDER) as content:
             number = len(content.scenes)
             name = f"{person}/{recording or f'{number:06d}'}"
@@ -248,7 +254,7 @@ class CustomSceneFolder:
             OptionError: The name is reserved, a share is out of range, or the train split would be empty.
             UnknownNameError: There is no such way to divide scenes, or no such object or person.
         """
-        _check("name", check_setup_name, name)
+        _check_name("name", name, RESERVED_SETUPS)
         if not self.folder.is_dir():
             raise ResultsError(f"{self.folder} does not exist; add an object or a motion first")
         with self._change() as content:
@@ -271,10 +277,6 @@ class CustomSceneFolder:
             dataset.load_scene(scene_id)
         return dataset
 
-    def _check_new(self, name: str, content: SceneFile) -> None:
-        if name in [item.name for item in content.objects]:
-            raise OptionError(f"name must be new, got {name!r}, which {self.folder} has already; choose another one")
-
     def _find_urdf(self, name: str) -> Path:
         is_ycb = name in CLASS_NAMES.values()
         return find_object_urdf(name) if is_ycb else self.folder / OBJECT_FOLDER / name / URDF_NAME
@@ -290,20 +292,9 @@ class CustomSceneFolder:
             raise ResultsError(f"cannot write to {self.folder} ({error.strerror or error})") from error
 
 
-def _check_bodies(table: MotionTable, others: Sequence[str], hand: int | None) -> None:
-    missing = [name for name in others if name not in table.bodies]
-    unknown = [name for name in table.bodies if name not in (OBJECT, *others)]
-    if missing:
-        raise DataFormatError(f"the motion has no poses of {missing[0]!r}, which others names; add its columns")
-    if unknown:
-        raise DataFormatError(f"the motion has poses of {unknown[0]!r}; name it in others, or remove its columns")
-    if hand is not None and table.wrist is None:
-        raise DataFormatError("the motion has no wrist; add its poses, or pass hand=None")
-
-
-def _check(argument: str, check: Callable[[object], str], value: object) -> str:
+def _check_name(argument: str, value: object, reserved: Collection[str] = ()) -> str:
     try:
-        return check(value)
+        return check_file_name(value, reserved)
     except ValueError as error:
         raise OptionError(f"{argument} {error}") from None
 

@@ -1,18 +1,17 @@
 """Fingers of a shipped hand that close on an object, for recordings of the wrist alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import SUBJECT_SIZES
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
-from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_model import SUBJECT_SIZES, Side
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
 from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
+from handover_marl.datasets.generated.motion import minimum_jerk
 from handover_marl.datasets.generated.shapes import Solid
-from handover_marl.datasets.synthetic.handover_motion import minimum_jerk
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.poses import compose, invert_pose
 
@@ -35,28 +34,6 @@ _SHIFTS = sorted(
 )
 
 
-def find_pick_up_row(table: MotionTable) -> int:
-    """Return the first row in which the object has left its start; the last row if it never does."""
-    positions = table.bodies[OBJECT][:, :3]
-    moved = np.flatnonzero(np.linalg.norm(positions - positions[0], axis=1) > _PICK_UP_DISTANCE)
-    return int(moved[0]) if len(moved) else len(positions) - 1
-
-
-@dataclass(frozen=True, eq=False)
-class HandGrasp:
-    """Grasp of a shipped hand on an object.
-
-    Attributes:
-        opened: (45,) finger joint angles of the open hand (rad).
-        closed: (45,) finger joint angles of the hand closed on the object (rad).
-        shift: (3,) translation of the wrist in its own frame that puts the open hand outside of the object (m).
-    """
-
-    opened: Array
-    closed: Array
-    shift: Array
-
-
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
     """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
 
@@ -68,25 +45,32 @@ def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple
     if table.wrist is None:
         raise DataFormatError("fingers need a wrist; add its poses or pass hand=None")
     first, end = table.wrist_rows
-    row = min(max(find_pick_up_row(table), first), end - 1)
+    positions = table.bodies[OBJECT][:, :3]
+    moved = np.flatnonzero(np.linalg.norm(positions - positions[0], axis=1) > _PICK_UP_DISTANCE)
+    row = min(max(int(moved[0]) if len(moved) else end, first), end - 1)
     object_from_wrist = compose(invert_pose(table.bodies[OBJECT][row]), table.wrist[row - first])
-    grasp = find_hand_grasp(solid, object_from_wrist, hand, side, f"row {row + 1}")
-    if grasp.shift.any():
-        wrist = compose(table.wrist, np.array([*grasp.shift, 0.0, 0.0, 0.0, 1.0]))
-        distance = 1000.0 * float(np.linalg.norm(grasp.shift))
+    opened, closed, shift = find_hand_grasp(solid, object_from_wrist, hand, side, f"row {row + 1}")
+    if shift.any():
+        wrist = compose(table.wrist, np.array([*shift, 0.0, 0.0, 0.0, 1.0]))
+        distance = 1000.0 * float(np.linalg.norm(shift))
         note = f"wrist moved by {distance:.0f} mm, so that the hand grasps the object and is not inside of it"
         table = replace(table, wrist=wrist, repairs=(*table.repairs, note))
     start = table.time[row] - _CLOSING_TIME
     progress = minimum_jerk((table.time[first:end] - start) / _CLOSING_TIME)[:, None]
-    return table, np.asarray((1.0 - progress) * grasp.opened + progress * grasp.closed)
+    return table, np.asarray((1.0 - progress) * opened + progress * closed)
 
 
-def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Side, place: str) -> HandGrasp:
-    """Return the open hand and the hand closed on the object at a pose (7,) of the wrist in the object's frame.
+def find_hand_grasp(
+    solid: Solid, object_from_wrist: Array, hand: int, side: Side, place: str
+) -> tuple[Array, Array, Array]:
+    """Find the finger joint angles of the open hand and of the hand closed on the object at a pose (7,) of the wrist.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
     when they close. If there is no such posture, the wrist is moved by as little as needed. `place` is the place in
     the recording, for the `DataFormatError` if the wrist is not beside the object.
+
+    Returns:
+        Angles (45,) of the open and of the closed hand (rad), and translation (3,) of the wrist in its own frame (m).
     """
     position, rotation = object_from_wrist[:3], Rotation.from_quat(object_from_wrist[3:]).as_matrix()
     is_left = side == "left"
@@ -117,7 +101,7 @@ def find_hand_grasp(solid: Solid, object_from_wrist: Array, hand: int, side: Sid
         signs = _MIRRORED_ANGLES if is_left else np.ones(45)
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
         angles = closed.posture.compute_joint_angles()[best]
-        return HandGrasp(opened * signs, angles * signs, shift * _MIRROR if is_left else shift)
+        return opened * signs, angles * signs, shift * _MIRROR if is_left else shift
     distance = 1000.0 * float(measure_body(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(

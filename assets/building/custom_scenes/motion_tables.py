@@ -18,21 +18,19 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from handover_marl.assets.hand_model import HandGeometry
 from handover_marl.config import HAND_DOF, TABLE_HEIGHT, TIME_STEP
-from handover_marl.datasets.custom.ranges import DURATION, MAX_FINGER_ANGLE
-from handover_marl.datasets.synthetic.resampling import resample_fingers, resample_poses
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
+from handover_marl.datasets.custom.dataset import DURATION, MAX_FINGER_ANGLE
+from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
+from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_arrays, read_plain_file
+from handover_marl.execution.reading import read_arrays, read_plain_file, report_damage
 from handover_marl.geometry.poses import compose
 
 Array = npt.NDArray[np.float64]
 
 OBJECT, WRIST, TIME = "object", "wrist", "time"
 N_FINGER_ANGLES: Final = 45
-#: Frames of recorded poses: the world of the simulation, and the table's frame of DexYCB.
-FRAMES: Final = ("world", "table")
-#: Orders of quaternions, and forms of finger angles: intrinsic XYZ Euler angles or rotation vectors of MANO.
-QUATERNIONS, FINGER_FORMS = ("xyzw", "wxyz"), ("euler", "rotvec")
+# World poses of frames of recorded poses: the world of the simulation, and the table's frame of DexYCB.
+_FRAMES: Final = {"world": (0.0,) * 6 + (1.0,), "table": (0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0)}
 _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _TIMES: Final = {"s": 1.0, "ms": 0.001}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -69,10 +67,10 @@ class MotionConfig:
     def __post_init__(self) -> None:
         check_name("length", self.length, _LENGTHS)
         check_name("time", self.time, _TIMES)
-        check_name("quaternion", self.quaternion, QUATERNIONS)
-        check_name("fingers", self.fingers, FINGER_FORMS)
+        check_name("quaternion", self.quaternion, ("xyzw", "wxyz"))
+        check_name("fingers", self.fingers, ("euler", "rotvec"))
         if isinstance(self.frame, str):
-            check_name("frame", self.frame, FRAMES)
+            check_name("frame", self.frame, _FRAMES)
         elif len(self.frame) != 7 or not abs(np.linalg.norm(self.frame[3:]) - 1.0) < _MAX_NORM_ERROR:
             raise OptionError(
                 f"frame must be 'world', 'table' or seven numbers, position (m) and unit quaternion xyzw, got "
@@ -84,11 +82,7 @@ class MotionConfig:
     @property
     def world_from_frame(self) -> Array:
         """Pose (7,) of the recording's frame in the world."""
-        if self.frame == "world":
-            return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-        if self.frame == "table":
-            return np.array([0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0])
-        return np.array(self.frame, dtype=np.float64)
+        return np.array(_FRAMES[self.frame] if isinstance(self.frame, str) else self.frame, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,18 +130,11 @@ def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config
 def _read_file(path: Path) -> dict[str, Any]:
     if path.suffix.lower() not in (".csv", ".npz"):
         raise DataFormatError(f"{path}: a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
-    try:
+    with report_damage(path, "motion file", "give the path of a .csv or .npz file, or write it again"):
+        if path.suffix.lower() == ".npz":
+            return dict(read_arrays(path, largest=_MAX_BYTES))
         data = read_plain_file(path, _MAX_BYTES)
-    except FileNotFoundError:
-        raise DataNotFoundError(f"motion file {path} does not exist; give the path of a .csv or .npz file") from None
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot be read ({error}); give a .csv or .npz file") from error
-    if path.suffix.lower() == ".csv":
-        return _parse_csv(path, data)
-    try:
-        return dict(read_arrays(data, largest=_MAX_BYTES))
-    except Exception as error:  # NumPy and zipfile raise many types on damaged files
-        raise DataFormatError(f"{path}: not a readable .npz file ({shorten_text(error)}); write it again") from error
+    return _parse_csv(path, data)
 
 
 def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:
@@ -189,8 +176,12 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
     for key in (TIME, OBJECT):
         if key not in arrays:
             raise ValueError(f"{key} is missing; a motion has {TIME}, {OBJECT} and optionally {WRIST}")
-    numbers = {key: _read_numbers(key, value) for key, value in arrays.items()}
-    repairs: list[str] = []
+    numbers, repairs = dict[str, Array](), list[str]()
+    for key, value in arrays.items():
+        try:
+            numbers[key] = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{shorten_text(key)} must be an array of numbers ({error}); write it again") from None
     time, fingers = _read_time(numbers.pop(TIME), config, repairs), numbers.pop("fingers", None)
     for key, poses in numbers.items():
         if poses.shape != (len(time), 7):
@@ -206,15 +197,14 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
     if fingers is not None:
         if wrist is None:
             raise ValueError("fingers need a wrist; add its poses or leave the fingers out")
-        angles = _read_fingers(fingers, len(time), rows, config)
+        if fingers.shape != (len(time), N_FINGER_ANGLES):
+            raise ValueError(f"fingers must have shape ({len(time)}, {N_FINGER_ANGLES}), got {fingers.shape}")
+        angles = fingers[slice(*rows)]
+        if not (np.abs(angles) <= MAX_FINGER_ANGLE).all():
+            raise ValueError(f"fingers must be angles in rad where the wrist is, got {np.abs(angles).max():.4g}")
+        if config.fingers == "rotvec":
+            angles = Rotation.from_rotvec(angles.reshape(-1, 3)).as_euler("XYZ").reshape(angles.shape)
     return MotionTable(time, bodies, wrist, rows, angles, tuple(repairs))
-
-
-def _read_numbers(key: str, value: Any) -> Array:
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{shorten_text(key)} must be an array of numbers ({error}); write it again") from None
 
 
 def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
@@ -285,17 +275,6 @@ def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionCo
     turns = Slerp(time[valid], Rotation.from_quat(poses[valid, 3:]))(time)
     repairs.append(f"{key}: {len(missing)} rows without a pose interpolated")
     return np.where(is_valid[:, None], poses, np.concatenate([filled, turns.as_quat()], axis=1))
-
-
-def _read_fingers(fingers: Array, n_rows: int, rows: tuple[int, int], config: MotionConfig) -> Array:
-    if fingers.shape != (n_rows, N_FINGER_ANGLES):
-        raise ValueError(f"fingers must have shape ({n_rows}, {N_FINGER_ANGLES}), got {fingers.shape}")
-    angles: Array = fingers[slice(*rows)]
-    if not (np.abs(angles) <= MAX_FINGER_ANGLE).all():
-        raise ValueError(f"fingers must be angles in rad where the wrist is, got {np.abs(angles).max():.4g}")
-    if config.fingers == "rotvec":
-        angles = Rotation.from_rotvec(angles.reshape(-1, 3)).as_euler("XYZ").reshape(angles.shape)
-    return angles
 
 
 def make_trajectory(

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import trimesh
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import QhullError
 
 from handover_marl.assets.building.objects import write_convex_parts, write_visual
 from handover_marl.assets.shipped import (
@@ -19,12 +19,11 @@ from handover_marl.assets.shipped import (
     format_object_urdf,
     read_palette_files,
 )
-from handover_marl.datasets.custom.ranges import EXTENT, MASS, MAX_OFFSET
-from handover_marl.datasets.custom.ranges import FRICTION as FRICTION_RANGE
-from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError, check_name
-from handover_marl.execution.files import shorten_text
+from handover_marl.datasets.custom.dataset import EXTENT, MASS, MAX_OFFSET
+from handover_marl.datasets.custom.dataset import FRICTION as FRICTION_RANGE
+from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.options import require_modules
-from handover_marl.execution.reading import check_plain_file
+from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
 from handover_marl.geometry.model_files.obj_files import read_obj
 
@@ -34,9 +33,9 @@ Array = npt.NDArray[np.float64]
 UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 _LIMITS: Final = {
     **{"scale": (1e-6, 1e6), "mass": MASS, "density": (1.0, 30_000.0), "friction": FRICTION_RANGE},
-    **{"concavity": (0.01, 1.0), "max_faces": (100, 1_000_000)},
+    "concavity": (0.01, 1.0),
 }
-_MAX_BYTES = 1_000_000_000
+_MAX_BYTES, _MAX_FACES = 1_000_000_000, 20_000
 _MIN_THICKNESS = 5e-4  # m
 
 
@@ -52,7 +51,6 @@ class MeshConfig:
         friction: Lateral friction coefficient; HandoverSim's objects have 0.9.
         color: Color in images, a name of the library's palette.
         concavity: CoACD's threshold: largest concavity of a convex part, 0.01 (many parts) to 1.
-        max_faces: Largest number of triangles; larger meshes are simplified.
 
     Raises:
         OptionError: A number is out of range, or both mass and density are given.
@@ -66,7 +64,6 @@ class MeshConfig:
     friction: float = FRICTION
     color: str = "blue"
     concavity: float = 0.05
-    max_faces: int = 20_000
 
     def __post_init__(self) -> None:
         check_name("unit", self.unit, UNITS)
@@ -134,23 +131,13 @@ def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
     if isinstance(source, trimesh.Trimesh):
         return source.copy()
     path = Path(source).expanduser()
-    try:
+    with report_damage(path, "mesh", "give a mesh file that trimesh reads, such as STL, OBJ or PLY"):
         check_plain_file(path, _MAX_BYTES)
-    except FileNotFoundError:
-        raise DataNotFoundError(f"mesh file {path} does not exist; give the path of a mesh file") from None
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{path}: cannot be read ({error}); give a mesh file") from error
-    if path.suffix.lower() == ".obj":
-        # trimesh misreads vertex numbers that count back, tabs, comments and byte order marks.
-        obj = read_obj(path)
-        return trimesh.Trimesh(obj.vertices, obj.faces, process=False)
-    try:
+        if path.suffix.lower() == ".obj":
+            # trimesh misreads vertex numbers that count back, tabs, comments and byte order marks.
+            obj = read_obj(path)
+            return trimesh.Trimesh(obj.vertices, obj.faces, process=False)
         loaded: Any = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # trimesh and its readers raise many types on damaged files
-        raise DataFormatError(
-            f"{path}: no mesh that trimesh can read ({type(error).__name__}: {shorten_text(error)}); export it as STL, "
-            "OBJ or PLY"
-        ) from error
     if not isinstance(loaded, trimesh.Trimesh) or not len(loaded.faces):
         raise DataFormatError(f"{path}: has no triangles; export a triangle mesh as STL, OBJ or PLY")
     return loaded
@@ -164,17 +151,17 @@ def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[
         raise DataFormatError(f"{name}: must have triangles of finite vertices; export the mesh again")
     mesh = trimesh.Trimesh(vertices * UNITS[config.unit] * config.scale, faces, process=False)
     _check_size(mesh, config, name)
-    if len(mesh.faces) > config.max_faces:
+    if len(mesh.faces) > _MAX_FACES:
         # First of all, since hulls and edges of a million triangles take minutes.
         require_modules("meshes of many triangles", "replay", "fast_simplification")
-        mesh = mesh.simplify_quadric_decimation(face_count=config.max_faces)
+        mesh = mesh.simplify_quadric_decimation(face_count=_MAX_FACES)
         repairs.append(f"simplified from {len(faces)} to {len(mesh.faces)} triangles")
     mesh.merge_vertices()
     n_faces = len(mesh.faces)
     with np.errstate(invalid="ignore"):  # flat bodies have no centre
         is_outward = mesh.is_winding_consistent and mesh.volume >= 0.0
         mesh.process(validate=True)
-    _check_solid(mesh, name)
+        _check_solid(mesh, name)
     if len(mesh.faces) < n_faces:
         repairs.append(f"{n_faces - len(mesh.faces)} empty or repeated triangles removed")
     if not is_outward:
@@ -203,10 +190,9 @@ def _check_size(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> None:
 
 
 def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
-    corners = np.asarray(mesh.triangles).reshape(-1, 3)
-    extents = np.ptp(corners, axis=0) if len(corners) else np.zeros(3)
+    extents = np.ptp(np.asarray(mesh.triangles).reshape(-1, 3), axis=0) if len(mesh.faces) else np.zeros(3)
     try:
-        hull = float(ConvexHull(corners).volume)
+        hull = float(mesh.convex_hull.volume)
     except (QhullError, ValueError):
         hull = 0.0
     if hull <= 1e-5 * float(extents.max()) ** 3 or extents.min() < _MIN_THICKNESS:

@@ -9,15 +9,15 @@ motion/000000.npz             motion of scene 0, see `handover_marl.datasets.cus
 
 import json
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from handover_marl.datasets.splits import SETUPS, SPLITS
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text, write_atomically
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 FORMAT_NAME: Final = "handover_marl scenes"
@@ -25,6 +25,8 @@ FORMAT_VERSION: Final = 1
 SCENE_FILE: Final = "scenes.json"
 #: Setup with all scenes in every split.
 ALL_SCENES: Final = "all"
+#: Names that setups of custom scenes cannot have.
+RESERVED_SETUPS: Final = (*SETUPS, ALL_SCENES)
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _MAX_BYTES = 64_000_000
@@ -101,10 +103,7 @@ class SceneFile:
     name: str
     objects: tuple[CustomObject, ...] = ()
     scenes: tuple[CustomScene, ...] = ()
-    setups: Mapping[str, Mapping[str, tuple[int, ...]]] = ()  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "setups", dict(self.setups))
+    setups: Mapping[str, Mapping[str, tuple[int, ...]]] = field(default_factory=dict)
 
     def __str__(self) -> str:
         lines = [f"own data: {self.name}, {len(self.scenes)} scenes", *map(str, self.objects)]
@@ -135,26 +134,13 @@ class SceneFile:
         write_atomically(folder / SCENE_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def check_class_name(name: object) -> str:
-    """Return the name of a custom object class, or raise `ValueError` if it is not possible."""
-    text = check_file_name(name)
-    if text in CLASS_NAMES.values():
-        raise ValueError(f"must not be the name of a YCB class, got {text!r}; choose another one")
-    return text
-
-
-def check_file_name(name: object) -> str:
-    """Return a name that can be part of a file name, or raise `ValueError` if it cannot."""
+def check_file_name(name: object, reserved: Collection[str] = ()) -> str:
+    """Return a name that can be part of a file name and is not reserved, or raise `ValueError`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}")
+    if name in reserved:
+        raise ValueError(f"must not be one of {', '.join(reserved)}, got {name!r}; choose another one")
     return name
-
-
-def check_setup_name(name: object) -> str:
-    """Return the name of a setup of custom scenes, or raise `ValueError` if it is not possible."""
-    if name in (*SETUPS, ALL_SCENES):
-        raise ValueError(f"must not be {', '.join(SETUPS)} or {ALL_SCENES}, got {name!r}; choose another one")
-    return check_file_name(name)
 
 
 def read_scene_file(folder: Path) -> SceneFile:
@@ -165,7 +151,12 @@ def read_scene_file(folder: Path) -> SceneFile:
         DataFormatError: The file is damaged.
     """
     path = folder / SCENE_FILE
-    try:
+    if not path.exists():
+        raise DataNotFoundError(
+            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
+            "`handover-marl scenes add-object`"
+        )
+    with report_damage(path, "file", "restore it from a copy"):
         content = json.loads(read_plain_file(path, _MAX_BYTES))
         if (content.pop("format"), content.pop("version")) != (FORMAT_NAME, FORMAT_VERSION):
             raise ValueError(f"format and version must be {FORMAT_NAME!r} and {FORMAT_VERSION}")
@@ -174,12 +165,12 @@ def read_scene_file(folder: Path) -> SceneFile:
             objects=tuple(CustomObject(**_decode(item)) for item in content.pop("objects")),
             scenes=tuple(CustomScene(**_decode(item)) for item in content.pop("scenes")),
             setups={
-                check_setup_name(name): {split: tuple(splits[split]) for split in SPLITS}
+                check_file_name(name, RESERVED_SETUPS): {split: tuple(splits[split]) for split in SPLITS}
                 for name, splits in content.pop("setups").items()
             },
         )
         for item in found.objects:
-            check_class_name(item.name)
+            check_file_name(item.name, CLASS_NAMES.values())
         known = {*CLASS_NAMES.values(), *(item.name for item in found.objects)}
         unknown = [name for scene in found.scenes for name in scene.objects if name not in known]
         numbers = [number for setup in found.setups.values() for split in setup.values() for number in split]
@@ -187,13 +178,6 @@ def read_scene_file(folder: Path) -> SceneFile:
             raise ValueError(
                 f"unknown class {unknown[0]!r}" if unknown else "a split names a scene that does not exist"
             )
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise DataNotFoundError(
-            f"{folder} is no folder of custom scenes: it has no {SCENE_FILE}; create one with "
-            "`handover-marl scenes add-object`"
-        ) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataFormatError(f"{path}: not a readable file ({shorten_text(error)}); restore it from a copy") from error
     return found
 
 

@@ -17,7 +17,6 @@ from handover_marl.geometry.model_files.urdf import render_urdf
 from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
-Faces = npt.NDArray[np.int64]
 
 _PALM_MASS, _FINGER_MASS = 0.2, 0.02  # kg
 _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
@@ -104,19 +103,12 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
     for kind in ("visual", "collision"):
         for joint in range(N_JOINTS):
             weight = _MIN_ROOT_WEIGHT if kind == "collision" and joint in _ROOT_JOINTS else _MIN_WEIGHT
-            corners, faces = _extract_link_mesh(model, vertices, joint, weight)
-            files[f"meshes/{kind}/mesh{joint + 1}.obj"] = format_obj(corners - joints[joint], faces).encode()
+            kept = model.weights[:, joint] > weight
+            faces = (np.cumsum(kept) - 1)[model.faces[kept[model.faces].all(axis=1)]]
+            files[f"meshes/{kind}/mesh{joint + 1}.obj"] = format_obj(vertices[kept] - joints[joint], faces).encode()
     folder = assets / f"{subject}_{model.side}"
     write_missing_files(folder, files)
     return folder
-
-
-def _extract_link_mesh(model: ManoModel, vertices: Array, joint: int, min_weight: float) -> tuple[Array, Faces]:
-    """Return the vertices (v, 3) and faces (f, 3) of a joint's link, in the model's order."""
-    kept = model.weights[:, joint] > min_weight
-    faces = model.faces[kept[model.faces].all(axis=1)]
-    renumbered = np.cumsum(kept) - 1
-    return vertices[kept], renumbered[faces]
 
 
 def write_object_assets(assets: Path) -> None:
@@ -130,11 +122,7 @@ def write_object_assets(assets: Path) -> None:
 
 
 def find_table_folder() -> Path:
-    """Return the folder of PyBullet's table.
-
-    Raises:
-        OptionError: PyBullet is not installed.
-    """
+    """Return the folder of PyBullet's table; raises `OptionError` if PyBullet is not installed."""
     advice = "import with Python 3.10 to 3.13: the folder then serves every Python"
     return find_bullet_data("HandoverSim's table, which is made of PyBullet's,", advice) / "table"
 

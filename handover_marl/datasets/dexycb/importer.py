@@ -1,7 +1,8 @@
 """Import of raw DexYCB, MANO and HandoverSim's third-party archive into a data folder."""
 
+import functools
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,16 +13,17 @@ from handover_marl.datasets.dexycb.assets import (
     write_object_assets,
     write_table_assets,
 )
-from handover_marl.datasets.dexycb.mano import SIDES, ManoModel
-from handover_marl.datasets.dexycb.raw_files import find_sequences
-from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scenes, read_mano_models
+from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_models
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
+from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene
 from handover_marl.datasets.dexycb.stand_ins import ARCHIVE_NAME, install_third_party, write_stand_ins
+from handover_marl.datasets.official import CACHE_FOLDER
 from handover_marl.datasets.official_files import is_stand_in_file, list_required_files
-from handover_marl.datasets.scene_files import CACHE_FOLDER
 from handover_marl.datasets.splits import N_SCENES, choose_scenes
-from handover_marl.errors import DataNotFoundError
+from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError
 from handover_marl.execution.files import remove_stale_temporaries
-from handover_marl.execution.options import check_path, resolve_worker_count
+from handover_marl.execution.options import PoolConfig, check_path, resolve_worker_count
+from handover_marl.execution.pool import map_with_progress
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,6 @@ class ImportReport:
     notes: tuple[str, ...]
     missing_files: tuple[str, ...]
     stand_in_files: tuple[str, ...]
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether there are neither faults nor missing files nor stand-ins."""
-        return not (self.faults or self.missing_files or self.stand_in_files)
 
     def __str__(self) -> str:
         lines = [f"{self.out}: {len(self.scenes)} scenes, {len(self.hands)} hands."]
@@ -109,19 +106,24 @@ def import_dexycb(
     find_table_folder()
     raw, target = check_path("dexycb", dexycb), check_path("out", out)
     archive = None if third_party is None else check_path("third_party", third_party)
-    layout = find_sequences(raw)
+    sequences, missing = find_sequences(raw)
     folder = _find_mano_folder(check_path("mano", mano))
     models = read_mano_models(folder)
     wanted = choose_scenes(tuple(range(N_SCENES)), scenes, "DexYCB")
-    chosen = [sequence for sequence in layout.sequences if sequence.scene_id in wanted]
+    chosen = [sequence for sequence in sequences if sequence.scene_id in wanted]
     assets = target / "assets"
     notes = [] if archive is None else install_third_party(archive, assets)
-    betas, faults = find_first_betas(layout.sequences), list[str]()
+    betas, faults = find_first_betas(sequences), list[str]()
     hands = _write_models(betas, models, assets)
     remove_stale_temporaries(target / CACHE_FOLDER)
+
+    def prepare() -> Callable[[SequenceFolder], str]:
+        return functools.partial(_import_sequence, read_mano_models(folder), betas, target)
+
     imported: list[int] = []
+    pool = PoolConfig(n_workers)
     try:
-        with closing(import_scenes(chosen, folder, betas, target, n_workers, progress)) as results:
+        with closing(map_with_progress(prepare, chosen, "scenes", pool, progress)) as results:
             for sequence, fault in results:
                 if fault:
                     faults.append(fault)
@@ -137,11 +139,23 @@ def import_dexycb(
         out=target,
         scenes=tuple(sorted(imported)),
         hands=tuple(hands),
-        faults=(*layout.missing, *sorted(faults)),
+        faults=(*missing, *sorted(faults)),
         notes=tuple(notes),
         missing_files=tuple(path for path in required if not (assets / path).is_file()),
         stand_in_files=tuple(path for path in required if is_stand_in_file(assets / path)),
     )
+
+
+def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: Path, sequence: SequenceFolder) -> str:
+    """Import a recording; return an error message or ""."""
+    try:
+        import_scene(sequence, models, betas, out)
+    except ResultsError:
+        # An unwritable data folder concerns all scenes.
+        raise
+    except HandoverError as error:
+        return f"scene {sequence.scene_id:03d} ({sequence.name}): {error}"
+    return ""
 
 
 def _find_mano_folder(mano: Path) -> Path:

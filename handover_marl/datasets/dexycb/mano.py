@@ -17,9 +17,8 @@ import numpy.typing as npt
 from scipy.sparse import csc_matrix
 
 from handover_marl.datasets.restricted_pickle import AllowedNames, load_restricted
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError, check_name
-from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.errors import check_name
+from handover_marl.execution.reading import read_plain_file, report_damage
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -97,22 +96,9 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         DataFormatError: The file is not a model, or an array has an invalid shape or type.
     """
     check_name("side", side, SIDES)
-    try:
+    with report_damage(path, "MANO model", "copy it again from mano_v1_2.zip, where it is in models/"):
         content = load_restricted(read_plain_file(path, _MAX_BYTES), _ALLOWED)
         arrays = {key: _extract_array(key, content[key]) for key in _SHAPES}
-    except FileNotFoundError as error:
-        raise DataNotFoundError(
-            f"{path} does not exist; MANO_RIGHT.pkl and MANO_LEFT.pkl are in mano_v1_2.zip, under models/"
-        ) from error
-    except UnsafeFileError as error:
-        raise UnsafeFileError(
-            f"{path}: refused to load, the pickle {error} and may run foreign code. Replace it by the file of this "
-            "name in the original mano_v1_2.zip."
-        ) from None
-    except Exception as error:  # Damaged pickles raise exceptions of many types.
-        raise DataFormatError(
-            f"{path}: not a readable MANO model ({shorten_text(error)}). Copy it again from mano_v1_2.zip."
-        ) from error
     return ManoModel(
         side=side,
         v_template=arrays["v_template"],
@@ -123,6 +109,11 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
         hands_components=arrays["hands_components"],
         hands_mean=arrays["hands_mean"],
     )
+
+
+def read_mano_models(folder: Path) -> dict[str, ManoModel]:
+    """Read MANO's models of both hands, by side; raises as `read_mano_model`."""
+    return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
 
 
 class _Record:

@@ -20,13 +20,14 @@ import numpy as np
 from handover_marl.config import HAND_DOF
 from handover_marl.datasets.dexycb.mano import N_BETAS
 from handover_marl.datasets.dexycb.rotations import MIN_KEYFRAMES, Float32, Float64
-from handover_marl.datasets.scene_files import check_scene_meta
-from handover_marl.errors import DataFormatError, DataNotFoundError
+from handover_marl.datasets.official import check_scene_meta
+from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text
-from handover_marl.execution.reading import read_arrays, read_yaml
+from handover_marl.execution.reading import read_arrays, read_yaml, report_damage
 from handover_marl.geometry.ycb import SUBJECTS
 
 SEQUENCES_PER_SUBJECT = 100
+_KIND_AND_ADVICE = "file of DexYCB", "the download may be incomplete, expand DexYCB's archives again"
 _MAX_YAML_BYTES = 64_000  # official files have a few thousand
 _MAX_POSE_BYTES = 2_000_000  # unpacked; official files have some ten thousand
 
@@ -56,19 +57,6 @@ class SequenceFolder:
         return self.folder.parents[1] / "calibration"
 
 
-@dataclass(frozen=True)
-class RawLayout:
-    """Recordings found in a folder of raw DexYCB.
-
-    Attributes:
-        sequences: Recordings, in the order of their scene numbers.
-        missing: Messages on what is missing, with path, reason and advice.
-    """
-
-    sequences: tuple[SequenceFolder, ...]
-    missing: tuple[str, ...]
-
-
 @cache
 def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
     """Return the names of DexYCB's 100 recordings of every subject, in order of scene number."""
@@ -77,8 +65,11 @@ def read_sequence_names() -> MappingProxyType[str, tuple[str, ...]]:
     return MappingProxyType({subject: tuple(name for owner, name in pairs if owner == subject) for subject in SUBJECTS})
 
 
-def find_sequences(raw: Path) -> RawLayout:
+def find_sequences(raw: Path) -> tuple[list[SequenceFolder], list[str]]:
     """Find all recordings in a folder of raw DexYCB.
+
+    Returns:
+        Recordings in the order of their scene numbers, and messages on what is missing, with path, reason and advice.
 
     Raises:
         DataNotFoundError: The folder is missing, or holds no calibration.
@@ -88,7 +79,7 @@ def find_sequences(raw: Path) -> RawLayout:
             f"{raw} is no raw DexYCB folder: it holds no calibration/. Give the folder that DexYCB's archives, also "
             "calibration.tar.gz, were expanded into."
         )
-    sequences, missing = [], []
+    sequences, missing = list[SequenceFolder](), list[str]()
     for number, subject in enumerate(SUBJECTS):
         folder, known = raw / subject, read_sequence_names()[subject]
         found = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
@@ -104,26 +95,7 @@ def find_sequences(raw: Path) -> RawLayout:
                 f"{folder} lacks {len(absent)} of {SEQUENCES_PER_SUBJECT} recordings, such as {absent[0]}; expand "
                 f"DexYCB's {subject}.tar.gz there"
             )
-    return RawLayout(tuple(sequences), tuple(missing))
-
-
-@dataclass(frozen=True)
-class SequenceMeta:
-    """Content of a recording's meta.yml.
-
-    Attributes:
-        extrinsics: Name of the extrinsic calibration.
-        ycb_ids: YCB class numbers of the objects.
-        ycb_grasp_ind: Index of the handed-over object in `ycb_ids`.
-        side: Hand, "right" or "left".
-        mano_calib: Name of the calibration of the hand's shape.
-    """
-
-    extrinsics: str
-    ycb_ids: tuple[int, ...]
-    ycb_grasp_ind: int
-    side: str
-    mano_calib: str
+    return sequences, missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,15 +103,15 @@ class RawSequence:
     """Recording with its calibration.
 
     Attributes:
-        meta: Content of meta.yml.
+        meta: Content of meta.yml, see `read_meta`.
         world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
         betas: MANO's ten shape parameters of the hand.
-        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `meta.ycb_ids`.
+        objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `ycb_ids`.
         hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
             (m); zero in frames without a hand.
     """
 
-    meta: SequenceMeta
+    meta: dict[str, Any]
     world_from_tag: Float64
     betas: tuple[float, ...]
     objects: Float32
@@ -154,93 +126,64 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
         DataFormatError: A file is damaged, or has hardly any frames with a hand.
     """
     meta = read_meta(sequence)
-    objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta.ycb_ids))
-    extrinsics = sequence.calibration / f"extrinsics_{meta.extrinsics}" / "extrinsics.yml"
+    objects, hand = _read_poses(sequence.folder / "pose.npz", len(meta["ycb_ids"]))
+    extrinsics = sequence.calibration / f"extrinsics_{meta['extrinsics']}" / "extrinsics.yml"
     return RawSequence(
         meta=meta,
         world_from_tag=_read_numbers(extrinsics, 12, "extrinsics", "apriltag").reshape(3, 4),
-        betas=read_betas(sequence.calibration, meta.mano_calib),
+        betas=read_betas(sequence, meta),
         objects=objects,
         hand=hand,
     )
 
 
-def read_betas(calibration: Path, mano: str) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of a hand by the name of its calibration.
+def read_betas(sequence: SequenceFolder, meta: dict[str, Any]) -> tuple[float, ...]:
+    """Read MANO's ten shape parameters of the hand of a recording with a content of meta.yml.
 
     Raises:
         DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
     """
-    return tuple(_read_numbers(calibration / f"mano_{mano}" / "mano.yml", N_BETAS, "betas").tolist())
+    path = sequence.calibration / f"mano_{meta['mano_calib'][0]}" / "mano.yml"
+    return tuple(_read_numbers(path, N_BETAS, "betas").tolist())
 
 
-def read_meta(sequence: SequenceFolder) -> SequenceMeta:
-    """Read a recording's meta.yml.
+def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
+    """Read a recording's meta.yml: `ycb_ids`, `ycb_grasp_ind`, `mano_sides`, `mano_calib` and `extrinsics`.
 
     Raises:
         DataNotFoundError: The file is missing.
         DataFormatError: The file lacks a key, or has an invalid object or hand.
     """
     path = sequence.folder / "meta.yml"
-    content = _read_mapping(path)
-    ids, grasped, sides, calibrations, extrinsics = (
-        _get(path, content, key) for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")
-    )
-    try:
-        check_scene_meta(path, ids, grasped, sides)
-        (calibration,) = calibrations
-    except (TypeError, ValueError) as error:
-        raise _damaged_file_error(path, shorten_text(error)) from error
-    return SequenceMeta(str(extrinsics), tuple(ids), grasped, sides[0], str(calibration))
-
-
-def _read_mapping(path: Path) -> object:
-    try:
-        return read_yaml(path, _MAX_YAML_BYTES)
-    except OSError as error:
-        raise DataNotFoundError(
-            f"{path} cannot be read ({error.strerror or error}); the download may be incomplete, expand DexYCB's "
-            "archives again"
-        ) from error
-    except ValueError as error:
-        raise _damaged_file_error(path, str(error)) from error
-
-
-def _get(path: Path, content: object, key: str) -> Any:
-    if not isinstance(content, dict) or key not in content:
-        raise _damaged_file_error(path, f"it has no {key}")
-    return content[key]
+    with report_damage(path, *_KIND_AND_ADVICE):
+        content: Any = read_yaml(path, _MAX_YAML_BYTES)
+        meta = {key: content[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides", "mano_calib", "extrinsics")}
+        check_scene_meta(path, meta["ycb_ids"], meta["ycb_grasp_ind"], meta["mano_sides"])
+        (_,) = meta["mano_calib"]
+    return meta
 
 
 def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
     """Read numbers from a YAML file, below a key of the mapping below another key and so on."""
-    values = _read_mapping(path)
-    for key in keys:
-        values = _get(path, values, key)
-    try:
+    with report_damage(path, *_KIND_AND_ADVICE):
+        values: Any = read_yaml(path, _MAX_YAML_BYTES)
+        for key in keys:
+            values = values[key]
         numbers = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise _damaged_file_error(path, f"{shorten_text(values)} where {count} numbers belong")
+        if numbers.shape != (count,) or not np.isfinite(numbers).all():
+            raise ValueError(f"{shorten_text(values)} where {count} numbers belong")
     return numbers
 
 
 def _read_poses(path: Path, n_objects: int) -> tuple[Float32, Float32]:
-    try:
+    with report_damage(path, *_KIND_AND_ADVICE):
         arrays = read_arrays(path, ("pose_y", "pose_m"), _MAX_POSE_BYTES)
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise _damaged_file_error(path, shorten_text(error)) from error
-    objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
-    n = len(objects)
-    if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
-        raise _damaged_file_error(path, f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
-    if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
-        raise _damaged_file_error(path, "a pose is not finite")
-    if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
-        raise _damaged_file_error(path, f"{n} frames, of which few have a hand")
+        objects, hand = (arrays[name].astype(np.float32) for name in ("pose_y", "pose_m"))
+        n = len(objects)
+        if objects.shape != (n, n_objects, 7) or hand.shape != (n, 1, HAND_DOF):
+            raise ValueError(f"shapes {objects.shape} of {n_objects} objects and {hand.shape} of the hand")
+        if not (np.isfinite(objects).all() and np.isfinite(hand).all()):
+            raise ValueError("a pose is not finite")
+        if np.count_nonzero(hand.any(axis=(1, 2))) < MIN_KEYFRAMES:
+            raise ValueError(f"{n} frames, of which few have a hand")
     return objects, hand[:, 0]
-
-
-def _damaged_file_error(path: Path, fault: str) -> DataFormatError:
-    return DataFormatError(f"{path}: not as DexYCB writes it ({fault}); expand DexYCB's archives again")

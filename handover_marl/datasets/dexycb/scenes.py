@@ -3,18 +3,16 @@
 The import of a scene depends on no other scene, so scenes can be imported in parallel.
 """
 
-import functools
 import json
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import HAND_DOF
-from handover_marl.datasets.dexycb.mano import SIDES, ManoModel, read_mano_model
-from handover_marl.datasets.dexycb.raw_files import RawSequence, SequenceFolder, read_betas, read_meta, read_sequence
+from handover_marl.datasets.dexycb.mano import ManoModel
+from handover_marl.datasets.dexycb.raw_files import SequenceFolder, read_betas, read_meta, read_sequence
 from handover_marl.datasets.dexycb.rotations import (
     Float32,
     Float64,
@@ -25,11 +23,9 @@ from handover_marl.datasets.dexycb.rotations import (
     scipy_euler_from_rotations,
     transforms3d_euler_from_matrices,
 )
-from handover_marl.datasets.scene_files import CACHE_FOLDER, MAX_MOTION_BYTES
-from handover_marl.errors import DataFormatError, DataNotFoundError, HandoverError, ResultsError
+from handover_marl.datasets.official import CACHE_FOLDER, MAX_MOTION_BYTES
+from handover_marl.errors import DataFormatError, DataNotFoundError, ResultsError
 from handover_marl.execution.files import has_content, write_arrays, write_atomically
-from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import map_with_progress
 from handover_marl.execution.reading import read_arrays
 
 
@@ -55,13 +51,15 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
     """
     span = find_hand_span(poses)
     keyframes = poses[span.first : span.last + 1]
-    rotation_vectors = _transform_base_rotations(keyframes, tag)
+    quaternions = tag.transform_rotations(Rotation.from_rotvec(keyframes[:, :3]))
+    rotation_vectors: Float32 = Rotation.from_quat(quaternions).as_rotvec().astype(np.float32)
     positions = _transform_base_positions(keyframes, rotation_vectors, tag, wrist, base)
     trajectory = np.zeros((count_frames(len(poses)), HAND_DOF), dtype=np.float32)
     trajectory[span.frames, :3] = span.interpolate_positions(positions)
     base_angles = _resample_angles(span, Rotation.from_rotvec(rotation_vectors))
     trajectory[span.frames, 3:6] = np.unwrap(base_angles, axis=0)
-    fingers = _compute_finger_angles(compute_finger_poses(model, keyframes[:, 3:48]))
+    finger_matrices = matrices_from_rotation_vectors(compute_finger_poses(model, keyframes[:, 3:48]).reshape(-1, 3))
+    fingers = transforms3d_euler_from_matrices(finger_matrices).astype(np.float32).reshape(len(keyframes), -1, 3)
     for joint in range(fingers.shape[1]):
         keys = Rotation.from_euler("XYZ", fingers[:, joint])
         trajectory[span.frames, 6 + 3 * joint : 9 + 3 * joint] = _resample_angles(span, keys)
@@ -86,11 +84,6 @@ def compute_finger_poses(model: ManoModel, coefficients: Float32) -> Float32:
     return np.asarray(total + mean)
 
 
-def _transform_base_rotations(keyframes: Float32, tag: TagFrame) -> Float32:
-    quaternions = tag.transform_rotations(Rotation.from_rotvec(keyframes[:, :3]))
-    return np.asarray(Rotation.from_quat(quaternions).as_rotvec().astype(np.float32))
-
-
 def _transform_base_positions(
     keyframes: Float32, rotation_vectors: Float32, tag: TagFrame, wrist: Float64, base: Float64
 ) -> Float32:
@@ -99,11 +92,6 @@ def _transform_base_positions(
     products = matrices_from_rotation_vectors(rotation_vectors) * base
     rotated_base = (products[:, :, 0] + products[:, :, 1]) + products[:, :, 2]
     return np.asarray(((translations.astype(np.float64) + base) - rotated_base).astype(np.float32))
-
-
-def _compute_finger_angles(vectors: Float32) -> Float32:
-    matrices = matrices_from_rotation_vectors(vectors.reshape(-1, 3))
-    return transforms3d_euler_from_matrices(matrices).astype(np.float32).reshape(len(vectors), -1, 3)
 
 
 def _resample_angles(span: KeyframeSpan, keys: Rotation) -> Float32:
@@ -129,49 +117,12 @@ def find_first_betas(sequences: Iterable[SequenceFolder]) -> dict[tuple[str, str
             continue
         try:
             meta = read_meta(sequence)
-            if (sequence.subject, meta.side) not in first:
-                first[sequence.subject, meta.side] = read_betas(sequence.calibration, meta.mano_calib)
+            key = sequence.subject, meta["mano_sides"][0]
+            if key not in first:
+                first[key] = read_betas(sequence, meta)
         except (DataNotFoundError, DataFormatError):
             continue
     return first
-
-
-def read_mano_models(folder: Path) -> dict[str, ManoModel]:
-    """Read MANO's models of both hands, by side.
-
-    Raises:
-        DataNotFoundError: A model file is missing.
-        UnsafeFileError: A model file may run code.
-        DataFormatError: A model file is damaged.
-    """
-    return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
-
-
-def import_scenes(
-    sequences: Sequence[SequenceFolder], mano: Path, betas: BetasBySubject, out: Path, workers: int, progress: bool
-) -> Generator[tuple[SequenceFolder, str], None, None]:
-    """Import recordings in worker processes; yield each as it is finished, with an error message or "".
-
-    Raises:
-        ResultsError: The data folder cannot be written.
-        WorkerError: A worker process died twice on the same recording.
-    """
-
-    def prepare() -> Callable[[SequenceFolder], str]:
-        return functools.partial(_import_sequence, read_mano_models(mano), betas, out)
-
-    return map_with_progress(prepare, sequences, "scenes", PoolConfig(workers), progress)
-
-
-def _import_sequence(models: dict[str, ManoModel], betas: BetasBySubject, out: Path, sequence: SequenceFolder) -> str:
-    try:
-        import_scene(sequence, models, betas, out)
-    except ResultsError:
-        # An unwritable data folder concerns all scenes.
-        raise
-    except HandoverError as error:
-        return f"scene {sequence.scene_id:03d} ({sequence.name}): {error}"
-    return ""
 
 
 def import_scene(
@@ -179,20 +130,29 @@ def import_scene(
 ) -> None:
     """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
 
-    Existing files must be equal.
+    Existing files must be equal. Both files are in the frame of the AprilTag on the table at 1 kHz: `pose_y` (T, n, 6),
+    position (m) and intrinsic XYZ Euler angles (rad) of the objects, and `pose_m` (T, 1, 51), joint positions of the
+    hand: 3 positions (m), 48 angles (rad). `first_betas` are from `find_first_betas`.
 
     Raises:
         DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or one of the scene differs.
         ResultsError: A file cannot be written.
     """
-    meta, arrays = convert_sequence(sequence, read_sequence(sequence), models, first_betas)
+    raw = read_sequence(sequence)
+    (side,) = raw.meta["mano_sides"]
+    model, tag = models[side], TagFrame.from_extrinsics(raw.world_from_tag)
+    base = model.locate_wrist(first_betas.get((sequence.subject, side), raw.betas))
+    objects = [compute_object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
+    hand = compute_hand_trajectory(raw.hand, tag, model, model.locate_wrist(raw.betas), base)
+    arrays = {"pose_y": np.stack(objects, axis=1), "pose_m": np.ascontiguousarray(hand[:, None])}
+    meta = {key: raw.meta[key] for key in ("ycb_ids", "ycb_grasp_ind", "mano_sides")}
+    text = json.dumps({"name": sequence.name, **meta, "mano_betas": [list(raw.betas)]}).encode()
     cache = out / CACHE_FOLDER
     try:
         cache.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ResultsError(f"cannot make the folder {cache} ({error.strerror or error}); choose another") from error
     pose, meta_file = cache / f"pose_{sequence.scene_id:03d}.npz", cache / f"meta_{sequence.scene_id:03d}.json"
-    text = json.dumps(meta).encode()
     if not pose.exists():
         write_arrays(pose, arrays)
     is_same = _has_arrays(pose, arrays)
@@ -204,30 +164,6 @@ def import_scene(
             f"{meta_file if is_same else pose} exists, but differs from the result of this recording; remove it to "
             "have it written again, or choose another folder"
         )
-
-
-def convert_sequence(
-    sequence: SequenceFolder, raw: RawSequence, models: Mapping[str, ManoModel], first_betas: BetasBySubject
-) -> tuple[dict[str, Any], dict[str, Float32]]:
-    """Convert a recording to a scene, with the shape parameters of `find_first_betas`.
-
-    Returns:
-        Content of the meta file, keys in the official order, and arrays of the pose file, both in the frame of the
-        AprilTag on the table at 1 kHz: `pose_y` (T, n, 6), position (m) and intrinsic XYZ Euler angles (rad) of the
-        objects, and `pose_m` (T, 1, 51), joint positions of the hand: 3 positions (m), 48 angles (rad).
-    """
-    meta, model, tag = raw.meta, models[raw.meta.side], TagFrame.from_extrinsics(raw.world_from_tag)
-    base = model.locate_wrist(first_betas.get((sequence.subject, meta.side), raw.betas))
-    objects = [compute_object_trajectory(raw.objects[:, number], tag) for number in range(raw.objects.shape[1])]
-    hand = compute_hand_trajectory(raw.hand, tag, model, model.locate_wrist(raw.betas), base)
-    content = {
-        "name": sequence.name,
-        "ycb_ids": list(meta.ycb_ids),
-        "ycb_grasp_ind": meta.ycb_grasp_ind,
-        "mano_sides": [meta.side],
-        "mano_betas": [list(raw.betas)],
-    }
-    return content, {"pose_y": np.stack(objects, axis=1), "pose_m": np.ascontiguousarray(hand[:, None])}
 
 
 def _has_arrays(path: Path, expected: dict[str, Float32]) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.config import MAX_OBJECTS
+from handover_marl.datasets.generated.random_stream import Seed
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.random_stream import Seed
 from handover_marl.errors import OptionError, check_name
 
 #: First word of the name of generated data sets.

@@ -1,39 +1,87 @@
-"""Data set of generated scenes, each made when it is loaded."""
+"""Data set of generated scenes, each made when it is loaded: object, person, human grasp, motion and other objects.
 
-from collections.abc import Mapping
+URDF and mesh files of procedural objects and hands are written to the user's cache folder. A folder's name has a hash
+of its content, so that equal models of different data sets share files.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.assets.hand_model import HANDS_FOLDER, SUBJECTS, Side, format_hand_urdf, scale_hand
+from handover_marl.assets.human_grasps import LEVELS
+from handover_marl.assets.shipped import (
+    CLASSES_WITHOUT_GRASPS,
+    COLLISION_NAME,
+    URDF_NAME,
+    VISUAL_NAME,
+    format_object_urdf,
+    format_visual,
+    read_palette_files,
+)
 from handover_marl.datasets.generated.config import (
     GENERATED,
+    HARD,
     VERSION,
     GeneratedConfig,
+    find_splits,
     list_split,
+    make_seed,
     parse_generated_config,
 )
-from handover_marl.datasets.generated.model_files import write_object_model
-from handover_marl.datasets.generated.robot_grasps import RobotGraspConfig
-from handover_marl.datasets.generated.scenes import (
-    FIRST_CLASS,
-    draw_object_grasps,
-    draw_procedural_object,
-    draw_side,
-    generate_scene,
+from handover_marl.datasets.generated.hands import Person, draw_person
+from handover_marl.datasets.generated.human_grasps import draw_human_grasps
+from handover_marl.datasets.generated.motion import KeyframeMotion
+from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
+from handover_marl.datasets.generated.placement import (
+    ClutterItem,
+    SimulatedGiver,
+    hand_poses_from_grasps,
+    make_ycb_clutter_item,
 )
+from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
+from handover_marl.datasets.generated.random_stream import RandomStream, Seed, open_stream
+from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
+from handover_marl.datasets.generated.scenes import (
+    GeneratedHandover,
+    HandoverGenerator,
+    generate_handover,
+    make_subject_giver,
+)
+from handover_marl.datasets.generated.shapes import Solid, make_surface
 from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.dataset import GeneratedHandover, HandoverGenerator
-from handover_marl.errors import check_name
+from handover_marl.errors import DataNotFoundError, HandoverError, ResultsError, check_name
+from handover_marl.execution.files import write_atomically
+from handover_marl.geometry.array_cache import get_cache_folder
+from handover_marl.geometry.model_files.obj_files import format_convex_parts
 from handover_marl.geometry.panda import PANDA
-from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
 
-#: Name of the only setup of generated data.
-SETUP = "random"
+Array = npt.NDArray[np.float64]
+
+#: Class number of the first procedural object.
+FIRST_CLASS: Final = max(CLASS_NAMES) + 1
+#: Classes of shipped objects that the gripper can span.
+GRASPABLE_CLASSES: Final = tuple(
+    number for number in SCENE_CLASSES if CLASS_NAMES[number] not in CLASSES_WITHOUT_GRASPS
+)
+_MAX_ATTEMPTS = 50
+# Surface points from which the robot grasps are tried that the person leaves free, and their largest and smallest
+# number; with fewer grasps the share is not estimated.
+_N_SKETCH_POINTS, _N_SKETCH_GRASPS, _MIN_SKETCH_GRASPS = 160, 32, 5
+# Version of the files, part of the hash of their content.
+_FORMAT = 1
 
 
 class GeneratedDataset(HandoverGenerator):
     """Scenes that are generated from a configuration; needs no data folder.
+
+    A scene is a pure function of its number and of the configuration without `n`.
 
     Args:
         config: Configuration, or its text such as "n=100000,seed=7,family=hard".
@@ -64,7 +112,7 @@ class GeneratedDataset(HandoverGenerator):
     @property
     def setups(self) -> tuple[str, ...]:
         """Name of the only setup: scenes and procedural objects are split by a hash of their number."""
-        return (SETUP,)
+        return ("random",)
 
     @property
     def object_names(self) -> Mapping[int, str]:
@@ -85,19 +133,24 @@ class GeneratedDataset(HandoverGenerator):
     def find_side(self, scene_id: int) -> str:
         """Return the hand of a scene's giver without generating the scene."""
         self.check_scene_id(scene_id)
-        return draw_side(self.config, scene_id)
+        return _draw_side(self.config, scene_id)
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate an existing scene."""
-        return generate_scene(self.config, scene_id)
+        """Generate an existing scene.
+
+        Raises:
+            HandoverError: No grasp was found for many objects in a row.
+            DataNotFoundError: The user's cache folder, for the model of the hand, cannot be written.
+        """
+        return _generate_scene(self.config, scene_id)
 
     def find_object_urdf(self, object_name: str) -> Path:
         """Return the path of a class's URDF; the URDF of a procedural object is written on first use."""
         if object_name not in self._numbers:
             return super().find_object_urdf(object_name)
-        return write_object_model(object_name, draw_procedural_object(self.config, self._numbers[object_name]))
+        return _write_object_model(object_name, _load_shape(self.config, self._numbers[object_name])[0])
 
-    def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
+    def load_grasps(self, object_name: str) -> Array | None:
         """Return robot grasps (n, 4, 4) of a class, or None if it has none.
 
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
@@ -105,9 +158,154 @@ class GeneratedDataset(HandoverGenerator):
         """
         if object_name not in self._numbers:
             return super().load_grasps(object_name)
-        grasps = draw_object_grasps(self.config, self._numbers[object_name], RobotGraspConfig())
+        random, solid = _open_grasp_stream(self.config, self._numbers[object_name])
+        grasps = draw_robot_grasps(random, solid)
         return grasps if len(grasps) else None
 
     def compute_fingerprint(self, scene_id: int) -> str:
         """Return version and configuration of the generator; the number of scenes does not matter."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
+
+
+def _draw_side(config: GeneratedConfig, scene_id: int) -> Side:
+    return "left" if open_stream(make_seed(config, "scene", scene_id), "side").uniform() < config.left else "right"
+
+
+@lru_cache(maxsize=4)
+def _generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover:
+    split = SPLITS[int(find_splits([scene_id])[0])]
+    giver, seed = _draw_giver(config, scene_id, split)
+    counts = range(config.clutter_min, config.clutter_max + 1)
+
+    def draw_item(random: RandomStream) -> ClutterItem:
+        while True:
+            item = _draw_clutter_item(random, config, split)
+            if item[0] != giver.class_id:
+                return item
+
+    def extend_motion(motion: KeyframeMotion, grasp: int) -> KeyframeMotion:
+        return add_post_arrival_motion(open_stream(seed, "post-arrival motion"), motion, giver, grasp)
+
+    if config.family == HARD:
+        return generate_handover(seed, giver, counts, draw_item, draw_far_positions, extend_motion)
+    return generate_handover(seed, giver, counts, draw_item)
+
+
+def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[SimulatedGiver, Seed]:
+    """Draw object and person until the hand can grasp the object; return also the seed to go on with."""
+    side = _draw_side(config, scene_id)
+    for attempt in range(_MAX_ATTEMPTS):
+        seed = make_seed(config, "scene", scene_id, attempt)
+        random, people = open_stream(seed, "object"), open_stream(seed, "person")
+        if random.uniform() >= config.procedural:
+            class_id = GRASPABLE_CLASSES[random.integer(len(GRASPABLE_CLASSES))]
+            return make_subject_giver(class_id, SUBJECTS[people.integer(len(SUBJECTS))], side), seed
+        number = _draw_object_number(random, config, split)
+        item, solid = _load_shape(config, number)
+        person = draw_person(config, people.integer(config.people))
+        grasps = draw_human_grasps(open_stream(seed, "human grasps"), solid, item.up_axes, person.size, side)
+        if grasps is not None:
+            giver = SimulatedGiver(
+                class_id=FIRST_CLASS + number,
+                subject=person.name,
+                hand=scale_hand(person.size, side),
+                hand_urdf=write_hand_model(person, side),
+                corners=solid.corners,
+                up_axes=item.up_axes,
+                wrist_distances=np.quantile(grasps.wrist_distance, LEVELS).tolist(),
+                grasps=grasps,
+                robot_grasps=_draw_few_grasps(config, number),
+            )
+            return giver, seed
+    raise HandoverError(
+        f"scene {scene_id}: no object can be grasped by its person after {_MAX_ATTEMPTS} attempts; "
+        "use another seed or other shares of object kinds"
+    )
+
+
+def _draw_clutter_item(random: RandomStream, config: GeneratedConfig, split: str) -> ClutterItem:
+    if random.uniform() >= config.procedural:
+        return make_ycb_clutter_item(SCENE_CLASSES[random.integer(len(SCENE_CLASSES))])
+    number = _draw_object_number(random, config, split)
+    item, solid = _load_shape(config, number)
+    return FIRST_CLASS + number, solid.corners, item.up_axes
+
+
+def _draw_object_number(random: RandomStream, config: GeneratedConfig, split: str) -> int:
+    numbers = _list_object_numbers(config.objects, split)
+    return int(numbers[random.integer(len(numbers))])
+
+
+@lru_cache(maxsize=16)
+def _list_object_numbers(count: int, split: str) -> npt.NDArray[np.int64]:
+    return list_split(split, count, of_objects=True)
+
+
+@lru_cache(maxsize=1024)
+def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject, Solid]:
+    """Draw a procedural object by its number, from 0."""
+    item = draw_object(open_stream(make_seed(config, "object", number), "object"), config.kind_weights)
+    return item, Solid(map(make_surface, item.parts))
+
+
+def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStream, Solid]:
+    """Return the random numbers for the robot grasps of a procedural object, and the object."""
+    return open_stream(make_seed(config, "object", number), "robot grasps"), _load_shape(config, number)[1]
+
+
+@lru_cache(maxsize=256)
+def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
+    """Return poses (n, 7) of the gripper's hand link at a few robot grasps, or None if hardly any is found."""
+    random, solid = _open_grasp_stream(config, number)
+    grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)
+    return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_SKETCH_GRASPS else None
+
+
+def _write_object_model(name: str, item: ProceduralObject) -> Path:
+    """Write the model of an object unless it exists, and return the path of its URDF in a folder of its name."""
+
+    def make_files() -> dict[str, bytes | str]:
+        surfaces = [(part.color, make_surface(part)) for part in item.parts]
+        return {
+            COLLISION_NAME: format_convex_parts((surface.vertices, surface.faces) for _, surface in surfaces),
+            VISUAL_NAME: format_visual((color, surface.vertices, surface.faces) for color, surface in surfaces),
+            **read_palette_files(),
+            URDF_NAME: format_object_urdf(),
+        }
+
+    return _write_folder(repr(item), name, URDF_NAME, make_files)
+
+
+def write_hand_model(person: Person, side: Side) -> Path:
+    """Write the model of a person's hand unless it exists, and return the path of its URDF.
+
+    Raises:
+        DataNotFoundError: The user's cache folder cannot be written.
+    """
+    meshes, name = str(HANDS_FOLDER / "meshes" / side), f"{person.name}_{side}"
+
+    def make_files() -> dict[str, bytes | str]:
+        return {"mano.urdf": format_hand_urdf(scale_hand(person.size, side), name, person.color, meshes)}
+
+    return _write_folder(f"{person!r} {side} {meshes}", name, "mano.urdf", make_files)
+
+
+def _write_folder(content: str, name: str, urdf: str, make_files: Callable[[], Mapping[str, bytes | str]]) -> Path:
+    """Return the path of a URDF in a folder that has a hash of its content; the files are written once, the URDF last.
+
+    Several processes may write the same files.
+    """
+    digest = hashlib.sha256(f"{_FORMAT} {content}".encode()).hexdigest()[:20]
+    root = get_cache_folder("generated")
+    folder = root / digest / name
+    if not (folder / urdf).is_file():
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for file, text in make_files().items():
+                write_atomically(folder / file, text)
+        except (OSError, ResultsError) as error:
+            raise DataNotFoundError(
+                f"models of generated scenes cannot be written to {root} ({error}); "
+                "set XDG_CACHE_HOME to a folder that can be written"
+            ) from error
+    return folder / urdf

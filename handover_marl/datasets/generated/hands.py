@@ -1,13 +1,11 @@
 """Hands of people in generated scenes: open postures around an object, and the paths of closing fingers.
 
 All hands are right hands, approximated by spheres: three per phalanx, others in palm and forearm. The paths of the
-phalanges while the fingers close freely are computed once for each hand, so that closing on an object needs few
-evaluations of the forward kinematics.
+phalanges while the fingers close freely are computed once for each hand.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -15,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.anthropometry import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandSize
-from handover_marl.assets.hand_model import HandGeometry, euler_from_matrices, scale_hand
+from handover_marl.assets.hand_model import MEN, REFERENCE_SIZE, SKIN_COLORS, WOMEN, HandGeometry, HandSize, scale_hand
 from handover_marl.datasets.generated.config import GeneratedConfig, make_seed
+from handover_marl.datasets.generated.random_stream import RandomStream, open_stream
 from handover_marl.datasets.generated.shapes import normalize
-from handover_marl.datasets.synthetic.random_stream import RandomStream, open_stream
-from handover_marl.geometry.poses import compute_cross_products
+from handover_marl.geometry.rotations import euler_from_matrices
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -39,6 +36,8 @@ STEP_ANGLES: Final = np.radians(5.0) * np.array([[1.0, 1.0, 0.55]] * 4 + [[0.6, 
 #: Limits of the joints (rad), as `STEP_ANGLES` for the five digits.
 LIMITS: Final = np.radians([[85.0, 100.0, 65.0]] * 4 + [[45.0, 55.0, 70.0]])
 
+# Positions of the spheres of a phalanx between its joint and its end.
+_SHARES: Final = np.array([1.0, 2.0, 3.0]) / 3.0
 _SEED, _N_DRAWS, _N_TEMPLATES = 1010, 3000, 48
 # Correlation of length and breadth of a hand, and largest standard score.
 _CORRELATION, _MAX_SCORE = 0.6, 2.0
@@ -87,17 +86,6 @@ class ArrayBatch:
 
     def __getitem__(self, rows: npt.NDArray[np.integer | np.bool_]) -> "Self":
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))  # type: ignore[arg-type]
-
-    @classmethod
-    def concatenate(cls, parts: "Sequence[Self]") -> "Self":
-        """Return all items of several batches as one batch."""
-        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))  # type: ignore[arg-type]
-        return cls(
-            *(
-                type(column[0]).concatenate(column) if isinstance(column[0], ArrayBatch) else np.concatenate(column)
-                for column in columns
-            )
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,57 +174,24 @@ def _spheres_from_capsules(capsules: list[Capsule], count: int) -> Spheres:
     return np.vstack(centers), np.concatenate(radii)
 
 
-@dataclass(frozen=True, eq=False)
-class DigitPaths(ArrayBatch):
-    """Paths of the digits' spheres under flexion, in the palm's frame, for n open postures.
+def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
+    """Return the centers (n, s, 5, 9, 3) of the digits' spheres in the palm's frame (m), three per phalanx.
 
-    All joints of a digit turn about one axis, so that a point is `fixed + cos(a) cosine + sin(a) sine` for the sum
-    a of the flexions up to its phalanx. The fourth point of a phalanx is the next joint.
-
-    Attributes:
-        root: (n, 5, 3) positions of the root joints (m).
-        fixed: (n, 5, 3, 4, 3) parts of the points along the axis (m), relative to the phalanx' joint.
-        cosine: (n, 5, 3, 4, 3) parts across the axis at angle zero (m).
-        sine: (n, 5, 3, 4, 3) parts across the axis at a right angle (m).
+    The n postures have s flexions (n, s, 5, 3) (rad) each.
     """
-
-    root: Array
-    fixed: Array
-    cosine: Array
-    sine: Array
-
-    def place(self, bends: Array) -> Array:
-        """Return the centers (n, s, 5, 9, 3) (m) of the spheres for s flexions (n, s, 5, 3) (rad) of each posture."""
-        angles = np.cumsum(bends, axis=-1)[..., None, None]
-        points = self.fixed[:, None] + np.cos(angles) * self.cosine[:, None] + np.sin(angles) * self.sine[:, None]
-        joints = np.cumsum(points[..., :2, 3, :], axis=-2)
-        points[..., 1:, :3, :] += joints[..., None, :]
-        centers = points[..., :3, :] + self.root[:, None, :, None, None]
-        return np.asarray(centers.reshape(*bends.shape[:2], 5, 9, 3))
+    n, count = bends.shape[:2]
+    bent = replace(posture[np.repeat(np.arange(n), count)], bends=bends.reshape(-1, 5, 3))
+    positions, rotations = _compute_link_poses(model, bent)
+    ends = np.einsum("nlij,lj->nli", rotations[:, 1:], model.tips)
+    centers = positions[:, 1:, None] + _SHARES[:, None] * ends[:, :, None]
+    return np.asarray(centers.reshape(n, count, 5, 9, 3))
 
 
-def make_digit_paths(model: HandGeometry, posture: Posture) -> DigitPaths:
-    """Return the paths of the spheres of a hand for n open postures."""
-    n, shares = len(posture), np.array([1.0, 2.0, 3.0]) / 3.0
-    axes, roots = np.zeros((n, 5, 3)), np.zeros((n, 5, 3, 3))
-    sin, cos = np.sin(posture.spread), np.cos(posture.spread)
-    axes[:, :THUMB, 0], axes[:, :THUMB, 2], axes[:, THUMB] = sin, cos, posture.thumb_axis
-    roots[:, :THUMB, 0, 0], roots[:, :THUMB, 0, 2] = cos, sin
-    roots[:, :THUMB, 2, 0], roots[:, :THUMB, 2, 2] = -sin, cos
-    roots[:, :THUMB, 1, 1], roots[:, THUMB] = 1.0, posture.thumb_root
-    origins = model.joint_origins.reshape(5, 3, 3)
-    points = np.zeros((5, 3, 4, 3))
-    points[:, :, :3] = (model.tips[:, None] * shares[:, None]).reshape(5, 3, 3, 3)
-    points[:, :2, 3] = origins[:, 1:]
-    straight = np.einsum("ndij,dpvj->ndpvi", roots, points)
-    axes = axes[:, :, None, None]
-    fixed = (straight * axes).sum(axis=-1, keepdims=True) * axes
-    return DigitPaths(
-        root=np.broadcast_to(origins[:, 0], (n, 5, 3)),
-        fixed=fixed,
-        cosine=straight - fixed,
-        sine=compute_cross_products(np.broadcast_to(axes, straight.shape), straight),
-    )
+def _compute_link_poses(model: HandGeometry, posture: Posture) -> tuple[Array, Array]:
+    """Return positions (n, 16, 3) (m) and rotations (n, 16, 3, 3) of the links in the palm's frame."""
+    dof = np.concatenate([np.zeros((len(posture), 6)), posture.compute_joint_angles()], axis=1)
+    dof[:, :3] = -model.palm_offset
+    return model.compute_link_poses(dof)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,9 +215,7 @@ class Openings(ArrayBatch):
 
 def _measure_openings(model: HandGeometry, posture: Posture) -> Openings:
     """Return the gaps between thumb and fingers in n postures of a hand."""
-    dof = np.concatenate([np.zeros((len(posture), 6)), posture.compute_joint_angles()], axis=1)
-    dof[:, :3] = -model.palm_offset
-    positions, rotations = model.compute_link_poses(dof)
+    positions, rotations = _compute_link_poses(model, posture)
     # The last phalanges of index finger, middle finger and thumb; links begin with the palm.
     last = np.array([2, 5, 14])
     ends = positions[:, last + 1] + np.einsum("nlij,lj->nli", rotations[:, last + 1], model.tips[last])
@@ -315,7 +268,6 @@ class HandTemplates:
         forearm: Spheres of the end of the forearm, in the palm's frame.
         openings: K open postures with their gaps.
         bends: (K, S, 5, 3) flexion of the digits' joints in S steps of closing without an object (rad).
-        digits: Paths of the K postures' digits under flexion.
         path: (K, S, 5, 9, 3) float32 centers of the phalanges' spheres in these steps, in the palm's frame (m).
         radii: (5, 9) radii of these spheres (m).
     """
@@ -325,7 +277,6 @@ class HandTemplates:
     forearm: Spheres
     openings: Openings
     bends: Array
-    digits: DigitPaths
     path: npt.NDArray[np.float32]
     radii: Array
 
@@ -338,7 +289,6 @@ def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTempla
     openings = openings[np.argsort(openings.width, kind="stable")]
     start = openings.posture.bends[:, None]
     bends = np.maximum(np.minimum(start + np.arange(N_STEPS)[:, None, None] * STEP_ANGLES, LIMITS), start)
-    digits = make_digit_paths(model, openings.posture)
     first, last = model.radii[:, :1], model.radii[:, 1:]
     return HandTemplates(
         model=model,
@@ -346,7 +296,6 @@ def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTempla
         forearm=_spheres_from_capsules(make_forearm_capsules(model), 4),
         openings=openings,
         bends=bends,
-        digits=digits,
-        path=digits.place(bends).astype(np.float32),
-        radii=(first + (last - first) * np.array([1.0, 2.0, 3.0]) / 3.0).reshape(5, 9),
+        path=place_digits(model, openings.posture, bends).astype(np.float32),
+        radii=(first + (last - first) * _SHARES).reshape(5, 9),
     )

@@ -3,7 +3,7 @@
 Grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -11,8 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri
 
-from handover_marl.assets.anthropometry import HandSize
-from handover_marl.assets.hand_model import Side
+from handover_marl.assets.hand_model import HandSize, Side
 from handover_marl.assets.human_grasps import HumanGrasps
 from handover_marl.datasets.generated.hands import (
     LIMITS,
@@ -24,9 +23,10 @@ from handover_marl.datasets.generated.hands import (
     Posture,
     compute_shortest_rotations,
     make_hand_templates,
+    place_digits,
 )
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -49,60 +49,55 @@ _TOUCH_DISTANCE = 0.003
 _N_DISTAL_STEPS, _RELAXED_STEP = 10, 5
 
 
-@dataclass(frozen=True)
-class HumanGraspConfig:
-    """Effort of the search for human grasps.
-
-    Attributes:
-        n_pairs: Number of surface points from which grasps are tried in one round.
-        n_closed: Largest number of hands whose fingers are closed in one round.
-        n_grasps: Number of grasps at which the search ends.
-        n_rounds: Largest number of rounds.
-    """
-
-    n_pairs: int = 320
-    n_closed: int = 10
-    n_grasps: int = 3
-    n_rounds: int = 5
-
-
 def draw_human_grasps(
     random: RandomStream,
     solid: Solid,
     up_axes: tuple[float, ...],
     size: HandSize,
     side: Side,
-    config: HumanGraspConfig = HumanGraspConfig(),
+    n_pairs: int = 320,
+    n_closed: int = 10,
+    n_grasps: int = 3,
+    n_rounds: int = 5,
 ) -> HumanGrasps | None:
     """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
 
-    In every grasp the hand is clear of the table for one of the axes that point up on a table: `up_axes` are the
-    weights of +x, -x, +y, -y, +z, -z.
+    Args:
+        random: Stream of random numbers.
+        solid: Object.
+        up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
+            is clear of the table for one of the axes with a weight.
+        size: Size of the hand.
+        side: Side of the hand.
+        n_pairs: Number of surface points from which grasps are tried in one round.
+        n_closed: Largest number of hands whose fingers are closed in one round.
+        n_grasps: Number of grasps at which the search ends.
+        n_rounds: Largest number of rounds.
     """
     templates = make_hand_templates(size)
     target = solid.mirror() if side == "left" else solid
     axes = np.array(up_axes)[[1, 0, 2, 3, 4, 5]] if side == "left" else np.array(up_axes)
     directions = np.repeat(np.eye(3), 2, axis=0)[axes > 0.0] * np.tile([[1.0], [-1.0]], (3, 1))[axes > 0.0]
     floors = (target.corners @ directions.T).min(axis=0)
-    found: list[tuple[Palms, Ints, ClosedHands]] = []
-    for _ in range(config.n_rounds):
-        palms, rows = _sample_open_hands(random, target, templates, config.n_pairs)
+    found: list[HumanGrasps] = []
+    for _ in range(n_rounds):
+        palms, rows = _sample_open_hands(random, target, templates, n_pairs)
         heights = _find_lowest_points(templates, palms, rows, directions) - floors
-        lifted = np.flatnonzero((heights > _TABLE_CLEARANCE).any(axis=1))[: config.n_closed]
+        lifted = np.flatnonzero((heights > _TABLE_CLEARANCE).any(axis=1))[:n_closed]
         palms, rows = palms[lifted], rows[lifted]
         if len(rows):
             closed = close_fingers(target, templates, palms, rows)
             good = np.flatnonzero(_find_firm_grasps(target, templates, palms, closed))
-            found.append((palms[good], rows[good], closed[good]))
-        if sum(len(rows) for _, rows, _ in found) >= config.n_grasps:
+            found.append(_encode_grasps(templates, palms[good], rows[good], closed[good], side))
+        if sum(map(len, found)) >= n_grasps:
             break
-    if not any(len(rows) for _, rows, _ in found):
+    if not any(map(len, found)):
         return None
-    palms = Palms.concatenate([palms for palms, _, _ in found])
-    rows = np.concatenate([rows for _, rows, _ in found])
-    closed = ClosedHands.concatenate([closed for _, _, closed in found])
-    order = np.argsort(np.linalg.norm(palms.position, axis=1), kind="stable")
-    return _encode_grasps(templates, palms[order], rows[order], closed[order], side)
+    order = np.argsort(np.concatenate([grasps.wrist_distance for grasps in found]), kind="stable")
+    names = [field.name for field in fields(HumanGrasps) if field.name != "side"]
+    return HumanGrasps(
+        **{name: np.concatenate([getattr(grasps, name) for grasps in found])[order] for name in names}, side=side
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +190,7 @@ def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: In
     bends = _close_end_joints(solid, templates, palms, rows, bends, phalanx)
     relaxed = steps[:, _RELAXED_STEP]
     posture = replace(templates.openings.posture[rows], bends=np.where(touches[..., None], bends, relaxed))
-    centers = palms.transform(templates.digits[rows].place(posture.bends[:, None])[:, 0])
+    centers = palms.transform(place_digits(templates.model, posture, posture.bends[:, None])[:, 0])
     return ClosedHands(posture, solid.compute_distances(centers) - templates.radii, centers)
 
 
@@ -214,7 +209,7 @@ def _close_end_joints(
         return bends
     steps = np.arange(count)[:, None, None] * 1.6 * STEP_ANGLES * beyond[:, None]
     trial = np.minimum(bends[:, None] + steps, np.maximum(LIMITS, bends[:, None]))
-    centers = templates.digits[rows].place(trial)
+    centers = place_digits(templates.model, templates.openings.posture[rows], trial)
     gaps = (solid.compute_distances(palms.transform(centers)) - templates.radii).reshape(n, count, 5, 3, 3).min(axis=4)
     shares, _ = _find_contacts(np.where(beyond[:, None], gaps, np.inf).min(axis=3), SKIN_YIELD)
     part = shares[..., None] * 1.6 * STEP_ANGLES * beyond

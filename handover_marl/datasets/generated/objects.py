@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.datasets.generated.config import OBJECT_KINDS
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Part, make_surface
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 
 _COLORS = ("black", "blue", "brown", "cream", "navy", "olive", "orange", "red", "steel", "white", "wood", "yellow")
 _WALL = ("blue", "cream", "navy", "orange", "red", "white", "yellow")

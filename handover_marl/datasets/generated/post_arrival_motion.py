@@ -12,16 +12,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import TABLE_HEIGHT, PandaConfig
-from handover_marl.datasets.synthetic.handover_motion import KEYFRAME_PERIOD, KeyframeMotion, minimum_jerk
-from handover_marl.datasets.synthetic.object_placement import JOINT_CLEARANCE, HandoverPositions, HeldObject
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.generated.motion import KEYFRAME_PERIOD, KeyframeMotion, minimum_jerk
+from handover_marl.datasets.generated.placement import JOINT_CLEARANCE, SimulatedGiver
+from handover_marl.datasets.generated.random_stream import RandomStream
+from handover_marl.geometry.panda import SHOULDER_HEIGHT
 from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
-
-#: Height (m) of the Panda's shoulder above its base.
-SHOULDER_HEIGHT: Final = 0.333
-
 
 #: Duration of a scene's motion (s).
 DURATION: Final = 8.0
@@ -40,7 +37,7 @@ _EXTENT, _MAX_TURN = (0.12, 0.08, 0.10), 0.9
 _TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 
-def draw_far_positions(random: RandomStream) -> HandoverPositions:
+def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
     """Draw positions of an object that is offered at the edge of the robot's reach."""
     start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
     distance, azimuth = random.uniform(*REACH), random.uniform(-_MAX_AZIMUTH, _MAX_AZIMUTH)
@@ -48,15 +45,11 @@ def draw_far_positions(random: RandomStream) -> HandoverPositions:
     x, y, z = PandaConfig().base_position
     flat = distance * np.cos(elevation)
     height = z + SHOULDER_HEIGHT - TABLE_HEIGHT + distance * np.sin(elevation)
-    handover = np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, MIN_HEIGHT)])
-    return HandoverPositions(start, handover)
+    return start, np.array([x + flat * np.sin(azimuth), y + flat * np.cos(azimuth), max(height, MIN_HEIGHT)])
 
 
 def add_post_arrival_motion(
-    random: RandomStream,
-    motion: KeyframeMotion,
-    held: HeldObject,
-    grasp: int,
+    random: RandomStream, motion: KeyframeMotion, giver: SimulatedGiver, grasp: int
 ) -> KeyframeMotion:
     """Return a motion continued by a smooth curve of the object, held in a grasp, until a fixed duration."""
     count = round(DURATION / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
@@ -65,7 +58,7 @@ def add_post_arrival_motion(
     turns = Rotation.from_rotvec(vectors).as_quat()
     rotation = Rotation.from_quat(multiply_quaternions(turns, start_rotation.as_quat()))
     position = start + offsets
-    points = np.concatenate([held.corners, held.keypoints[grasp]])
+    points = np.concatenate([giver.corners, giver.keypoints[grasp]])
     lowest = position[:, 2] + (rotation.as_matrix()[:, 2] @ points.T).min(axis=1)
     # Lift the curve where it would touch the table; its beginning is where the motion ends.
     missing = float(np.maximum(0.0, JOINT_CLEARANCE - lowest).max())

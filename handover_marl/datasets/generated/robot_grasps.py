@@ -5,14 +5,13 @@ Collisions are excluded by signed distances.
 A gripper pose has the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along z.
 """
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
-from handover_marl.datasets.synthetic.random_stream import RandomStream
 from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
@@ -51,25 +50,6 @@ _DEPTH_RANGE = (0.084, 0.106)
 _CLEARANCE = 0.002
 
 
-@dataclass(frozen=True)
-class RobotGraspConfig:
-    """Number of robot grasps.
-
-    Attributes:
-        n_points: Number of surface points from which grasps are tried.
-        n_grasps: Largest number of grasps.
-        is_varied: Whether grasps are chosen to be far from each other.
-    """
-
-    n_points: int = 1500
-    n_grasps: int = 60
-    is_varied: bool = True
-
-
-#: Few grasps, for the generator's estimate of what the person leaves free.
-SKETCH = RobotGraspConfig(n_points=160, n_grasps=32, is_varied=False)
-
-
 @cache
 def _make_gripper_points() -> Array:
     """Return points (n, 3) (m) of the open gripper at a grasp, and of its fingers on the approach."""
@@ -86,13 +66,16 @@ def _make_gripper_points() -> Array:
     return np.concatenate([fingers, palm, *moved])
 
 
-def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConfig) -> Array:
+def draw_robot_grasps(
+    random: RandomStream, solid: Solid, n_points: int = 1500, n_grasps: int = 60, is_varied: bool = True
+) -> Array:
     """Draw robot grasps (n, 4, 4) `object_from_gripper` (m) that are likely to hold an object, not tried in simulation.
 
-    They are rounded to float32; n can be 0.
+    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen, with `is_varied` far from
+    each other. They are rounded to float32; n can be 0.
     """
-    first, second, cosines = solid.sample_opposite_points(random, config.n_points, _MAX_WIDTH, _TILT)
-    noise, draws = random.normals(config.n_points, 3), random.uniforms(config.n_points, 2)
+    first, second, cosines = solid.sample_opposite_points(random, n_points, _MAX_WIDTH, _TILT)
+    noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)
     good = np.flatnonzero(cosines > np.cos(_MAX_CONE_ANGLE))
     # The gripper is symmetric: swap the fingers at random.
     signs = np.where(draws[good, :1] < 0.5, -1.0, 1.0)
@@ -107,6 +90,6 @@ def draw_robot_grasps(random: RandomStream, solid: Solid, config: RobotGraspConf
     for points in (_make_gripper_points()[_PALM_MIDDLE], _make_gripper_points()):
         placed = points @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
         grasps = grasps[(solid.compute_distances(placed) > _CLEARANCE).all(axis=1)]
-    if config.is_varied:
+    if is_varied:
         grasps = grasps[compute_farthest_point_order(grasps)]
-    return grasps[: config.n_grasps].astype(np.float32).astype(np.float64)
+    return grasps[:n_grasps].astype(np.float32).astype(np.float64)

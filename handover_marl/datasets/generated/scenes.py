@@ -1,141 +1,128 @@
-"""Generation of one scene: object, person, human grasp, poses, motion and other objects."""
+"""Generation of a scene from its person and object, and the base class of generated data sets."""
 
-from functools import lru_cache
-from typing import Final
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import SUBJECTS, Side, scale_hand
-from handover_marl.assets.human_grasps import LEVELS
-from handover_marl.assets.shipped import CLASSES_WITHOUT_GRASPS
-from handover_marl.datasets.generated.config import HARD, GeneratedConfig, find_splits, list_split, make_seed
-from handover_marl.datasets.generated.hands import draw_person
-from handover_marl.datasets.generated.human_grasps import draw_human_grasps
-from handover_marl.datasets.generated.model_files import write_hand_model
-from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
-from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
-from handover_marl.datasets.generated.robot_grasps import SKETCH, RobotGraspConfig, draw_robot_grasps
-from handover_marl.datasets.generated.shapes import Solid, make_surface
-from handover_marl.datasets.splits import SPLITS
-from handover_marl.datasets.synthetic.clutter import ClutterItem, make_ycb_clutter_item
-from handover_marl.datasets.synthetic.dataset import (
-    GeneratedHandover,
+from handover_marl.assets.hand_model import Side, find_hand_urdf, make_hand_geometry
+from handover_marl.assets.human_grasps import WRIST_DISTANCE_QUANTILES, load_human_grasps
+from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.datasets.dataset import Dataset, Scene, SceneInfo
+from handover_marl.datasets.generated.motion import (
+    KeyframeMotion,
+    compute_swept_points,
+    compute_trajectories,
+    draw_motion,
+)
+from handover_marl.datasets.generated.placement import (
+    ClutterItem,
+    DrawPositions,
     SimulatedGiver,
-    generate_handover,
-    make_subject_giver,
+    compute_hull_corners,
+    draw_calibrated_positions,
+    draw_clutter,
+    draw_placement,
+    hand_poses_from_grasps,
 )
-from handover_marl.datasets.synthetic.handover_motion import KeyframeMotion
-from handover_marl.datasets.synthetic.object_placement import hand_poses_from_grasps, make_held_object
-from handover_marl.datasets.synthetic.random_stream import RandomStream, Seed, open_stream
-from handover_marl.errors import HandoverError
-from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
-
-Array = npt.NDArray[np.float64]
-
-#: Class number of the first procedural object.
-FIRST_CLASS: Final = max(CLASS_NAMES) + 1
-#: Classes of shipped objects that the gripper can span.
-GRASPABLE_CLASSES: Final = tuple(
-    number for number in SCENE_CLASSES if CLASS_NAMES[number] not in CLASSES_WITHOUT_GRASPS
-)
-_MAX_ATTEMPTS = 50
-# With fewer grasps the share that the person leaves free is not estimated.
-_MIN_ROBOT_GRASPS = 5
+from handover_marl.datasets.generated.random_stream import UP_AXES, RandomStream, Seed, open_stream
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 
-def draw_side(config: GeneratedConfig, scene_id: int) -> Side:
-    """Return the side of the giver's hand in a scene."""
-    return "left" if open_stream(make_seed(config, "scene", scene_id), "side").uniform() < config.left else "right"
+class GeneratedHandover(NamedTuple):
+    """Generated scene in the world frame; see `Scene`.
 
-
-@lru_cache(maxsize=4)
-def generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover:
-    """Generate a scene: a pure function of the scene's number and of the configuration without `n`; cached.
-
-    Raises:
-        HandoverError: No grasp was found for many objects in a row.
-        DataNotFoundError: The user's cache folder, for the model of the hand, cannot be written.
+    Attributes:
+        giver: Person and object.
+        class_ids: Class numbers of the objects on the table, the handed-over one first.
+        object_dof: (T, n, 6) float32 motion of the objects.
+        hand_dof: (T, 51) float32 motion of the hand.
+        hand_first: First frame in which the hand is visible; it remains visible to the end.
     """
-    split = int(find_splits([scene_id])[0])
-    giver, seed = _draw_giver(config, scene_id, split)
-    counts = range(config.clutter_min, config.clutter_max + 1)
 
-    def draw_item(random: RandomStream) -> ClutterItem:
-        while True:
-            item = _draw_clutter_item(random, config, split)
-            if item.class_id != giver.class_id:
-                return item
-
-    def extend_motion(motion: KeyframeMotion, grasp: int) -> KeyframeMotion:
-        return add_post_arrival_motion(open_stream(seed, "post-arrival motion"), motion, giver.held, grasp)
-
-    if config.family == HARD:
-        return generate_handover(seed, giver, counts, draw_item, draw_far_positions, extend_motion)
-    return generate_handover(seed, giver, counts, draw_item)
+    giver: SimulatedGiver
+    class_ids: tuple[int, ...]
+    object_dof: npt.NDArray[np.float32]
+    hand_dof: npt.NDArray[np.float32]
+    hand_first: int
 
 
-def _draw_giver(config: GeneratedConfig, scene_id: int, split: int) -> tuple[SimulatedGiver, Seed]:
-    """Draw object and person until the hand can grasp the object; return also the seed to go on with."""
-    side = draw_side(config, scene_id)
-    for attempt in range(_MAX_ATTEMPTS):
-        seed = make_seed(config, "scene", scene_id, attempt)
-        random, people = open_stream(seed, "object"), open_stream(seed, "person")
-        if random.uniform() >= config.procedural:
-            class_id = GRASPABLE_CLASSES[random.integer(len(GRASPABLE_CLASSES))]
-            return make_subject_giver(class_id, SUBJECTS[people.integer(len(SUBJECTS))], side), seed
-        numbers = list_object_numbers(config, split)
-        number = int(numbers[random.integer(len(numbers))])
-        item, solid = _load_shape(config, number)
-        person = draw_person(config, people.integer(config.people))
-        grasps = draw_human_grasps(open_stream(seed, "human grasps"), solid, item.up_axes, person.size, side)
-        if grasps is not None:
-            distances, hand = np.quantile(grasps.wrist_distance, LEVELS).tolist(), scale_hand(person.size, side)
-            held = make_held_object(
-                solid.corners, item.up_axes, distances, hand, grasps, _draw_few_grasps(config, number)
-            )
-            urdf = write_hand_model(person, side)
-            return SimulatedGiver(FIRST_CLASS + number, held, person.name, side, hand, urdf), seed
-    raise HandoverError(
-        f"scene {scene_id}: no object can be grasped by its person after {_MAX_ATTEMPTS} attempts; "
-        "use another seed or other shares of object kinds"
+def generate_handover(
+    seed: Seed,
+    giver: SimulatedGiver,
+    clutter_counts: range,
+    draw_item: Callable[[RandomStream], ClutterItem],
+    draw_positions: DrawPositions = draw_calibrated_positions,
+    extend_motion: Callable[[KeyframeMotion, int], KeyframeMotion] | None = None,
+) -> GeneratedHandover:
+    """Generate the handover of a person: poses, motion and other objects.
+
+    Args:
+        seed: Seed of the scene.
+        giver: Person and object.
+        clutter_counts: Numbers of other objects, all equally likely.
+        draw_item: Function that draws another object.
+        draw_positions: Function that draws the object's positions.
+        extend_motion: Function that continues a motion, given the number of the grasp; None for none.
+    """
+    placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
+    motion = draw_motion(seed, placement, giver)
+    if extend_motion is not None:
+        motion = extend_motion(motion, placement.grasp)
+    clutter = draw_clutter(open_stream(seed, "clutter"), clutter_counts, draw_item, compute_swept_points(motion, giver))
+    ids = (giver.class_id, *(class_id for class_id, _, _ in clutter))
+    return GeneratedHandover(giver, ids, *compute_trajectories(motion, clutter))
+
+
+class HandoverGenerator(Dataset):
+    """Base class of generated data sets.
+
+    Attributes:
+        scene_format: Format of the scene number in names.
+    """
+
+    scene_format: str
+
+    @abstractmethod
+    def generate(self, scene_id: int) -> GeneratedHandover:
+        """Generate an existing scene."""
+
+    def load_info(self, scene_id: int) -> SceneInfo:
+        """Generate a scene and return its description; raises `SceneError`."""
+        self.check_scene_id(scene_id)
+        handover, names = self.generate(scene_id), self.object_names
+        giver, objects = handover.giver, tuple(names[number] for number in handover.class_ids)
+        name = f"{giver.subject}/scene-{scene_id:{self.scene_format}}"
+        return SceneInfo(scene_id, name, giver.hand.side, handover.class_ids, objects)
+
+    def load_scene(self, scene_id: int) -> Scene:
+        """Generate a scene with its motion in the world frame; raises `SceneError`."""
+        info, handover = self.load_info(scene_id), self.generate(scene_id)
+        assets, last = self.find_assets(info, handover.giver.hand_urdf), len(handover.hand_dof) - 1
+        return Scene(info, self.name, assets, handover.object_dof, handover.hand_dof, handover.hand_first, last)
+
+
+@lru_cache(maxsize=64)
+def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
+    """Return one of the ten subjects, numbered from 1, with an object of a YCB class."""
+    name = CLASS_NAMES[class_id]
+    return SimulatedGiver(
+        class_id=class_id,
+        subject=f"synthetic-subject-{subject:02d}",
+        hand=make_hand_geometry(subject, side),
+        hand_urdf=find_hand_urdf(subject, side),
+        corners=compute_hull_corners(name),
+        up_axes=UP_AXES[class_id],
+        wrist_distances=WRIST_DISTANCE_QUANTILES[name],
+        grasps=load_human_grasps(name, subject, side),
+        robot_grasps=_load_robot_grasps(name),
     )
 
 
-def _draw_clutter_item(random: RandomStream, config: GeneratedConfig, split: int) -> ClutterItem:
-    if random.uniform() >= config.procedural:
-        return make_ycb_clutter_item(SCENE_CLASSES[random.integer(len(SCENE_CLASSES))])
-    numbers = list_object_numbers(config, split)
-    number = int(numbers[random.integer(len(numbers))])
-    item, solid = _load_shape(config, number)
-    return ClutterItem(FIRST_CLASS + number, solid.corners, item.up_axes)
-
-
-@lru_cache(maxsize=16)
-def list_object_numbers(config: GeneratedConfig, split: int) -> npt.NDArray[np.int64]:
-    """Return the numbers of the procedural objects of a split, given by its index in `SPLITS`."""
-    return list_split(SPLITS[split], config.objects, of_objects=True)
-
-
-def draw_procedural_object(config: GeneratedConfig, number: int) -> ProceduralObject:
-    """Draw a procedural object by its number, from 0."""
-    return draw_object(open_stream(make_seed(config, "object", number), "object"), config.kind_weights)
-
-
-def draw_object_grasps(config: GeneratedConfig, number: int, grasps: RobotGraspConfig) -> Array:
-    """Draw robot grasps (n, 4, 4) of a procedural object, see `draw_robot_grasps`."""
-    random = open_stream(make_seed(config, "object", number), "robot grasps")
-    return draw_robot_grasps(random, _load_shape(config, number)[1], grasps)
-
-
-@lru_cache(maxsize=1024)
-def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject, Solid]:
-    item = draw_procedural_object(config, number)
-    return item, Solid(map(make_surface, item.parts))
-
-
-@lru_cache(maxsize=256)
-def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
-    """Return poses (n, 7) of the gripper's hand link at a few robot grasps, or None if hardly any is found."""
-    grasps = draw_object_grasps(config, number, SKETCH)
-    return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_ROBOT_GRASPS else None
+@cache
+def _load_robot_grasps(name: str) -> npt.NDArray[np.float64] | None:
+    transforms = load_object_grasps(name)
+    return None if transforms is None else hand_poses_from_grasps(transforms)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import COLLISION_NAME
-from handover_marl.datasets.synthetic.random_stream import RandomStream
+from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.geometry.model_files.meshes import compute_convex_hull
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.poses import compute_cross_products

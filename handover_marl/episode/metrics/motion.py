@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from handover_marl.config import HAND_DOF, TIME_STEP
 from handover_marl.episode.loop import EpisodeCallback
-from handover_marl.geometry.kinematic_tree import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.clearance import ClearanceMonitor
 from handover_marl.simulation.engines import make_distance_query
@@ -148,24 +148,25 @@ class TraceRecorder(EpisodeCallback):
         has_hand = np.array([hand is not None for hand in self._hand])
         hand = np.array([row for row in self._hand if row is not None], dtype=np.float64).reshape(-1, HAND_DOF)
         robot_frames = compute_link_trajectory(assets.panda, robot, [*panda.base_position, *panda.base_orientation])
+        gripper = robot_frames[0][:, read_tree(assets.panda).get_link(HAND_LINK)]
         wrist = np.full((len(robot), 3), np.nan)
         min_distance: float | None = None
         min_margin: float | None = None
         if has_hand.any():
             hand_frames = compute_link_trajectory(assets.hand, hand)
-            wrist[has_hand] = hand_frames.get_positions(WRIST_LINK)
+            wrist[has_hand] = hand_frames[0][:, WRIST_LINK]
             if assets.panda not in self._monitors:
                 query = make_distance_query(assets.panda, panda)
                 self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)
-            monitor, gripper = self._monitors[assets.panda], robot_frames.get_positions(HAND_LINK)
-            motion = assets.hand, robot[has_hand], hand, robot_frames.select(has_hand), hand_frames
+            monitor, (origins, rotations) = self._monitors[assets.panda], robot_frames
+            motion = assets.hand, robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
             min_distance = 0.0 if self._hand_forces else monitor.compute_min_distance(*motion)
             protective = self._compute_protective_distances(wrist, gripper, n_samples)
             min_margin = monitor.compute_min_margin(*motion, protective[has_hand])
             if self._hand_forces:
                 min_margin = min(min_margin, -float(protective[-1]))
         self.trace = EpisodeTrace(
-            gripper=robot_frames.get_positions(HAND_LINK)[:n_samples],
+            gripper=gripper[:n_samples],
             fingers=robot[:n_samples, 7:],
             wrist=wrist[:n_samples],
             steps=episode.steps,

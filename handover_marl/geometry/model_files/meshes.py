@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import check_plain_file
+from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree, read_tree
 from handover_marl.geometry.model_files.obj_files import check_mesh, read_obj
 from handover_marl.geometry.model_files.urdf import UrdfShape, read_model_mtimes, read_urdf_links, read_urdf_shapes
@@ -99,10 +99,8 @@ def check_collision_meshes(urdf: Path) -> None:
         DataFormatError: A mesh is not usable, or the model has no collision shape.
         SimulationError: The URDF file is damaged.
     """
-    try:
+    with report_damage(urdf, "model", "check the file"):
         mtimes = read_model_mtimes(urdf)
-    except (OSError, ValueError) as error:
-        raise DataFormatError(f"{urdf}: cannot read this model ({error}); check the file") from error
     _check_collision_meshes(urdf, mtimes)
 
 
@@ -224,7 +222,7 @@ def _load_with_trimesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
     # Imported here: most models have OBJ files only, and trimesh is an extra.
     import trimesh
 
-    try:
+    with report_damage(shape.mesh or urdf, "mesh", "check the file"):
         if shape.kind == "box":
             mesh = trimesh.creation.box(shape.size)
         elif shape.kind == "sphere":
@@ -233,8 +231,6 @@ def _load_with_trimesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
             check_plain_file(Path(str(shape.mesh)))
             mesh = trimesh.load(shape.mesh, force="mesh", process=False, skip_materials=True)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-    except Exception as error:  # trimesh raises many kinds of errors on damaged files
-        raise DataFormatError(f"{urdf}: cannot read its {shape.kind} {shape.mesh} ({error}); check the file") from error
     if len(vertices) == 0 or not np.isfinite(vertices).all():
         raise DataFormatError(f"{urdf}: its mesh {shape.mesh} is empty or not finite; check the file")
     return vertices, faces

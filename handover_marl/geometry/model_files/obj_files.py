@@ -1,6 +1,5 @@
 """Reader and writer of OBJ mesh files."""
 
-import codecs
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,19 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 
 Array = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int64]
 
-# Forms of the format that PyBullet reads wrong without an error: it drops a vertex after the first, and the whole mesh
-# after the others.
-_FORMS_WITHOUT_BULLET = {
-    "begin with a byte order mark": re.compile(rb"\A" + codecs.BOM_UTF8),
-    "have a comment behind a face": re.compile(rb"^[ \t]*f[ \t][^\r\n]*#", re.MULTILINE),
-    "join lines with a backslash": re.compile(rb"\\[ \t]*[\r\n]"),
-    "end lines with a carriage return alone": re.compile(rb"\r(?!\n)"),
-}
+# A byte order mark, a comment behind a face, lines joined by a backslash, and carriage returns alone: PyBullet drops a
+# vertex or the whole mesh without an error.
+_MISREAD_BY_BULLET = re.compile(rb"\A\xef\xbb\xbf|^[ \t]*f[ \t][^\r\n]*#|\\[ \t]*[\r\n]|\r(?!\n)", re.MULTILINE)
 # Vertices count as lying in one plane if their smallest singular value is below this (m).
 _FLAT = 1e-9
 _LINE_END, _CONTINUATION, _COMMENT = (
@@ -55,15 +49,12 @@ def read_obj(path: Path) -> ObjMesh:
     curves are ignored.
 
     Raises:
+        DataNotFoundError: The file does not exist.
         DataFormatError: The file cannot be read, has no triangle, a vertex that is not three finite numbers, a face
             with fewer than three corners, or a face with a vertex number out of range.
     """
-    try:
+    with report_damage(path, "OBJ file of triangles", "check the file"):
         return _parse_obj(path, split_obj_lines(read_plain_file(path)))
-    except (OSError, ValueError, IndexError) as error:
-        if isinstance(error, DataFormatError):
-            raise
-        raise DataFormatError(f"{path}: not an OBJ file of triangles ({error}); check the file") from error
 
 
 def split_obj_lines(content: bytes) -> Iterator[list[str]]:
@@ -143,9 +134,10 @@ def check_mesh(path: Path, solid: bool = False) -> None:
     if path.suffix.lower() != ".obj":
         return
     vertices = read_obj(path).vertices
-    content = read_plain_file(path)
-    for form, pattern in _FORMS_WITHOUT_BULLET.items():
-        if pattern.search(content):
-            raise DataFormatError(f"{path}: must not {form}, which PyBullet does not read; change it")
+    if _MISREAD_BY_BULLET.search(read_plain_file(path)):
+        raise DataFormatError(
+            f"{path}: must not have a byte order mark, a comment behind a face, lines joined by a backslash or a "
+            "carriage return alone, which PyBullet does not read; change it"
+        )
     if solid and np.linalg.matrix_rank(vertices - vertices[0], tol=_FLAT) < 3:
         raise DataFormatError(f"{path}: all vertices are in one plane; check the file")

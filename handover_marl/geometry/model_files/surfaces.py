@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from handover_marl.errors import DataFormatError
-from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.reading import read_plain_file, report_damage
 from handover_marl.geometry.kinematic_tree import KinematicTree
 from handover_marl.geometry.model_files.meshes import group_visual_shapes, read_shape_mesh
 from handover_marl.geometry.model_files.obj_files import split_obj_lines, split_polygon
@@ -84,7 +83,7 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
 
     Without a texture, the coordinates are None and the texture is a white pixel.
     """
-    try:
+    with report_damage(path, "OBJ file with a texture", "check the file"):
         lines = list(split_obj_lines(read_plain_file(path)))
         image = _load_first_texture(path.parent, lines)
         if image is None:
@@ -104,8 +103,6 @@ def _read_obj_texture(path: Path) -> tuple[Array | None, Texture]:
         if not np.isfinite(places).all():
             raise ValueError("a texture coordinate is not finite")
         return places[chosen], image
-    except Exception as error:  # Pillow raises many kinds of errors on damaged files
-        raise DataFormatError(f"{path}: cannot read its texture ({error}); check the file") from error
 
 
 def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:

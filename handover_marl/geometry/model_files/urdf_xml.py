@@ -3,54 +3,22 @@
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import NamedTuple
 
 from handover_marl.execution.reading import read_plain_file
 
 #: Largest accepted size of a URDF file (bytes); that of a human hand has 50 kB.
 MAX_URDF_BYTES = 10_000_000
-_HUGE = 1e9
-
-
-class NumberRange(NamedTuple):
-    """Range of the numbers of an attribute: all from `low` to `high`, and none nearer to 0 than `least`."""
-
-    low: float
-    high: float
-    least: float = 0.0
-
-    def __str__(self) -> str:
-        least = f", at least {self.least:g} in magnitude" if self.least > max(self.low, 0.0) else ""
-        return f"from {self.low:g} to {self.high:g}{least}"
-
-
-_LENGTH = NumberRange(1e-6, 1000.0, 1e-6)
-_FRICTION = NumberRange(0.0, 100.0)
-_SHARE = NumberRange(0.0, 1.0)
-_POSITIVE = NumberRange(0.0, _HUGE)
-_FINITE = NumberRange(-_HUGE, _HUGE)
-#: Ranges of the numbers in URDF files by tag and attribute: kg, kg m^2, m, rad, N, s. Files of HandoverSim have masses
-#: up to 3.5, inertia 1 and joint limits of 1000, also inverted ones for joints without limits.
+# Smallest and largest numbers of lengths, of any quantity, and of any that is not negative.
+_LENGTH, _ANY, _POSITIVE = (1e-6, 1000.0), (-1e9, 1e9), (0.0, 1e9)
+#: Ranges of the numbers in URDF files by attribute, or by tag and attribute: kg, kg m^2, m, rad, N, s. Files of
+#: HandoverSim have masses up to 3.5, inertia 1 and joint limits of 1000, also inverted ones for joints without limits.
 URDF_RANGES = {
-    ("mass", "value"): NumberRange(0.0, 1000.0),
-    **{("inertia", name): NumberRange(0.0, 1000.0) for name in ("ixx", "iyy", "izz")},
-    **{("inertia", name): NumberRange(-1000.0, 1000.0) for name in ("ixy", "ixz", "iyz")},
-    ("inertia_scaling", "value"): _FRICTION,
-    ("mesh", "scale"): NumberRange(-1000.0, 1000.0, 1e-6),
-    ("box", "size"): _LENGTH,
-    **{(shape, "radius"): _LENGTH for shape in ("sphere", "cylinder", "capsule")},
-    **{(shape, "length"): _LENGTH for shape in ("cylinder", "capsule")},
-    ("origin", "xyz"): NumberRange(-100.0, 100.0),
-    ("origin", "rpy"): NumberRange(-100.0, 100.0),
-    ("axis", "xyz"): NumberRange(-1000.0, 1000.0),
-    **{(f"{kind}_friction", "value"): _FRICTION for kind in ("lateral", "spinning", "rolling")},
-    ("friction_anchor", "value"): _FRICTION,
-    **{(name, "value"): _SHARE for name in ("restitution", "contact_erp", "contact_cfm")},
-    **{(name, "value"): _POSITIVE for name in ("stiffness", "damping")},
-    **{("limit", name): _FINITE for name in ("lower", "upper")},
-    **{("limit", name): _POSITIVE for name in ("effort", "velocity")},
-    **{("dynamics", name): _POSITIVE for name in ("damping", "friction")},
-    ("color", "rgba"): _SHARE,
+    **{"size": _LENGTH, "radius": _LENGTH, "length": _LENGTH, "xyz": (-100.0, 100.0), "rpy": (-100.0, 100.0)},
+    **dict.fromkeys(("ixx", "iyy", "izz"), (0.0, 1000.0)),
+    **dict.fromkeys(("ixy", "ixz", "iyz", "scale"), (-1000.0, 1000.0)),
+    **dict.fromkeys(("effort", "velocity", "damping", "friction", "value"), _POSITIVE),
+    **{"lower": _ANY, "upper": _ANY, "rgba": (0.0, 1.0)},
+    **{"mass value": (0.0, 1000.0), "restitution value": (0.0, 1.0)},
 }
 # Smallest mass (kg) of a link that moves and touches others.
 _MIN_MASS = 1e-6
@@ -73,16 +41,16 @@ def parse_urdf(urdf: Path) -> ET.Element:
         raise ValueError(f"it is not XML: {error}") from error
     for element in robot.iter():
         for attribute, text in element.attrib.items():
-            limits = URDF_RANGES.get((element.tag, attribute))
+            limits = URDF_RANGES.get(f"{element.tag} {attribute}", URDF_RANGES.get(attribute))
             if limits is not None:
-                _check_numbers(f"{attribute} of <{element.tag}>", text, limits)
+                _check_numbers(f"{attribute} of <{element.tag}>", text, *limits)
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
             _check_mass(robot, read_attribute(joint, "child", "link"))
     return robot
 
 
-def _check_numbers(name: str, text: str, limits: NumberRange) -> None:
+def _check_numbers(name: str, text: str, low: float, high: float) -> None:
     for word in text.split() or [""]:
         try:
             value = float(word)
@@ -90,8 +58,9 @@ def _check_numbers(name: str, text: str, limits: NumberRange) -> None:
             value = math.nan
         # Engines read numbers with an underscore or of other scripts otherwise than Python.
         is_plain = word.isascii() and "_" not in word
-        if not (is_plain and limits.low <= value <= limits.high and abs(value) >= limits.least):
-            raise ValueError(f"{name} must be a number {limits}, got {word[:40]!r}")
+        is_flat = value == 0.0 and name.startswith("scale")
+        if not (is_plain and low <= value <= high) or is_flat:
+            raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {word[:40]!r}")
 
 
 def _check_mass(robot: ET.Element, name: str) -> None:

@@ -94,12 +94,11 @@ class BulletIKSolver(IkSolver):
         # Unlike in the world the base is not fixed and its pose is not rounded: the results depend on both.
         world_from_base = np.array([*config.base_position, *config.base_orientation])
         reset_base(self._client, self._body, world_from_base)
-        tree = read_tree(urdf)
-        self._hand_link = tree.get_link(HAND_LINK)
+        self._hand_link = read_tree(urdf).get_link(HAND_LINK)
         # Bullet reports link states at the centre of mass.
         hand_from_mass = np.concatenate(self._client.getDynamicsInfo(self._body, self._hand_link)[INERTIAL_POSE])
         self._mass_from_hand = invert_pose(hand_from_mass)
-        self._reachability = ReachabilityBound(tree, self._hand_link, world_from_base)
+        self._reachability = ReachabilityBound(world_from_base)
 
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None

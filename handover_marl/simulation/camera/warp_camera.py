@@ -20,14 +20,13 @@ from handover_marl.config import MAX_OBJECTS, PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, RowBank, widen
-from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import read_surfaces
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import IDENTITY
 from handover_marl.geometry.rotations import matrices_from_quaternions
-from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
 from handover_marl.simulation.camera.warp_kernels import render_images

@@ -1,4 +1,8 @@
+"""Tests of the files in `assets/`: hands, objects, table, files of the third-party archive, and stand-ins for them."""
+
+import contextlib
 import dataclasses
+import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -6,6 +10,8 @@ import numpy as np
 import pybullet_data
 import pytest
 
+from handover_marl.assets.shipped import find_object_urdf, load_object_grasps
+from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb import assets
 from handover_marl.datasets.dexycb.assets import (
     build_hand_urdf,
@@ -14,30 +20,23 @@ from handover_marl.datasets.dexycb.assets import (
     write_object_assets,
     write_table_assets,
 )
-from handover_marl.datasets.dexycb.mano import ManoModel
+from handover_marl.datasets.dexycb.stand_ins import install_third_party, write_stand_ins
+from handover_marl.datasets.official import load_grasps
+from handover_marl.datasets.official_files import PANDA_FILES, is_stand_in_file, list_required_files
+from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
 from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
-from tests.datasets.dexycb.mano_files import made_up_hand, made_up_model
-
-SUBJECT = "20200709-subject-01"
-BETAS = np.linspace(-1.0, 1.0, 10)
-
-
-def hand(weights: np.ndarray | None = None) -> ManoModel:
-    return dataclasses.replace(made_up_model(), **({} if weights is None else {"weights": weights}))
-
-
-def numbers(text: str | None) -> list[float]:
-    assert text is not None
-    return [float(word) for word in text.split()]
+from tests.datasets.dexycb.raw_files import all_files, made_up_model
+from tests.execution.test_archives import tar
+from tests.fake_layout import FakeScene, write_layout
 
 
 @pytest.mark.parametrize(
     ("values", "text"),
     [
         ((0.0, -1000.0, 3.0), "0 -1000 3"),
-        ((0.5,), "0.5" + "0" * 63),
         ((1.0, 0.1), "1." + "0" * 64 + " 0.1000000000000000055511151231257827021181583404541015625000000000"),
         ((-0.0,), "-0"),
     ],
@@ -47,83 +46,122 @@ def test_format_numbers(values: tuple[float, ...], text: str) -> None:
 
 
 def test_links_and_joints_of_the_hand() -> None:
-    rng = np.random.default_rng(0)
-    joints = rng.uniform(-0.1, 0.1, (16, 3))
+    joints = np.random.default_rng(0).uniform(-0.1, 0.1, (16, 3))
     robot = ET.fromstring(build_hand_urdf(joints))
     links, found = robot.findall("link"), robot.findall("joint")
     assert [link.get("name") for link in links] == [f"link{number}" for number in range(53)]
     assert [joint.get("name") for joint in found] == [f"joint{number}" for number in range(1, 53)]
     kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
     assert [joint.get("type") for joint in found] == kinds
-
     place = {"link0": np.zeros(3)}
     for joint in found:
-        parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
-        assert parent is not None and child is not None and origin is not None  # noqa: PT018
-        place[str(child.get("link"))] = place[str(parent.get("link"))] + numbers(origin.get("xyz"))
+        parent, child, xyz = (joint.find(tag) for tag in ("parent", "child", "origin"))
+        assert parent is not None and child is not None and xyz is not None  # noqa: PT018
+        offset = np.array(str(xyz.get("xyz")).split(), dtype=np.float64)
+        place[str(child.get("link"))] = place[str(parent.get("link"))] + offset
     bodies = [link for link in links if link.find("visual") is not None]
     assert [link.get("name") for link in bodies] == [f"link{7 + 3 * joint}" for joint in range(16)]
-    for joint_number, body in enumerate(bodies):
-        np.testing.assert_allclose(place[str(body.get("name"))], joints[joint_number], atol=1e-15)
+    for number, body in enumerate(bodies):
+        np.testing.assert_allclose(place[str(body.get("name"))], joints[number], atol=1e-15)
         meshes = [str(mesh.get("filename")) for mesh in body.iter("mesh")]
-        assert meshes == [f"meshes/{kind}/mesh{joint_number + 1}.obj" for kind in ("visual", "collision")]
-    masses = [numbers(mass.get("value"))[0] for mass in robot.iter("mass")]
+        assert meshes == [f"meshes/{kind}/mesh{number + 1}.obj" for kind in ("visual", "collision")]
+    masses = [float(str(mass.get("value"))) for mass in robot.iter("mass")]
     assert [mass for mass in masses if mass] == [0.2] + [0.02] * 15
 
 
 def test_meshes_of_a_hand(tmp_path: Path) -> None:
-    weights = made_up_hand()["weights"] * 0.5
+    model, betas = made_up_model(), np.linspace(-1.0, 1.0, 10)
+    weights = model.weights * 0.5
     for joint in (4, 7, 10):
-        mine = np.flatnonzero(weights[:, joint])
-        weights[mine[:10], joint] = 0.71
-    model = hand(weights)
-    folder = write_hand_assets(tmp_path, SUBJECT, model, BETAS)
-    assert folder == tmp_path / f"{SUBJECT}_right"
-    vertices = model.shape_vertices(BETAS)
+        weights[np.flatnonzero(weights[:, joint])[:10], joint] = 0.71
+    model = dataclasses.replace(model, weights=weights)
+    folder = write_hand_assets(tmp_path, "20200709-subject-01", model, betas)
+    assert folder == tmp_path / "20200709-subject-01_right"
+    vertices = model.shape_vertices(betas)
     joints = model.regress_joints(vertices)
     for joint in range(16):
         seen = read_obj(folder / f"meshes/visual/mesh{joint + 1}.obj")
         touched = read_obj(folder / f"meshes/collision/mesh{joint + 1}.obj")
-        expected = vertices[weights[:, joint] > 0.2] - joints[joint]
-        np.testing.assert_allclose(seen.vertices, expected, atol=1e-6)
-        if joint in (4, 7, 10):
-            np.testing.assert_array_equal(touched.vertices, seen.vertices[:10])
-        else:
-            np.testing.assert_array_equal(touched.vertices, seen.vertices)
         kept = np.flatnonzero(weights[:, joint] > 0.2)
+        np.testing.assert_allclose(seen.vertices, vertices[kept] - joints[joint], atol=1e-6)
+        np.testing.assert_array_equal(touched.vertices, seen.vertices[: 10 if joint in (4, 7, 10) else None])
         wanted = [face for face in model.faces.tolist() if set(face) <= set(kept.tolist())]
         np.testing.assert_array_equal(kept[seen.faces], wanted)
 
 
-def test_object_urdfs(tmp_path: Path) -> None:
+def test_object_urdfs_and_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_object_assets(tmp_path)
-    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    files = list(tmp_path.rglob("*.urdf"))
     assert sorted(path.parent.name for path in files) == sorted(CLASS_NAMES.values())
     (text,) = {path.read_text() for path in files}
     robot = ET.fromstring(text)
     assert len(robot.findall("link")) == 7
     meshes = [mesh.get("filename") for mesh in robot.iter("mesh")]
     assert meshes == ["textured_simple.obj", "model_normalized_convex.obj"]
-
-
-def test_table_files(tmp_path: Path) -> None:
     write_table_assets(tmp_path)
     source = Path(pybullet_data.getDataPath()) / "table"
     for name in ("table.obj", "table.mtl", "table.png"):
-        path = tmp_path / "table" / name
-        assert not path.is_symlink()
-        assert path.read_bytes() == (source / name).read_bytes()
+        assert (tmp_path / "table" / name).read_bytes() == (source / name).read_bytes()
     robot = ET.parse(tmp_path / "table" / "table.urdf").getroot()
-    top = robot.find("link/collision/geometry/box")
-    assert top is not None
-    assert top.get("size") == "1.77 0.73 0.04"
+    assert [box.get("size") for box in robot.findall("link/collision/geometry/box")] == ["1.77 0.73 0.04"]
     legs = [str(origin.get("xyz")) for origin in robot.findall("link/visual/origin")][1:]
-    assert [numbers(leg) for leg in legs] == [[x, y, 0.44] for x in (-0.785, 0.785) for y in (-0.265, 0.265)]
-
-
-def test_changed_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    original = (Path(pybullet_data.getDataPath()) / "table" / "table.urdf").read_text()
-    (tmp_path / "table.urdf").write_text(original.replace("1.5 1 0.05", "1.5 1 0.06", 1))
+    assert legs == [f"{x} {y} 0.44" for x in (-0.785, 0.785) for y in (-0.265, 0.265)]
+    # Another table is refused.
+    (tmp_path / "table.urdf").write_text((source / "table.urdf").read_text().replace("1.5 1 0.05", "1.5 1 0.06", 1))
     monkeypatch.setattr(assets, "find_table_folder", lambda: tmp_path)
     with pytest.raises(DataFormatError, match=r"1\.5 1 0\.05 1 times instead of 2"):
         write_table_assets(tmp_path / "assets")
+
+
+FILES = {
+    "003_cracker_box/textured_simple.obj": b"v 0 0 0\n",
+    "003_cracker_box/texture_map.png": b"png",
+    "grasps/003_cracker_box.npy": b"grasps",
+    "franka_panda/meshes/visual/link1.obj": b"v 1 1 1\n",
+}
+
+
+def test_files_are_installed(tmp_path: Path) -> None:
+    entries = {f"./handover/data/assets/{path}": content for path, content in FILES.items()} | {
+        "LICENSE": b"",
+        "x/y/z.obj": b"",
+    }
+    (note,) = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", entries), tmp_path / "assets")
+    assert f"1 of the {len(FILES)} " in note
+    assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"
+    assert all_files(tmp_path / "assets") == FILES
+
+
+@pytest.mark.slow
+def test_stand_ins_are_marked_and_replaced_by_originals(tmp_path: Path) -> None:
+    """DexYCB's model of one object gives stand-ins, a damaged one a fault; a scene of them is marked in results."""
+    models, assets = tmp_path / "models", tmp_path / "assets"
+    for name in ("003_cracker_box", "025_mug"):
+        (models / name).mkdir(parents=True)
+    mesh = find_object_urdf("061_foam_brick").with_name("model_normalized_convex.obj")
+    shutil.copy(mesh, models / "003_cracker_box" / "textured_simple.obj")
+    (models / "025_mug" / "textured_simple.obj").write_text("no mesh")
+    (fault,) = write_stand_ins(models, assets, workers=1, progress=False)
+    assert "025_mug" in fault
+    reported = [path for path in list_required_files() if is_stand_in_file(assets / path)]
+    assert len(reported) == 1 + 19 + 2
+    assert not is_stand_in_file(assets / "003_cracker_box/textured_simple.obj"), "that is DexYCB's own"
+    np.testing.assert_array_equal(load_grasps(assets / "grasps/025_mug.npy"), load_object_grasps("025_mug"))
+    for path in PANDA_FILES.values():
+        meshes = list_mesh_references(assets / path)
+        assert meshes
+        assert all(mesh.is_file() for _, mesh in meshes)
+    folder = write_layout(tmp_path / "data", (FakeScene(5),))
+    for name in ("franka_panda", "grasps", "003_cracker_box"):
+        shutil.rmtree(folder / "assets" / name)
+    shutil.copytree(assets, folder / "assets", dirs_exist_ok=True)
+    write_object_assets(folder / "assets")
+    dataset = OfficialDataset(folder, "panda_camera")
+    notes = "hand of unknown origin, stand-in convex parts, stand-in grasps, stand-in Panda"
+    assert dataset.describe_models(5) == notes
+    with contextlib.closing(Episode("exact")) as episode:
+        episode.reset(dataset.load_scene(5))
+    # Originals replace stand-ins, and stand-ins do not replace originals.
+    install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
+    write_stand_ins(tmp_path, assets, workers=1, progress=False)
+    assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"

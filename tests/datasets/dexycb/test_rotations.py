@@ -41,19 +41,19 @@ def one(a: float, b: float, c: float) -> np.float32:
     return fused_multiply_add(*(np.array([value], dtype=np.float32) for value in (a, b, c)))[0]
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(a=FLOATS, b=FLOATS, c=FLOATS)
 def test_fused_sums_round_once(a: float, b: float, c: float) -> None:
     assume(abs(a * b + c) < 3e38)
     assert one(a, b, c) == fused(np.float32(a), np.float32(b), np.float32(c))
 
 
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_fused_sums_where_double_rounding_fails(sign: float) -> None:
+def test_fused_sums_where_double_rounding_fails() -> None:
     a, b, c = np.float32(2.0**-24 * (1 + 2.0**-15)), np.float32(1 - 2.0**-15), np.float32(1 + 2.0**-23)
     twice = np.float32(np.float64(a) * np.float64(b) + np.float64(c))
     assert twice == np.float32(1 + 2.0**-22)
-    assert one(sign * a, b, sign * c) == sign * c == fused(sign * a, b, sign * c)
+    for sign in (-1.0, 1.0):
+        assert one(sign * a, b, sign * c) == sign * c == fused(sign * a, b, sign * c)
 
 
 def test_rotate_fused_and_unfused() -> None:
@@ -93,32 +93,22 @@ ANGLES = st.one_of(st.floats(-4.0, 4.0), st.sampled_from([quarter * PI / 4 for q
 #: Quaternions xyzw, and their Euler angles by SciPy 1.10.1. At y = +-pi / 2 only eight digits of y are significant.
 OF_SCIPY = [
     ((1.0, 2.0, 3.0, 4.0), ("-0x1.94441f8f72600p-3", "0x1.a57c0a4edcbdcp-1", "0x1.5f97315254858p+0")),
-    ((-3.0, 1.0, 2.0, 1.0), ("-0x1.0468a8ace4df6p+1", "-0x1.759edd04f68e0p-1", "0x1.1b6e192ebbe40p+0")),
     ((1.0, 0.0, 0.0, 0.0), ("0x1.921fb54442d18p+1", "0x0.0p+0", "0x0.0p+0")),
-    ((-1.0, 0.0, 0.0, 0.0), ("0x1.921fb54442d18p+1", "0x0.0p+0", "0x0.0p+0")),
     ((0.0, 1.0, 0.0, 0.0), ("0x1.921fb54442d18p+1", "0x0.0p+0", "-0x1.921fb54442d18p+1")),
     ((0.0, 0.0, 1.0, 0.0), ("0x0.0p+0", "0x0.0p+0", "-0x1.921fb54442d18p+1")),
-    ((0.0, 0.0, 0.0, 1.0), ("0x0.0p+0", "0x0.0p+0", "0x0.0p+0")),
-    ((1.0, 1.0, 0.0, 0.0), ("0x1.921fb54442d18p+1", "0x0.0p+0", "-0x1.921fb54442d18p+0")),
-    ((0.0, 1.0, 0.0, 1.0), ("0x0.0p+0", "0x1.921fb59ec54b2p+0", "0x0.0p+0")),
     ((0.0, -1.0, 0.0, 1.0), ("0x0.0p+0", "-0x1.921fb59ec54b0p+0", "0x0.0p+0")),
-    ((1.0, 1.0, 1.0, 1.0), ("0x1.921fb54442d18p+0", "0x1.921fb54442d18p+0", "0x0.0p+0")),
     ((1.0, 0.0, 1.0, 0.0), ("0x1.921fb54442d18p+1", "0x1.921fb59ec54b2p+0", "0x0.0p+0")),
     # Negative zeros in the matrix must not change x.
     ((-1.0, -0.0, 1.0, 0.0), ("0x1.921fb54442d18p+1", "-0x1.921fb59ec54b0p+0", "0x0.0p+0")),
-    ((0.5, -0.0, 0.5, -0.0), ("0x1.921fb54442d18p+1", "0x1.921fb59ec54b2p+0", "0x0.0p+0")),
-    ((0.0, 1.0, 1.0, 0.0), ("-0x1.921fb54442d18p+0", "0x0.0p+0", "-0x1.921fb54442d18p+1")),
     ((-0.5, 0.5, 0.5, 0.25), ("-0x1.d0d6a1369bd34p+0", "-0x1.4045eb6810728p-2", "0x1.d0d6a1369bd34p+0")),
 ]
 
 
-@pytest.mark.parametrize(("quaternion", "expected"), OF_SCIPY)
-def test_angles_equal_those_of_scipy_1_10(quaternion: tuple[float, ...], expected: tuple[str, ...]) -> None:
-    found = scipy_euler_from_rotations(Rotation.from_quat([quaternion]))[0]
+def test_angles_equal_those_of_scipy_1_10() -> None:
+    found = scipy_euler_from_rotations(Rotation.from_quat([quaternion for quaternion, _ in OF_SCIPY]))
+    expected = np.array([[float.fromhex(text) for text in texts] for _, texts in OF_SCIPY])
     # Angles are stored as float32; the last bits of float64 depend on the C library.
-    np.testing.assert_array_equal(
-        found.astype(np.float32), np.array([float.fromhex(text) for text in expected], dtype=np.float32)
-    )
+    np.testing.assert_array_equal(found.astype(np.float32), expected.astype(np.float32))
 
 
 @given(x=ANGLES, z=ANGLES, y=st.sampled_from([-PI / 2, PI / 2]))
@@ -129,7 +119,7 @@ def test_angles_at_gimbal_lock(x: float, y: float, z: float) -> None:
     np.testing.assert_allclose(transforms3d_euler_from_matrices(exact), [[0.0, y, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize("n_keyframes", [4, 66, 68, 70, 72, 74, 76])
+@pytest.mark.parametrize("n_keyframes", [4, 66, 76])
 def test_times_equal_those_of_the_original(n_keyframes: int) -> None:
     span = KeyframeSpan(0, n_keyframes - 1)
     keys = np.arange(0, n_keyframes * 0.04, 0.04)

@@ -25,7 +25,7 @@ from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
 from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.tables import FLUENCY
-from handover_marl.geometry.kinematic_tree import LinkFrameTrajectory, compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
@@ -272,14 +272,14 @@ def test_gap_is_what_the_world_says() -> None:
         one = slice(number, number + 1)
         now = np.arange(len(distances)) == number
         found = meter.compute_min_distance(
-            scene.assets.hand, robot_dof[one], hand_dof[one], *(part.select(now) for part in frames)
+            scene.assets.hand, robot_dof[one], hand_dof[one], *((origins[now], turns[now]) for origins, turns in frames)
         )
         assert found == pytest.approx(distance, abs=1e-4)
     meter.close()
     episode.close()
 
 
-def robot_frames(dof: np.ndarray) -> LinkFrameTrajectory:
+def robot_frames(dof: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     panda = OFFICIAL_CONFIG.physics.panda
     base = [*panda.base_position, *panda.base_orientation]
     return compute_link_trajectory(SyntheticDataset().panda_urdf, dof, base)

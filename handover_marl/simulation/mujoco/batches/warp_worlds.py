@@ -10,9 +10,8 @@ from handover_marl.config import HAND_DOF, OBJECT_DOF, HandConfig, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
-from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix, quaternions_from_euler
-from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model

@@ -1,30 +1,38 @@
-"""Motion of the object and the hand of a synthetic handover, as keyframes at 25 Hz.
+"""Motion of the object and the hand of a generated handover: keyframes at 25 Hz, and their interpolation to 1 kHz.
 
 The phases are reach, grasp, lift, handover and hold. Hand and object follow minimum-jerk profiles
 (Flash and Hogan, 1985) along curved paths. The recording starts during the first half of the reach,
 as in DexYCB, where the hand enters the cameras' view. All poses are in the table's frame (m, rad).
+
+Keyframes are interpolated as in HandoverSim: positions by cubic splines, rotations by slerp. Angles are intrinsic XYZ
+Euler angles (rad), unwrapped for objects and the hand's base.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.assets.hand_model import HandGeometry
-from handover_marl.datasets.synthetic.object_placement import (
+from handover_marl.config import HAND_DOF, TIME_STEP
+from handover_marl.datasets.dataset import TABLE_HEIGHT
+from handover_marl.datasets.generated.placement import (
     JOINT_CLEARANCE,
     OBJECT_CLEARANCE,
-    HeldObject,
+    ClutterObject,
     ObjectPlacement,
+    SimulatedGiver,
 )
-from handover_marl.datasets.synthetic.random_stream import FRAME_COUNTS, MIRROR_X, RandomStream, Seed, open_stream
+from handover_marl.datasets.generated.random_stream import FRAME_COUNTS, MIRROR_X, RandomStream, Seed, open_stream
 from handover_marl.geometry.poses import multiply_quaternions
 
 Array = npt.NDArray[np.float64]
+Float32 = npt.NDArray[np.float32]
 
-#: Time between keyframes (s).
-KEYFRAME_PERIOD = 0.04
+#: Time between keyframes (s), and frames of 1 ms between them.
+KEYFRAME_PERIOD, _STRIDE = 0.04, 40
 
 _PEAK_SPEED_RATIO = 1.875  # of peak and mean speed of a minimum-jerk motion
 _LIFT_SPEED_RATIO = 0.95  # of the peak speeds of lift and reach
@@ -35,6 +43,9 @@ _MIN_LIFT_TIME = 0.4  # s
 _MAX_REACH_ROTATION = np.radians(60.0)
 _SAMPLES = np.linspace(0.0, 1.0, 101)
 _LENGTH_TOLERANCE = 1e-11  # m
+# Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and splines, which differ
+# between machines and versions of NumPy. A power of two, since decimal constants in the inputs would give ties.
+_GRID = 2.0**-23
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +92,21 @@ class HandoverTiming:
     reach: float
 
 
-def draw_motion(seed: Seed, placement: ObjectPlacement, held: HeldObject, model: HandGeometry) -> KeyframeMotion:
-    """Draw the keyframes of the object and the hand in a synthetic scene."""
+def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -> KeyframeMotion:
+    """Draw the keyframes of the object and the hand in a scene."""
     random = open_stream(seed, "motion")
-    side_sign = 1.0 if held.grasps.side == "right" else -1.0
+    side_sign = 1.0 if giver.grasps.side == "right" else -1.0
     speed = random.draw_quantile("peak_speed")
-    handover_path = _HandoverPath(placement, held)
+    handover_path = _HandoverPath(placement, giver)
     entry = np.array([random.draw_quantile(name) for name in ("entry_x", "entry_y", "entry_z")])
     entry[0] = MIRROR_X + side_sign * (entry[0] - MIRROR_X)
-    wrist = placement.start[0] + placement.start[1] @ held.keypoints[placement.grasp, 0]
+    wrist = placement.start[0] + placement.start[1] @ giver.keypoints[placement.grasp, 0]
     timing = _draw_timing(
         open_stream(seed, "timing"), speed, float(np.linalg.norm(entry - wrist)), handover_path.min_duration(speed)
     )
     sway = np.array([random.uniform(-0.004, 0.004) for _ in range(3)])
     position, rotation = handover_path.sample_keyframes(timing, sway)
-    return _add_hand_motion(timing, position, rotation, entry, placement, held, model)
+    return _add_hand_motion(timing, position, rotation, entry, placement, giver)
 
 
 def minimum_jerk(time: npt.ArrayLike) -> Array:
@@ -135,19 +146,19 @@ class _HandoverPath:
 
     Args:
         placement: Poses of the object on the table and at the handover, and the grasp.
-        held: Object and the subject's grasps of it.
+        giver: Person with the object.
     """
 
-    def __init__(self, placement: ObjectPlacement, held: HeldObject) -> None:
+    def __init__(self, placement: ObjectPlacement, giver: SimulatedGiver) -> None:
         (start, start_rotation), (end, end_rotation) = placement.start, placement.handover
         self._start, self._end = start, end
         self._first, last = Rotation.from_matrix(np.stack([start_rotation, end_rotation])).as_quat()
         between = multiply_quaternions(self._first * [-1.0, -1.0, -1.0, 1.0], last)
         self._turn = Rotation.from_quat(between).as_rotvec()
-        self._wrist = held.keypoints[placement.grasp, 0]
-        self._points = np.concatenate([held.corners, held.keypoints[placement.grasp]])
+        self._wrist = giver.keypoints[placement.grasp, 0]
+        self._points = np.concatenate([giver.corners, giver.keypoints[placement.grasp]])
         self._clearance = np.repeat(
-            [OBJECT_CLEARANCE, JOINT_CLEARANCE], [len(held.corners), len(held.keypoints[placement.grasp])]
+            [OBJECT_CLEARANCE, JOINT_CLEARANCE], [len(giver.corners), len(giver.keypoints[placement.grasp])]
         )
         self._rise = 0.0
         self._rise = self._compute_rise()
@@ -193,14 +204,13 @@ def _add_hand_motion(
     rotation: Rotation,
     entry: Array,
     placement: ObjectPlacement,
-    held: HeldObject,
-    model: HandGeometry,
+    giver: SimulatedGiver,
 ) -> KeyframeMotion:
     """Add the hand's motion: the reach before the grasp, then rigidly attached to the object."""
-    grasps, row = held.grasps, placement.grasp
-    object_from_hand = Rotation.from_matrix(held.object_from_hand[row])
+    grasps, row = giver.grasps, placement.grasp
+    object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
-    wrist = position + rotation.apply(held.keypoints[row, 0])
+    wrist = position + rotation.apply(giver.keypoints[row, 0])
     reaching = np.arange(timing.onset, timing.grasp)
     progress = _compute_reach_progress(timing, reaching)
     start_rotation = Rotation.from_matrix(placement.start[1])
@@ -212,8 +222,8 @@ def _add_hand_motion(
     closing = minimum_jerk((np.arange(timing.n_frames) - timing.grasp) / (timing.lift - timing.grasp))[:, None]
     fingers = (1.0 - closing) * grasps.open_angles[row] + closing * grasps.finger_angles[row]
     base_rotation = Rotation.from_quat(rotations)
-    base = wrist - base_rotation.apply(model.palm_offset)
-    base[reaching, 2] += _compute_height_offsets(model, base, base_rotation, fingers, reaching)
+    base = wrist - base_rotation.apply(giver.hand.palm_offset)
+    base[reaching, 2] += _compute_height_offsets(giver, base, base_rotation, fingers, reaching)
     return KeyframeMotion(position, rotation, base, base_rotation, fingers, timing.onset)
 
 
@@ -277,11 +287,89 @@ def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, 
 
 
 def _compute_height_offsets(
-    model: HandGeometry, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
+    giver: SimulatedGiver, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
 ) -> Array:
     """Return the heights (n,) (m) to add in some frames for clearance above the table."""
     if len(frames) == 0:
         return np.zeros(0)
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
-    lowest = model.compute_keypoints(dof)[..., 2].min(axis=1)
+    lowest = giver.hand.compute_keypoints(dof)[..., 2].min(axis=1)
     return np.asarray(np.maximum(0.0, JOINT_CLEARANCE - lowest), dtype=np.float64)
+
+
+def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array:
+    """Return the coordinates (3, n) of the hand's joints and the handed-over object's corners in all keyframes."""
+    positions, rotations = motion.object_position, motion.object_rotation.as_matrix()
+    moves = np.concatenate([[True], (positions[1:] != positions[:-1]).any(axis=1)])
+    shown = slice(motion.hand_first, None)
+    # Keypoints of each finger posture with the base at the origin.
+    fingers = motion.fingers[shown]
+    changes = np.concatenate([[True], (fingers[1:] != fingers[:-1]).any(axis=1)])
+    dof = np.concatenate([np.zeros((np.count_nonzero(changes), 6)), fingers[changes]], axis=1)
+    keypoints = giver.hand.compute_keypoints(dof)[np.cumsum(changes) - 1]
+    hand = keypoints @ motion.base_rotation.as_matrix()[shown].swapaxes(1, 2) + motion.base_position[shown, None]
+    return np.stack(
+        [
+            np.concatenate(
+                [(giver.corners @ rotations[moves, axis].T + positions[moves, axis]).ravel(), hand[..., axis].ravel()]
+            )
+            for axis in range(3)
+        ]
+    )
+
+
+def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
+    """Return objects (T, n, 6) and hand (T, 51) at 1 kHz in the world frame, and the hand's first frame.
+
+    The keyframes (25 Hz) are in the table's frame; the handed-over object is the first.
+    """
+    n, first = len(motion.object_position), motion.hand_first
+    key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
+    times = np.arange((n - 1) * _STRIDE + 1, dtype=np.float64) * TIME_STEP
+    target = resample_poses(key_times, motion.object_position, motion.object_rotation, times)
+    object_dof = np.repeat(target[:, None], 1 + len(clutter), axis=1)
+    if clutter:
+        angles = Rotation.from_matrix(np.stack([rotation for _, _, rotation in clutter])).as_euler("XYZ")
+        object_dof[:, 1:] = _round_to_grid(np.concatenate([[position for _, position, _ in clutter], angles], axis=1))
+    hand_first = first * _STRIDE
+    hand_dof = np.zeros((len(times), HAND_DOF), dtype=np.float32)
+    # Times since the hand became visible, which the scenes were made with.
+    key_times, times = key_times[: n - first], times[: len(times) - hand_first]
+    base = resample_poses(key_times, motion.base_position[first:], motion.base_rotation[first:], times)
+    hand_dof[hand_first:] = np.concatenate([base, resample_fingers(key_times, motion.fingers[first:], times)], axis=1)
+    object_dof[:, :, 2] += TABLE_HEIGHT
+    hand_dof[hand_first:, 2] += TABLE_HEIGHT
+    return object_dof, hand_dof, hand_first
+
+
+def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
+    """Return positions and unwrapped Euler angles (T, 6) at times (T,) from keyframes at `key_times` (n,)."""
+    points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
+    angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)
+    return _round_to_grid(np.concatenate([points, angles], axis=1))
+
+
+def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
+    """Return finger joint angles (T, 45) at times (T,) from keyframes (n, 45) at `key_times` (n,)."""
+    joints = np.split(fingers, fingers.shape[1] // 3, axis=1)
+    angles = [_resample_angles(key_times, Rotation.from_euler("XYZ", joint), times) for joint in joints]
+    return _round_to_grid(np.concatenate(angles, axis=1))
+
+
+def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
+    """Return the Euler angles (T, 3) of rotations at some times; most of the time many rotations are still."""
+    quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
+    moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
+    if not len(moves):
+        return np.repeat(still[:1], len(times), axis=0)
+    first, last = int(moves[0]), int(moves[-1]) + 1
+    is_moving = (times >= key_times[first]) & (times <= key_times[last])
+    angles: Array = np.where((times < key_times[first])[:, None], still[0], still[-1])
+    slerp = Slerp(key_times[first : last + 1], rotations[first : last + 1])
+    angles[is_moving] = slerp(times[is_moving]).as_euler("XYZ")
+    return angles
+
+
+def _round_to_grid(values: npt.ArrayLike) -> Float32:
+    """Return values rounded to multiples of `_GRID`, without negative zeros."""
+    return (np.round(np.asarray(values, dtype=np.float64) / _GRID) * _GRID + 0.0).astype(np.float32)

@@ -1,11 +1,13 @@
-"""Poses of the object on the table and at the handover, and the human grasp between them.
+"""Poses of the objects on the table and at the handover, and the human grasp between them.
 
 All poses are in the table's frame: x to the giver's left, -y towards the robot, z up from the table's surface.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +18,11 @@ from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
 from handover_marl.assets.human_grasps import LEVELS, HumanGrasps
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.datasets.dataset import TABLE_HEIGHT
-from handover_marl.datasets.synthetic.random_stream import (
+from handover_marl.datasets.generated.random_stream import (
     ELEVATION_ROLL,
     START_HANDOVER_X,
     START_HANDOVER_Y,
+    UP_AXES,
     RandomStream,
 )
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
@@ -38,6 +41,7 @@ from handover_marl.geometry.poses import (
     poses_from_rotations,
     transform_points,
 )
+from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
 
@@ -57,15 +61,22 @@ _TILT_WEIGHT = 0.2
 # possible, else 100, else unlimited.
 _REACH_DIRECTION = np.array([0.0, -0.94, -0.34])
 _REACH_COSINE_LIMITS = (np.cos(np.radians(75.0)), np.cos(np.radians(100.0)), -1.0)
-#: Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
-CLEARANCE = 0.02
+# Smallest distance (m) between points of the gripper and of the hand, which are each about 1 cm inside of the surface.
+_GRIPPER_CLEARANCE = 0.02
+# Smallest distance (m) of clutter to the joints of the hand, which is about 2 cm thick, and to the corners of the
+# handed-over object; range (m) of its centers in the table's frame.
+_CLUTTER_CLEARANCE = 0.025
+_CLUTTER_X, _CLUTTER_Y = (0.15, 0.95), (0.02, 0.55)
+_MAX_CLUTTER_TRIES = 200
 
-
-@cache
-def compute_hull_corners(object_name: str) -> npt.NDArray[np.float64]:
-    """Return the corners (n, 3) (m) of the hull of an object's collision mesh, in its frame."""
-    corners, _ = read_collision_mesh(find_object_urdf(object_name))
-    return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
+#: Draws the object's position x, y on the table (2,) and at the handover (3,) (m).
+DrawPositions = Callable[[RandomStream], tuple[Array, Array]]
+#: Object for the table: class number, corners (n, 3) of its hull (m), weights of its axes up, see `SimulatedGiver`.
+ClutterItem = tuple[int, Array, Sequence[float]]
+#: Object on the table: class number, position (3,) (m) and rotation matrix (3, 3) in the table's frame.
+ClutterObject = tuple[int, Array, Array]
+# Upright bounding cylinder of an object: center (x, y), radius and height (m).
+_Cylinder = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,117 +95,104 @@ class ObjectPlacement:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldObject:
-    """Object with its robot grasps and the human grasps of one subject, in the object's frame.
+class SimulatedGiver:
+    """Person who hands over an object; poses and points are in the object's frame.
 
     Attributes:
+        class_id: Class number of the object.
+        subject: Name of the person.
+        hand: Geometry of the hand.
+        hand_urdf: URDF of the hand.
         corners: (n, 3) corners of the object's hull (m).
-        up_axes: Weights of the axes that point up on the table: +x, -x, +y, -y, +z, -z.
+        up_axes: Weights of the object's axes that point up on the table: +x, -x, +y, -y, +z, -z.
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
             `handover_marl.assets.human_grasps.LEVELS`.
-        grasps: Grasps of the subject.
-        object_from_hand: (g, 3, 3) rotations of the hand's base in the g human grasps.
-        keypoints: (g, 21, 3) wrist, finger joints and fingertips of the closed hand in these grasps (m).
+        grasps: The person's g grasps of the object.
         robot_grasps: (n, 7) poses of the gripper's hand link, or None for a class without grasps.
-        gripper_points: (n, p, 3) points of the gripper at these grasps (m), or None.
     """
 
+    class_id: int
+    subject: str
+    hand: HandGeometry
+    hand_urdf: Path
     corners: Array
     up_axes: Sequence[float]
     wrist_distances: Sequence[float]
     grasps: HumanGrasps
-    object_from_hand: Array
-    keypoints: Array
     robot_grasps: Array | None
-    gripper_points: Array | None
+
+    @cached_property
+    def object_from_hand(self) -> Array:
+        """Rotations (g, 3, 3) of the hand's base in the human grasps."""
+        return matrices_from_euler(self.grasps.compute_hand_dof()[:, 3:6])
+
+    @cached_property
+    def keypoints(self) -> Array:
+        """Wrist, finger joints and fingertips (g, 21, 3) of the closed hand in the human grasps (m)."""
+        return self.hand.compute_keypoints(self.grasps.compute_hand_dof())
+
+    @cached_property
+    def gripper_points(self) -> Array | None:
+        """Points (n, p, 3) of the gripper at the robot grasps and their approaches (m)."""
+        if self.robot_grasps is None:
+            return None
+        return np.asarray(transform_points(self.robot_grasps[:, None], _make_gripper_points()))
 
 
-def make_held_object(
-    corners: Array,
-    up_axes: Sequence[float],
-    wrist_distances: Sequence[float],
-    model: HandGeometry,
-    grasps: HumanGrasps,
-    robot_grasps: Array | None,
-) -> HeldObject:
-    """Return an object with the grasps of one subject; the arguments are fields of `HeldObject`."""
-    dof = grasps.compute_hand_dof()
-    return HeldObject(
-        corners=corners,
-        up_axes=up_axes,
-        wrist_distances=wrist_distances,
-        grasps=grasps,
-        object_from_hand=matrices_from_euler(dof[:, 3:6]),
-        keypoints=model.compute_keypoints(dof),
-        robot_grasps=robot_grasps,
-        gripper_points=None if robot_grasps is None else place_gripper_points(robot_grasps),
-    )
+@cache
+def compute_hull_corners(object_name: str) -> Array:
+    """Return the corners (n, 3) (m) of the hull of a shipped object's collision mesh, in its frame."""
+    corners, _ = read_collision_mesh(find_object_urdf(object_name))
+    return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
 
 
-@dataclass(frozen=True, eq=False)
-class HandoverPositions:
-    """Positions of the object in a scene.
-
-    Attributes:
-        start: (2,) position x, y on the table (m).
-        handover: (3,) position at the handover (m).
-    """
-
-    start: Array
-    handover: Array
-
-
-def draw_calibrated_positions(random: RandomStream) -> HandoverPositions:
+def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
     """Draw positions of the object from the distributions of DexYCB."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")
-    return HandoverPositions(np.array([start_x, start_y]), np.array([handover_x, handover_y, handover_z]))
+    return np.array([start_x, start_y]), np.array([handover_x, handover_y, handover_z])
 
 
-def draw_placement(
-    random: RandomStream,
-    held: HeldObject,
-    draw_positions: Callable[[RandomStream], HandoverPositions] = draw_calibrated_positions,
-) -> ObjectPlacement:
+def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: DrawPositions) -> ObjectPlacement:
     """Draw the start pose, the grasp and the handover pose of a scene at drawn positions of the object."""
-    positions = draw_positions(random)
-    distance = float(np.interp(random.uniform(), LEVELS, held.wrist_distances))
+    start_position, handover_position = draw_positions(random)
+    distance = float(np.interp(random.uniform(), LEVELS, giver.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
     free_grasp_share = random.draw_quantile("free_grasp_share")
     placements: list[ObjectPlacement] = []
     costs: list[Array] = []
-    for rotation, grasp in _sample_resting_grasps(random, held, distance):
-        start_z = OBJECT_CLEARANCE - float((held.corners @ rotation.T)[:, 2].min())
-        start = (np.array([*positions.start, start_z]), rotation)
-        handovers = _sample_handover_poses(random, held, grasp, positions.handover)
+    for rotation, grasp in _sample_resting_grasps(random, giver, distance):
+        start_z = OBJECT_CLEARANCE - float((giver.corners @ rotation.T)[:, 2].min())
+        start = (np.array([*start_position, start_z]), rotation)
+        handovers = _sample_handover_poses(random, giver, grasp, handover_position)
         placements += [ObjectPlacement(start, handover, grasp) for handover in handovers]
-        costs.append(_compute_costs(held, placements[-len(handovers) :], tilt, free_grasp_share))
+        costs.append(_compute_costs(giver, placements[-len(handovers) :], tilt, free_grasp_share))
     return placements[int(np.argmin(np.concatenate(costs)))]
 
 
-def _sample_resting_grasps(random: RandomStream, held: HeldObject, distance: float) -> list[tuple[Array, int]]:
+def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
     """Return resting rotations (3, 3) and grasp indices with about the given wrist distance (m)."""
-    axes = random.weighted_order(held.up_axes)
+    axes = random.weighted_order(giver.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)
     tie = random.uniform()
     for limit in _REACH_COSINE_LIMITS:
         for axis in axes:
-            rotations = resting_rotation(axis, first_yaw + 2.0 * np.pi * np.arange(_N_YAWS) / _N_YAWS)
-            allowed = _find_reachable_grasps(held, rotations, limit)
+            rotations = _make_resting_rotation(axis, first_yaw + 2.0 * np.pi * np.arange(_N_YAWS) / _N_YAWS)
+            allowed = _find_reachable_grasps(giver, rotations, limit)
             if allowed.any():
-                off = np.where(allowed.any(axis=0), np.abs(held.grasps.wrist_distance - distance), np.inf)
+                off = np.where(allowed.any(axis=0), np.abs(giver.grasps.wrist_distance - distance), np.inf)
                 nearest = [int(row) for row in np.argsort(off, kind="stable")[:_N_GRASPS_COMPARED]]
                 near = [row for row in nearest if off[row] < off[nearest[0]] + _DISTANCE_SLACK]
                 turns = {row: np.flatnonzero(allowed[:, row]) for row in near}
                 return [(rotations[turns[row][int(tie * len(turns[row]))]], row) for row in near]
     # The hand touches the table in every grasp: take the one with the highest hand.
-    rotation = resting_rotation(axes[0], first_yaw)
-    lowest = (held.keypoints @ rotation.T)[..., 2].min(axis=1)
+    rotation = _make_resting_rotation(axes[0], first_yaw)
+    lowest = (giver.keypoints @ rotation.T)[..., 2].min(axis=1)
     return [(rotation, int(np.argmax(lowest)))]
 
 
-def resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
+def _make_resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
     """Return rotations (..., 3, 3) with an axis (in the list +x, -x, +y, -y, +z, -z) up, at yaw angles (...) in rad."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     turns = np.zeros((*np.shape(cos), 3, 3))
@@ -205,36 +203,36 @@ def resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
 
 @cache
 def _make_upright_rotation(axis: int) -> Array:
-    """Return a rotation (3, 3) that turns an axis of the object up, see `resting_rotation`."""
+    """Return a rotation (3, 3) that turns an axis of the object up, see `_make_resting_rotation`."""
     up = np.zeros(3)
     up[axis // 2] = 1.0 if axis % 2 == 0 else -1.0
     side = np.roll(np.abs(up), 1)
     return np.stack([side, np.cross(up, side), up])
 
 
-def _find_reachable_grasps(held: HeldObject, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
+def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
     """Return a mask (n, g) of an object's g grasps that are clear of the table and come from the giver's side.
 
     The rotations (n, 3, 3) have the same axis up; `limit` is the least cosine between fingers and reach direction.
     """
     up = rotations[0, 2]  # Equal for all yaws.
-    clear = (held.keypoints @ up).min(axis=1) - (held.corners @ up).min() > JOINT_CLEARANCE
-    from_giver = held.grasps.finger_direction @ rotations.swapaxes(1, 2) @ _REACH_DIRECTION > limit
+    clear = (giver.keypoints @ up).min(axis=1) - (giver.corners @ up).min() > JOINT_CLEARANCE
+    from_giver = giver.grasps.finger_direction @ rotations.swapaxes(1, 2) @ _REACH_DIRECTION > limit
     return np.asarray(clear & from_giver)
 
 
 def _sample_handover_poses(
-    random: RandomStream, held: HeldObject, grasp: int, position: Array
+    random: RandomStream, giver: SimulatedGiver, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
     """Draw handover poses at a position with the hand rotations of DexYCB's givers."""
-    hand_from_object = held.object_from_hand[grasp].T
+    hand_from_object = giver.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
     for _ in range(_MAX_HANDOVER_SAMPLES):
-        rotation = _sample_hand_rotation(random, held.grasps.side) @ hand_from_object
+        rotation = _sample_hand_rotation(random, giver.grasps.side) @ hand_from_object
         lowest = min(
-            float((held.corners @ rotation[2]).min()) - OBJECT_CLEARANCE,
-            float((held.keypoints[grasp] @ rotation[2]).min()) - JOINT_CLEARANCE,
+            float((giver.corners @ rotation[2]).min()) - OBJECT_CLEARANCE,
+            float((giver.keypoints[grasp] @ rotation[2]).min()) - JOINT_CLEARANCE,
         )
         highest = max(highest, (lowest, rotation), key=lambda pair: pair[0])
         if position[2] + lowest > 0.0:
@@ -245,17 +243,17 @@ def _sample_handover_poses(
 
 
 def _compute_costs(
-    held: HeldObject, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
+    giver: SimulatedGiver, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
 ) -> Array:
     """Return deviations (n,) of placements with one grasp from a tilt (rad) and a free grasp share."""
     rotations = np.stack([placement.handover[1] for placement in placements])
     cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
     costs: Array = _TILT_WEIGHT * np.abs(np.arccos(np.clip(cosines, -1.0, 1.0)) - tilt)
-    if held.robot_grasps is not None and held.gripper_points is not None:
-        clear = find_clear_grasps(held.gripper_points, held.keypoints[placements[0].grasp])
+    if giver.robot_grasps is not None and giver.gripper_points is not None:
+        clear = _find_clear_grasps(giver.gripper_points, giver.keypoints[placements[0].grasp])
         positions = np.stack([placement.handover[0] for placement in placements])
         positions[:, 2] += float(TABLE_HEIGHT)
-        shares = compute_free_grasp_shares(poses_from_rotations(positions, rotations), clear, held.robot_grasps)
+        shares = _compute_free_grasp_shares(poses_from_rotations(positions, rotations), clear, giver.robot_grasps)
         costs += np.abs(shares - free_grasp_share)
     return costs
 
@@ -263,8 +261,7 @@ def _compute_costs(
 def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
     """Draw the rotation (3, 3) of the hand's base at the handover."""
     azimuth = random.draw_quantile("pointing_azimuth")
-    correlation = ELEVATION_ROLL
-    elevation, roll = random.draw_correlated_quantiles("pointing_elevation", "roll", correlation)
+    elevation, roll = random.draw_correlated_quantiles("pointing_elevation", "roll", ELEVATION_ROLL)
     angles = np.radians([azimuth, elevation, roll])
     (sin, sin_elevation, sin_roll), (cos, cos_elevation, cos_roll) = np.sin(angles), np.cos(angles)
     fingers = np.array([sin * cos_elevation, -cos * cos_elevation, sin_elevation])
@@ -297,28 +294,73 @@ def hand_poses_from_grasps(transforms: Array) -> Array:
     return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 
-def place_gripper_points(grasps: Array) -> Array:
-    """Return the gripper's points (n, p, 3) in m at grasps (n, 7) and their approaches, in the object's frame."""
-    return np.asarray(transform_points(grasps[:, None], _make_gripper_points()))
-
-
-def find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
+def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
     """Return a mask (n,) of the grasps, with gripper points (n, p, 3), that are clear of hand keypoints (21, 3)."""
     wrist, digits = hand_points[:1], hand_points[1:].reshape(5, 4, 3)
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
     points = gripper_points.reshape(-1, 3)
     nearest = cdist(hand, points, "sqeuclidean").min(axis=0).reshape(len(gripper_points), -1).min(axis=1)
-    return np.asarray(nearest > CLEARANCE**2)
+    return np.asarray(nearest > _GRIPPER_CLEARANCE**2)
 
 
-def compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
+def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
     """Return the shares (m,) of preferred robot grasps (n, 7) that are clear of the giver's hand, at poses (m, 7).
 
     Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper. The mask `clear`
-    (n,) is from `find_clear_grasps`.
+    (n,) is from `_find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
     costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
     order = np.argsort(costs.reshape(len(standoffs), -1), axis=1, kind="stable")
     return np.asarray(clear[order[:, :MAX_RANKED_GRASPS]].mean(axis=1))
+
+
+def make_ycb_clutter_item(class_id: int) -> ClutterItem:
+    """Return an object of a YCB class to be placed on the table."""
+    return class_id, compute_hull_corners(CLASS_NAMES[class_id]), UP_AXES[class_id]
+
+
+def draw_clutter(
+    random: RandomStream, counts: range, draw_item: Callable[[RandomStream], ClutterItem], occupied: Array
+) -> list[ClutterObject]:
+    """Draw the objects on the table that are not handed over in a scene, all of different classes.
+
+    All of the given numbers of objects are equally likely; there can be fewer where there is no space. They keep
+    clear of each other and of the `occupied` points (3, n) (m) of the hand and the handed-over object.
+    """
+    count = counts[random.integer(len(counts))]
+    placed: list[ClutterObject] = []
+    cylinders: list[_Cylinder] = []
+    for _ in range(_MAX_CLUTTER_TRIES):
+        if len(placed) == count:
+            break
+        item = draw_item(random)
+        candidate, cylinder = _place_clutter(random, item)
+        is_repeated = item[0] in [other for other, _, _ in placed]
+        if not is_repeated and _is_free(cylinder, occupied, cylinders):
+            placed.append(candidate)
+            cylinders.append(cylinder)
+    return placed
+
+
+def _place_clutter(random: RandomStream, item: ClutterItem) -> tuple[ClutterObject, _Cylinder]:
+    class_id, hull, up_axes = item
+    axis = random.weighted_index(up_axes)
+    rotation = _make_resting_rotation(axis, random.uniform(0.0, 2.0 * np.pi))
+    corners = hull @ rotation.T
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    middle = 0.5 * (low + high)
+    x, y = random.uniform(*_CLUTTER_X), random.uniform(*_CLUTTER_Y)
+    across = corners[:, :2] - middle[:2]
+    radius = float(np.sqrt((across * across).sum(axis=1).max()))
+    position = np.array([x - middle[0], y - middle[1], OBJECT_CLEARANCE - low[2]])
+    return (class_id, position, rotation), (x, y, radius, float(high[2] - low[2]))
+
+
+def _is_free(cylinder: _Cylinder, points: Array, others: list[_Cylinder]) -> bool:
+    x, y, radius, height = cylinder
+    if any(math.hypot(other[0] - x, other[1] - y) <= other[2] + radius for other in others):
+        return False
+    near = (points[0] - x) ** 2 + (points[1] - y) ** 2 <= (radius + _CLUTTER_CLEARANCE) ** 2
+    return not (near & (points[2] < height + _CLUTTER_CLEARANCE)).any()

@@ -108,19 +108,16 @@ class RandomStream:
 
     def draw_quantile(self, name: str) -> float:
         """Draw a number from the distribution of a quantile table."""
-        return _interpolate_quantile(name, self.uniform())
+        return float(np.interp(self.uniform(), _LEVELS, _QUANTILES[name]))
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:
         """Draw two numbers from quantile tables, correlated by a Gaussian copula."""
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
-        return [_interpolate_quantile(first, float(ndtr(one))), _interpolate_quantile(second, float(ndtr(correlated)))]
+        levels = zip((first, second), (float(ndtr(one)), float(ndtr(correlated))), strict=True)
+        return [float(np.interp(level, _LEVELS, _QUANTILES[name])) for name, level in levels]
 
 
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
     """Return one of the independent streams (see `PURPOSES`) of the scene that numbers of at least 0 identify."""
     return RandomStream(*seed, PURPOSES.index(purpose))
-
-
-def _interpolate_quantile(name: str, level: float) -> float:
-    return float(np.interp(level, _LEVELS, _QUANTILES[name]))

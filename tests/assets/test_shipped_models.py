@@ -1,0 +1,175 @@
+"""Tests of the shipped models of objects, hands and the Panda: structure, sizes, kinematics and rebuilding."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handover_marl.assets.hand_model import (
+    HANDS_FOLDER,
+    MESH_NAMES,
+    SIDES,
+    SUBJECT_SIZES,
+    SUBJECTS,
+    Side,
+    find_hand_urdf,
+    make_hand_geometry,
+)
+from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
+from handover_marl.assets.shipped import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
+from handover_marl.config import HandConfig, PandaConfig
+from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.poses import compose, invert_pose, rotate_points
+from handover_marl.geometry.ycb import CLASS_NAMES
+from handover_marl.simulation.bullet.bodies import HandBody, PandaBody
+from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
+
+#: Lowest and highest corner (m) of the scanned object's bounding box in its frame, by YCB class
+#: name; measured on the YCB-Video models (Calli et al., 2015; Xiang et al., 2018).
+YCB_BOUNDS = {
+    "002_master_chef_can": ((-0.0525, -0.0508, -0.0737), (0.0499, 0.0519, 0.0665)),
+    "003_cracker_box": ((-0.0364, -0.0836, -0.1116), (0.0352, 0.0803, 0.1019)),
+    "004_sugar_box": ((-0.0239, -0.0484, -0.0924), (0.0256, 0.0456, 0.0836)),
+    "005_tomato_soup_can": ((-0.0341, -0.0323, -0.0593), (0.0336, 0.0354, 0.0426)),
+    "006_mustard_bottle": ((-0.0499, -0.0357, -0.0839), (0.0473, 0.0308, 0.1075)),
+    "007_tuna_fish_can": ((-0.0428, -0.0429, -0.0208), (0.0428, 0.0424, 0.0127)),
+    "008_pudding_box": ((-0.0703, -0.0604, -0.0224), (0.0676, 0.0682, 0.0163)),
+    "009_gelatin_box": ((-0.0461, -0.0500, -0.0186), (0.0432, 0.0510, 0.0115)),
+    "010_potted_meat_can": ((-0.0534, -0.0308, -0.0498), (0.0488, 0.0293, 0.0338)),
+    "011_banana": ((-0.0358, -0.1014, -0.0169), (0.0732, 0.0769, 0.0198)),
+    "019_pitcher_base": ((-0.0797, -0.0787, -0.1471), (0.0692, 0.0662, 0.0956)),
+    "021_bleach_cleanser": ((-0.0562, -0.0314, -0.1120), (0.0461, 0.0363, 0.1385)),
+    "024_bowl": ((-0.0803, -0.0815, -0.0245), (0.0808, 0.0795, 0.0306)),
+    "025_mug": ((-0.0503, -0.0457, -0.0391), (0.0669, 0.0472, 0.0424)),
+    "035_power_drill": ((-0.1010, -0.1146, -0.0265), (0.0833, 0.0726, 0.0308)),
+    "036_wood_block": ((-0.0534, -0.0492, -0.1200), (0.0506, 0.0543, 0.0858)),
+    "037_scissors": ((-0.0551, -0.0726, -0.0078), (0.0410, 0.1289, 0.0079)),
+    "040_large_marker": ((-0.0105, -0.0583, -0.0098), (0.0105, 0.0625, 0.0092)),
+    "051_large_clamp": ((-0.0705, -0.0834, -0.0191), (0.0497, 0.0875, 0.0199)),
+    "052_extra_large_clamp": ((-0.1044, -0.0717, -0.0185), (0.1052, 0.0925, 0.0179)),
+    "061_foam_brick": ((-0.0261, -0.0389, -0.0172), (0.0266, 0.0388, 0.0339)),
+}
+NAMES = tuple(CLASS_NAMES.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_urdf_has_the_official_structure_and_the_size_of_the_scan(name: str) -> None:
+    client = connect()
+    body = client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
+    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
+    assert [info[2] for info in infos] == [client.JOINT_PRISMATIC] * 3 + [client.JOINT_REVOLUTE] * 3
+    assert [info[12].decode() for info in infos] == [f"link{number}" for number in range(1, 7)]
+    assert [info[13] for info in infos] == [tuple(axis) for axis in np.eye(3).tolist() * 2]
+    assert client.getDynamicsInfo(body, 5)[:2] == (0.5, 0.9)
+    assert [len(client.getCollisionShapeData(body, link)) for link in range(-1, 5)] == [0] * 6
+    assert len(client.getVisualShapeData(body)) == 1
+    for file in (VISUAL_NAME, COLLISION_NAME):
+        vertices = read_obj(OBJECTS_ROOT / name / file).vertices
+        bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        np.testing.assert_allclose(bounds, YCB_BOUNDS[name], rtol=0, atol=0.003)
+
+
+@pytest.mark.parametrize(
+    ("name", "point"),
+    [
+        ("024_bowl", (0.0, 0.0, 0.02)),
+        ("025_mug", (0.047, 0.0, 0.0)),  # between wall and handle
+        ("037_scissors", (0.012, -0.036, 0.0)),  # inside a loop
+        ("052_extra_large_clamp", (-0.04, -0.004, 0.0)),  # between the jaws
+        ("019_pitcher_base", (0.045, 0.045, 0.02)),  # between body and handle
+    ],
+)
+def test_openings_are_open(name: str, point: tuple[float, float, float]) -> None:
+    client = connect()
+    client.loadURDF(str(find_object_urdf(name)), useFixedBase=True)
+    ball = client.createMultiBody(0, client.createCollisionShape(client.GEOM_SPHERE, radius=0.004), -1, point)
+    client.performCollisionDetection()
+    assert not client.getContactPoints(ball)
+
+
+@pytest.mark.parametrize("name", ["024_bowl", "035_power_drill"])
+def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("trimesh")
+    from handover_marl.assets.building.objects import build_object
+
+    rebuilt = build_object(name, tmp_path)
+    shipped = OBJECTS_ROOT / name
+    assert sorted(path.name for path in rebuilt.iterdir()) == sorted(path.name for path in shipped.iterdir())
+    for path in rebuilt.iterdir():
+        assert path.read_bytes() == (shipped / path.name).read_bytes(), path.name
+
+
+SOLID_LINKS = [6, *range(9, 52, 3)]
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_every_hand_has_the_official_structure_and_the_kinematics_of_its_model(subject: int, side: Side) -> None:
+    client, rng = connect(), np.random.default_rng(subject)
+    dof = np.concatenate([rng.uniform(-1, 1, 3), rng.uniform(-1.5, 1.5, 48)])
+    hand = HandBody(client, find_hand_urdf(subject, side), list(dof), HandConfig())
+    assert (hand.n_links, len(hand.joints), hand.get_link("link7")) == (52, 51, 6)
+    types = [client.getJointInfo(hand.id, joint)[2] for joint in range(52)]
+    expected = [client.JOINT_PRISMATIC] * 3 + [client.JOINT_REVOLUTE] * 3 + [client.JOINT_FIXED]
+    assert types == expected + [client.JOINT_REVOLUTE] * 45
+    limits = np.array([client.getJointInfo(hand.id, joint)[8:10] for joint in range(7, 52)])
+    np.testing.assert_allclose(limits, np.tile(np.outer([np.pi, np.pi / 2, np.pi], [-1, 1]), (15, 1)))
+    assert [client.getDynamicsInfo(hand.id, link)[0] for link in SOLID_LINKS] == [0.2] + [0.02] * 15
+    model, poses = make_hand_geometry(subject, side), hand.read_link_poses(SOLID_LINKS)
+    positions, rotations = model.compute_link_poses(dof)
+    np.testing.assert_allclose(positions, poses[:, :3], atol=2e-6)
+    for axis in np.eye(3):
+        np.testing.assert_allclose(rotations @ axis, rotate_points(poses[:, 3:], np.tile(axis, (16, 1))), atol=2e-6)
+    keypoints = model.compute_keypoints(dof)
+    np.testing.assert_allclose(np.delete(keypoints, [4, 8, 12, 16, 20], axis=0), hand.read_keypoints(), atol=2e-6)
+    keypoints = model.compute_keypoints(np.zeros(51))
+    reach = np.linalg.norm(keypoints[8] - keypoints[0])
+    assert reach == pytest.approx(SUBJECT_SIZES[subject - 1].length, abs=1e-3)
+
+
+def test_rebuild_gives_the_shipped_hands(tmp_path: Path) -> None:
+    """The meshes of a left hand and its model are equal; only the visible palm takes too long to build here."""
+    pytest.importorskip("trimesh")
+    pytest.importorskip("manifold3d")
+    from handover_marl.assets.building import hands
+
+    path = hands.write_hand_urdf(tmp_path, 3, "left")
+    assert path.read_bytes() == find_hand_urdf(3, "left").read_bytes()
+    folder = HANDS_FOLDER / "meshes" / "left"
+    for link, name in enumerate(MESH_NAMES):
+        built = {"collision": hands.make_collision_mesh(link)}
+        built |= {"visual": hands.make_visual_mesh(link)} if link else {}
+        for kind, mesh in built.items():
+            assert (folder / kind / f"{name}.obj").read_text() == hands.format_obj(mesh, mirror=True), (kind, name)
+
+
+def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:
+    """Return PyBullet's data of each link's joint without the indices of the joint and its parent, by link name."""
+    body = load_urdf(client, urdf, useFixedBase=True)
+    infos = [client.getJointInfo(body, joint) for joint in range(client.getNumJoints(body))]
+    return {info[12].decode(): (info[1], info[2], *info[6:16]) for info in infos}
+
+
+def test_joints_are_those_of_the_plain_panda() -> None:
+    client = connect()
+    plain, camera = joints(client, PANDA_URDF), joints(client, CAMERA_PANDA_URDF)
+    assert camera.pop(CAMERA_LINK)[1] == client.JOINT_FIXED
+    assert camera == plain
+    assert list(camera) == list(plain), "moving joints keep their order"
+
+
+def test_camera_pose_equals_handoversims() -> None:
+    client, robot = connect(), np.random.default_rng(1).uniform(LOWER_LIMITS, UPPER_LIMITS)
+    panda, plain = (PandaBody(client, urdf, PandaConfig()) for urdf in (CAMERA_PANDA_URDF, PANDA_URDF))
+    panda.reset_joints(robot.tolist())
+    hand, camera = panda.read_link_poses([panda.get_link(HAND_LINK), panda.get_link(CAMERA_LINK)]).astype(np.float64)
+    relative = compose(invert_pose(hand), camera)
+    np.testing.assert_allclose(relative[:3], [0.036, 0.0, 0.036], atol=1e-6)
+    assert abs(relative[3:] @ [-0.5, 0.5, -0.5, 0.5]) == pytest.approx(1.0, abs=1e-6)
+    # A Panda without a camera has the same camera pose.
+    plain.reset_joints(robot.tolist())
+    for pose in (panda.read_camera_pose(), plain.read_camera_pose()):
+        np.testing.assert_allclose(pose[:3], camera[:3], atol=1e-6)
+        assert abs(pose[3:] @ camera[3:]) == pytest.approx(1.0, abs=1e-6)
