@@ -11,17 +11,16 @@ from handover_marl.planning import goal_set
 from handover_marl.planning.goal_set import GoalSet, GoalSetBuilder, is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules
 from handover_marl.planning.planner import make_hand_obstacle
-from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
 
 URDF = SyntheticDataset().panda_urdf
-CONFIG = PlannerConfig()
 
 
-def make_builder(config: PlannerConfig = CONFIG) -> GoalSetBuilder:
+def make_builder(unchecked_last: bool = False) -> GoalSetBuilder:
     body = sample_body_points(URDF, tuple(ARM.link_names), 15)
-    return GoalSetBuilder(ARM, body, sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60), START, LIMITS, config)
+    gripper = sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60)
+    return GoalSetBuilder(ARM, body, gripper, START, LIMITS, unchecked_last)
 
 
 def grasps(count: int = 12) -> np.ndarray:
@@ -78,18 +77,16 @@ def make_wall(x: float) -> Obstacle:
 def test_colliding_goals_are_dropped(goals: GoalSet) -> None:
     assert len(make_builder().build(grasps(), [make_wall(0.2)], None)) == 0
     assert len(make_builder().build(grasps(), [make_wall(0.9)], None)) == len(goals)
-    unchecked = make_builder(PlannerConfig(unchecked_last=True)).build(grasps(), [make_wall(0.2)], None)
+    unchecked = make_builder(unchecked_last=True).build(grasps(), [make_wall(0.2)], None)
     assert 0 < len(unchecked) <= 5
 
 
 def test_goals_keep_clear_of_the_hand(goals: GoalSet) -> None:
     # A gripper that opens towards the capsule is closer than one that is rotated away.
     capsule = Capsules(np.array([[0.58, 0.08, 0.5]]), np.array([[0.75, 0.08, 0.5]]), np.array([0.02]))
-    config = PlannerConfig(hand=HandAvoidanceConfig(min_clearance=0.02))
-    assert config.hand is not None
-    clear = make_builder(config).build(grasps(), [], make_hand_obstacle(capsule, config.hand))
+    clear = make_builder().build(grasps(), [], make_hand_obstacle(capsule))
     assert len(clear) > 0
-    assert clear.clearances.min() >= 0.02
+    assert clear.clearances.min() >= goal_set.MIN_HAND_CLEARANCE
     assert set(clear.grasps) < set(np.arange(12))
     assert np.isinf(goals.clearances).all()
 
