@@ -119,7 +119,7 @@ def test_grasps_agree_with_the_c_engine() -> None:
         world = start_single(scene, find_grasp_center())
         world.simulate([world], [CLOSED], STEPS, RULES)
         expected = world.read_state()
-        # Single precision changes the forces of the impact by some percent. Without contact there is no such difference.
+        # Single precision changes the forces of the impact by some percent; without contact there is no difference.
         positions, turns = (1e-6, 1e-6) if row == 2 else (1e-3, 5e-3)
         np.testing.assert_allclose(state.robot_joint_position[row], expected.robot_joint_position, atol=positions)
         np.testing.assert_allclose(state.object_poses[row, 0, :3], expected.object_poses[0, :3], atol=positions)
