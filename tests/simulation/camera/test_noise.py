@@ -55,19 +55,12 @@ def taken(photo: CameraImage, camera: CameraNoise, seed: int = 0) -> CameraImage
 seeds = st.integers(0, 10_000)
 
 
-@settings(max_examples=20)
-@given(seeds)
-def test_zero_noise_changes_nothing(seed: int) -> None:
-    photo = patches(seed)
-    same = taken(photo, NONE, seed)
-    np.testing.assert_array_equal(same.depth, photo.depth)
-    np.testing.assert_array_equal(same.segmentation, photo.segmentation)
-    np.testing.assert_array_equal(same.rgb, RGB)
-    assert (same.depth.dtype, same.segmentation.dtype) == (np.float32, np.uint8)
-
-
-def test_sampled_pixels_are_unchanged() -> None:
+def test_pixels_without_noise_are_unchanged() -> None:
     photo = patches(0)
+    same = taken(photo, NONE)
+    for name in ("depth", "segmentation", "rgb"):
+        np.testing.assert_array_equal(getattr(same, name), getattr(photo, name))
+    assert (same.depth.dtype, same.segmentation.dtype) == (np.float32, np.uint8)
     half = taken(photo, replace(NONE, pixel_stride=2))
     np.testing.assert_array_equal(half.depth[::2, ::2], photo.depth[::2, ::2])
     np.testing.assert_array_equal(half.segmentation[::2, ::2], photo.segmentation[::2, ::2])
@@ -77,7 +70,7 @@ def test_sampled_pixels_are_unchanged() -> None:
     assert (half.segmentation[others] == SegmentationLabel.BACKGROUND).all()
 
 
-@pytest.mark.parametrize("distance", [0.1, 0.5, 1.0, 1.9])
+@pytest.mark.parametrize("distance", [0.1, 1.9])
 def test_noise_grows_with_the_square_of_the_depth(distance: float) -> None:
     photo = flat(distance)
     apart = (taken(photo, CameraNoise()).depth - photo.depth).astype(np.float64)
@@ -86,15 +79,10 @@ def test_noise_grows_with_the_square_of_the_depth(distance: float) -> None:
     # The noise of neighbouring pixels is independent.
     assert abs(np.corrcoef(apart[:, 1:].ravel(), apart[:, :-1].ravel())[0, 1]) < 0.02
     assert abs(np.corrcoef(apart[1:].ravel(), apart[:-1].ravel())[0, 1]) < 0.02
+    assert taken(photo, replace(NONE, depth_noise_std=300.0)).depth.min() == 0.0, "no depth is negative"
 
 
-def test_noisy_depth_is_not_negative() -> None:
-    depth = taken(flat(1.5), replace(NONE, depth_noise_std=3.0)).depth
-    assert depth.min() == 0.0
-    assert (depth == 0.0).mean() > 0.1
-
-
-@settings(max_examples=30)
+@settings(max_examples=10)
 @given(seeds, st.floats(0.0, 1.0), st.sampled_from([0.005, 0.02, 0.3]))
 def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> None:
     photo = patches(seed)
@@ -110,24 +98,15 @@ def test_only_edge_pixels_are_dropped(seed: int, share: float, step: float) -> N
     assert (worse.segmentation[lost] == SegmentationLabel.BACKGROUND).all()
 
 
-def test_noise_follows_the_seed() -> None:
-    photo, camera = patches(4), CameraNoise()
-    first, again, other = (taken(photo, camera, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.depth, again.depth)
-    np.testing.assert_array_equal(first.segmentation, again.segmentation)
-    assert (first.depth != other.depth).mean() > 0.1
-    assert (first.segmentation != other.segmentation).any()
-
-
-@settings(max_examples=10)
-@given(seeds)
-def test_noise_draws_do_not_depend_on_the_image(seed: int) -> None:
+def test_noise_depends_on_the_seed_only() -> None:
     """Rows that are equal in two images have equal noise with the same seed, whatever the other rows show."""
-    first, second = patches(seed), patches(seed + 1)
+    first, second, camera = patches(4), patches(5), CameraNoise()
     second.depth[:40], second.segmentation[:40] = first.depth[:40], first.segmentation[:40]
-    worse = [taken(photo, CameraNoise(), seed) for photo in (first, second)]
-    np.testing.assert_array_equal(worse[0].depth[:39], worse[1].depth[:39])
-    np.testing.assert_array_equal(worse[0].segmentation[:39], worse[1].segmentation[:39])
+    worse, same, other = taken(first, camera, 1), taken(second, camera, 1), taken(first, camera, 2)
+    np.testing.assert_array_equal(worse.depth[:39], same.depth[:39])
+    np.testing.assert_array_equal(worse.segmentation[:39], same.segmentation[:39])
+    assert (worse.depth != other.depth).mean() > 0.1
+    assert (worse.segmentation != other.segmentation).any()
 
 
 def test_noise_models_by_name() -> None:
@@ -140,16 +119,8 @@ def test_noise_models_by_name() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("depth_noise_std", -1e-9),
-        ("edge_threshold", -1e-9),
-        ("edge_dropout", 1.0001),
-        ("latency", 1.0001),
-        ("pixel_stride", 0),
-        ("pixel_stride", 1.5),
-    ],
+    [("depth_noise_std", -1e-9), ("edge_dropout", 1.0001), ("latency", 1.0001), ("pixel_stride", 0)],
 )
 def test_values_out_of_range_are_refused(name: str, value: Any) -> None:
-    """`tests/test_config.py` checks values of other types."""
     with pytest.raises(OptionError, match=name):
         CameraNoise(**{name: value})
