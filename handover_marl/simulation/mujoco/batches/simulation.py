@@ -1,7 +1,6 @@
 """Simulation of many worlds in MuJoCo, in one thread. The states of a world do not depend on other worlds."""
 
 import functools
-import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -187,7 +186,7 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
 
 
 class MujocoRollout(NamedTuple):
-    """Rollout of k physics steps of n worlds, valid until the next rollout of the simulation.
+    """Rollout of k physics steps of n worlds.
 
     Attributes:
         controls: Controls (n, k, c) of all steps.
@@ -205,8 +204,6 @@ class BatchSimulation:
 
     def __init__(self) -> None:
         configure_engine()
-        # Memory of rollouts by name.
-        self._buffers: dict[str, Array] = {}
         self._batches: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
         self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
@@ -238,9 +235,8 @@ class BatchSimulation:
             SimulationError: The engine failed; the states of these worlds are invalid.
         """
         first, shape = worlds[0], (len(worlds), len(controls[0]))
-        stacked = np.stack(controls, out=self._get_buffer("controls", (*shape, controls[0].shape[1])))
-        sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
-        step_states = self._get_buffer("step_states", (*shape, first.step_state_size))
+        stacked, sensordata = np.stack(controls), np.empty((*shape, len(first.sensordata)))
+        step_states = np.empty((*shape, first.step_state_size))
         for number, (world, hand_collides) in enumerate(zip(worlds, hands_collide, strict=True)):
             world.simulate(hand_collides, stacked[number], sensordata[number], step_states[number])
             world.set_step(stacked[number, -1], sensordata[number, -1], step_states[number, -1])
@@ -263,13 +259,6 @@ class BatchSimulation:
         if key not in self._hand_kinematics:
             self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
         return self._hand_kinematics[key]
-
-    def _get_buffer(self, name: str, shape: tuple[int, ...]) -> Array:
-        """Return an uninitialized array of a shape, in memory that is reused for this name."""
-        size = math.prod(shape)
-        if name not in self._buffers or self._buffers[name].size < size:
-            self._buffers[name] = np.empty(size)
-        return self._buffers[name][:size].reshape(shape)
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
