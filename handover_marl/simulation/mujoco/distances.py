@@ -49,7 +49,7 @@ class _RobotHandPair:
         built.add_hand(hand_urdf)
         self._model = model = built.spec.compile()
         self._data = mujoco.MjData(model)
-        self._hand = HandKinematics(hand_urdf, np.array(built.hand_links))
+        self._hand = HandKinematics(hand_urdf, built.hand_links)
         is_hand = model.body_mocapid[model.geom_bodyid] >= 0
         self._pairs = np.array([(a, b) for a in np.flatnonzero(~is_hand) for b in np.flatnonzero(is_hand)])
         # Margins that Bullet's hulls have in each pair (m).

@@ -144,12 +144,12 @@ class HandKinematics:
         links: Numbers (k,) of the links whose poses are computed.
     """
 
-    def __init__(self, urdf: Path, links: npt.NDArray[np.integer]) -> None:
+    def __init__(self, urdf: Path, links: npt.ArrayLike) -> None:
         self._model = _compile_tree(urdf, urdf.stat().st_mtime_ns)
         self._data = mujoco.MjData(self._model)
         self._joints, self._positions, self._quaternions = self._data.qpos, self._data.xpos, self._data.xquat
         # Body 0 is the world, body 1 the base.
-        self._bodies = links + 2
+        self._bodies = np.asarray(links) + 2
 
     def compute_poses(self, joints: Array) -> tuple[Array, Array]:
         """Compute the links' positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) in the base frame.
@@ -206,7 +206,6 @@ class BatchSimulation:
         configure_engine()
         self._batches: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
-        self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
 
     def load_scene(self, scene: SceneModel) -> WorldData:
         """Return a world of a scene in the initial state of its model."""
@@ -247,18 +246,6 @@ class BatchSimulation:
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)
         return self._robots[model]
-
-    def get_hand_kinematics(self, urdf: Path, links: Sequence[int]) -> HandKinematics:
-        """Return forward kinematics of a hand, shared by all worlds.
-
-        Args:
-            urdf: Model of the hand.
-            links: Numbers of the links whose poses are computed.
-        """
-        key = urdf, urdf.stat().st_mtime_ns, tuple(links)
-        if key not in self._hand_kinematics:
-            self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
-        return self._hand_kinematics[key]
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:

@@ -177,7 +177,7 @@ class SceneModelBuilder:
         self.add_hand(hand)
         hands = [format_hand_name(number) for number in range(len(self.hand_links))]
         names = [format_object_name(number) for number in range(count)]
-        add_contact_sensors(self.spec, ROBOT_BASE, TABLE, names, hands)
+        add_contact_sensors(self.spec, ROBOT_BASE, names, TABLE, hands)
 
     def add_robot(self, urdf: Path) -> None:
         """Add the robot to the model.
