@@ -6,7 +6,7 @@ released. The step in which the world wakes depends on the positions of the bodi
 steps are divided into calls.
 """
 
-from collections import OrderedDict
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -64,7 +64,7 @@ class RobotOnlySimulation:
         self._model = model
         self._batch, self._data = Batch(model.model, 1, nthread=1), mujoco.MjData(model.model)
         self._state = [self._batch.bind(name) for name in _STATE]
-        self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
+        self._simulate = functools.lru_cache(_CACHE_SIZE)(self._simulate_uncached)
 
     def compute_body_poses(self, joints: Array) -> tuple[Array, Array]:
         """Compute the world positions (b, 3) (m) and quaternions wxyz (b, 4) of all bodies, valid until the next call.
@@ -94,15 +94,10 @@ class RobotOnlySimulation:
             SimulationError: MuJoCo warned; the robot's state is invalid.
         """
         state = np.stack([trajectory.joints[row], trajectory.velocities[row], trajectory.warm_start[row], target])
-        key = state.tobytes(), steps
-        if key not in self._cache:
-            self._cache[key] = self._simulate(state, steps)
-            if len(self._cache) > _CACHE_SIZE:
-                self._cache.popitem(last=False)
-        self._cache.move_to_end(key)
-        return self._cache[key]
+        return self._simulate(state.tobytes(), steps)
 
-    def _simulate(self, state: Array, steps: int) -> RobotTrajectory:
+    def _simulate_uncached(self, content: bytes, steps: int) -> RobotTrajectory:
+        state = np.frombuffer(content).reshape(len(_STATE) + 1, -1)
         batch = self._batch
         for array, part in zip(self._state, state[:-1], strict=True):
             array[0] = part
