@@ -11,12 +11,9 @@ from handover_marl.simulation.camera.optics import (
     NEAR,
     PINHOLE_MODEL,
     deproject,
-    depth_from_buffer,
 )
 
 SHAPE = (224, 224)
-#: Scale and shift of HandoverSim's deprojection, with the rounding errors of its float32 tangent.
-SCALE, SHIFT = np.float32(0.008928572), np.float32(-1.0000001)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -45,23 +42,3 @@ def test_points_project_to_the_sampled_positions(seed: int) -> None:
     np.testing.assert_array_equal(shifted[:, 1:], points[:, 1:])
     # The image's upward direction is the x axis of the hand's frame.
     np.testing.assert_allclose(shifted[:, 0] - points[:, 0], depth[seen] / 112.0, atol=3e-7)
-
-
-def test_handoversim_points_are_bit_equal() -> None:
-    depth, _ = random_picture(1)
-    rows, columns = (number.astype(np.float32) for number in np.indices(SHAPE))
-    x = np.float32(0.036) - depth * (SCALE * rows + SHIFT)
-    expected = np.stack([x, depth * (SCALE * columns + SHIFT), depth + np.float32(0.036)], axis=-1)
-    assert expected.dtype == np.float32
-    np.testing.assert_array_equal(deproject(depth, np.ones(SHAPE, dtype=bool)), expected.reshape(-1, 3))
-
-
-def test_depth_buffers_are_converted_to_metres() -> None:
-    buffer = np.array([0.0, 0.5, 0.9, 0.999999, 1.0], dtype=np.float32)
-    depth = depth_from_buffer(buffer.copy())
-    assert depth.dtype == np.float32
-    exact = 2.0 * 0.035 / (2.0 - 1.965 * buffer.astype(np.float64))
-    np.testing.assert_allclose(depth[:-1], exact[:-1], rtol=2e-5)
-    assert depth[0] == np.float32(NEAR)
-    # An OpenGL buffer contains 1 at pixels where nothing is drawn.
-    assert depth[-1] == 0.0

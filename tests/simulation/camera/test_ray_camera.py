@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +10,6 @@ import pytest
 from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, PhysicsConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
-from handover_marl.errors import SimulationError
 from handover_marl.geometry.panda import FINGERTIPS, PANDA_CAMERA
 from handover_marl.simulation.bullet.rendering import SceneRenderer
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
@@ -182,14 +179,3 @@ def test_colours_are_those_of_the_materials(stands: dict[int, Stand]) -> None:
     assert 0.59 < light.min() < 0.75 < light.max() < 1.01
     np.testing.assert_allclose(light, light.mean(axis=1, keepdims=True) * np.ones(3), atol=0.01)
     assert np.ptp(light.mean(axis=1)) > 0.2
-
-
-@pytest.mark.parametrize("body", ["table", "panda", "hand", "objects"])
-def test_damaged_models_are_reported(tmp_path: Path, body: str) -> None:
-    path = tmp_path / "broken.urdf"
-    changed: dict[str, Any] = {body: (path,) if body == "objects" else path}
-    for text in (None, "<robot"):
-        if text is not None:
-            path.write_text(text)
-        with pytest.raises(SimulationError, match=r"broken\.urdf"):
-            RayCamera(replace(DATA.load_scene(209).assets, **changed), OFFICIAL_CONFIG.physics)

@@ -1,6 +1,5 @@
 """Tests of the wrist cameras on a device, on Warp's CPU device, against the ray caster of the processor."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -114,35 +113,23 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
 # ------------------------------------------------------------------------------------------------------ subsampling
 
 
-def make_images(*masks: Flags) -> ImageBatch:
-    """Return images in which the pixels of masks (50176,) show the target."""
+def sample(masks: list[Flags], seeds: list[int], steps: list[int], stream: int = 0) -> npt.NDArray[np.int_]:
+    """Sample 1,024 pixels of images in which the pixels of masks (50176,) show the target."""
     segmentation = TENSORS.asarray(np.where(np.stack(masks), int(TARGET), int(HAND)), "uint8")
-    return ImageBatch(TENSORS.zeros(segmentation.shape, "float32"), segmentation, None)
+    images = ImageBatch(TENSORS.zeros(segmentation.shape, "float32"), segmentation, None)
+    own = TENSORS.asarray(seeds, "int64"), TENSORS.asarray(steps, "int64")
+    return to_numpy(WarpCamera(CONFIG, 1, TENSORS).sample_pixels(images, TARGET, 1024, *own, stream))
 
 
-@pytest.fixture(scope="module")
-def sample() -> Callable[..., npt.NDArray[np.int_]]:
-    camera = WarpCamera(CONFIG, 1, TENSORS)
-
-    def draw(images: ImageBatch, seeds: list[int], steps: list[int], stream: int = 0) -> npt.NDArray[np.int_]:
-        own = TENSORS.asarray(seeds, "int64"), TENSORS.asarray(steps, "int64")
-        return to_numpy(camera.sample_pixels(images, TARGET, 1024, *own, stream))
-
-    return draw
-
-
-def test_few_pixels_are_all_chosen(sample: Callable[..., npt.NDArray[np.int_]]) -> None:
+def test_pixels_are_chosen_at_random_without_replacement() -> None:
     rng = np.random.default_rng(0)
     masks = [rng.permutation(N_PIXELS) < count for count in (0, 1, 700, 1024)]
-    for mask, chosen in zip(masks, sample(make_images(*masks), [1, 2, 3, 4], [0, 1, 2, 3]), strict=True):
+    for mask, chosen in zip(masks, sample(masks, [1, 2, 3, 4], [0, 1, 2, 3]), strict=True):
         expected = np.flatnonzero(mask)
         np.testing.assert_array_equal(chosen[: len(expected)], expected)
         assert (chosen[len(expected) :] == N_PIXELS).all()
-
-
-def test_many_pixels_are_chosen_at_random_without_replacement(sample: Callable[..., npt.NDArray[np.int_]]) -> None:
-    mask = np.random.default_rng(1).random(N_PIXELS) < 0.5
-    found = sample(make_images(*[mask] * 64), list(range(64)), [7] * 64)
+    mask = rng.random(N_PIXELS) < 0.5
+    found = sample([mask] * 64, list(range(64)), [7] * 64)
     assert mask[found].all()
     assert (np.diff(found, axis=1) > 0).all()
     # Each tenth of the pixels has a tenth of the chosen ones: 6554 with a standard deviation of 76.
@@ -150,14 +137,13 @@ def test_many_pixels_are_chosen_at_random_without_replacement(sample: Callable[.
     assert np.abs(counts - 6554).max() < 350
 
 
-def test_choices_depend_on_seed_steps_and_stream_only(sample: Callable[..., npt.NDArray[np.int_]]) -> None:
+def test_choices_depend_on_seed_steps_and_stream_only() -> None:
     mask = np.arange(N_PIXELS) % 3 == 0
     seeds, steps = [5, 6, 5, 2**32 - 1], [100, 100, 200, 13_000]
-    found = sample(make_images(*[mask] * 4), seeds, steps)
+    found = sample([mask] * 4, seeds, steps)
     for row in range(4):
-        np.testing.assert_array_equal(sample(make_images(mask), [seeds[row]], [steps[row]])[0], found[row])
-    other = sample(make_images(mask), [5], [100], stream=1)
-    drawn = [*found, *other]
+        np.testing.assert_array_equal(sample([mask], [seeds[row]], [steps[row]])[0], found[row])
+    drawn = [*found, *sample([mask], [5], [100], stream=1)]
     # Two independent choices of 1,024 of 16,726 pixels share 63 in the mean.
     shared = [len(np.intersect1d(drawn[k], drawn[n])) for k in range(5) for n in range(k)]
     assert max(shared) < 120

@@ -11,11 +11,10 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from handover_marl.config import PANDA_DOF, PhysicsConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import HandoverError, SimulationError
+from handover_marl.errors import HandoverError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import LOWER_LIMITS, PANDA_CAMERA, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
@@ -84,15 +83,6 @@ def test_bodies_equal_bullets(client: BulletClient, robot: str, request: pytest.
         np.testing.assert_allclose(turns, 1.0, atol=1e-6)
 
 
-def test_joint_limits_equal_the_urdfs(scene: SceneModel) -> None:
-    limits = [link.limits for link in read_urdf_links(ASSETS.panda, read_tree(ASSETS.panda))[:-1]]
-    moving = np.array([limit for limit in limits if limit is not None])
-    assert len(moving) == PANDA_DOF
-    np.testing.assert_allclose(scene.model.jnt_range[:PANDA_DOF], moving)
-    assert scene.model.jnt_limited[:PANDA_DOF].all()
-    assert not scene.model.jnt_limited[PANDA_DOF:].any(), "objects have no limits"
-
-
 def test_collision_masks(scene: SceneModel) -> None:
     model = scene.model
     types, affinities = model.body_contype, model.body_conaffinity
@@ -130,15 +120,6 @@ def test_excluded_pairs_of_links_stay_apart_in_sampled_poses() -> None:
     scene = load_scene_model(replace(ASSETS, panda=CAMERA_PANDA), CONFIG).model
     excluded = {(scene.body(sign >> 16).name, scene.body(sign & 0xFFFF).name) for sign in scene.exclude_signature}
     assert {*_NEVER_COLLIDING} < excluded
-
-
-@pytest.mark.parametrize("text", [None, "<robot/>"])
-def test_models_that_cannot_be_read(tmp_path: Path, text: str | None) -> None:
-    broken = tmp_path / "object.urdf"
-    if text is not None:
-        broken.write_text(text)
-    with pytest.raises(SimulationError, match=r"object\.urdf"):
-        load_scene_model(replace(ASSETS, objects=(broken,)), CONFIG)
 
 
 @pytest.mark.parametrize("file", ["body.urdf", "body.obj", "body.stl"])
