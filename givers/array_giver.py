@@ -6,12 +6,13 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
 from handover_marl.config import CheckedConfig
+from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, AnyIndices, ArrayFactory, widen
 from handover_marl.geometry.poses import compute_lengths
-from handover_marl.policies.batch import Actions, ArrayPolicy, make_giver_actions
-from handover_marl.policies.policy import Action, Giver, Policy, PolicyContext
+from handover_marl.policies.batch import Actions, make_giver_actions
+from handover_marl.policies.policy import Action, Giver, PolicyContext
 
 _PAUSE = -1.0  # playback rate minus 1
 
@@ -63,6 +64,10 @@ class ArrayGiver(Giver):
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) in the episodes of rows (r,), from their observations (r, ...)."""
 
+    def count_hold_steps(self, rows: AnyIndices) -> int:
+        """Return the number of physics steps for which actions are held."""
+        return steps_from_hold_time(self.hold_time)
+
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the seed determines its random numbers."""
         self.start(0, seed)
@@ -93,28 +98,6 @@ class ArrayGiver(Giver):
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
         """Make actions (r, 8) that pause the recording where a flag (r,) is set, and follow it elsewhere."""
         return self.make_actions(rows, rate=self._arrays.xp.where(is_paused, _PAUSE, 0.0))
-
-
-class GiverBatch(ArrayPolicy[ArrayGiver]):
-    """Batch of an `ArrayGiver`."""
-
-    def __init__(self, policy: ArrayGiver, count: int, arrays: ArrayFactory) -> None:
-        super().__init__(policy, count, arrays=arrays)
-        self._giver = policy.copy_for(count, arrays)
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode."""
-        self._giver.start(row, seed)
-
-    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8)."""
-        return self._giver.decide(rows, observation)
-
-
-def make_giver_batch(policy: Policy, count: int, arrays: ArrayFactory = NUMPY_ARRAYS) -> ArrayPolicy[ArrayGiver] | None:
-    """Return the batch of a giver of the library for a number of episodes, or None for another policy."""
-    is_batched = isinstance(policy, ArrayGiver) and type(policy).act is ArrayGiver.act
-    return GiverBatch(policy, count, arrays) if is_batched else None  # type: ignore[arg-type]
 
 
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:

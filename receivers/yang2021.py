@@ -27,7 +27,6 @@ from handover_marl.geometry.poses import (
     compute_rotation_angles,
 )
 from handover_marl.planning.ik_solvers import make_ik_solver
-from handover_marl.policies.batch import ArrayPolicy
 from handover_marl.policies.policy import (
     Action,
     PolicyContext,
@@ -147,7 +146,7 @@ class Yang2021Receiver(Receiver):
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
-        self.start(ONLY_ROW)
+        self.start(0, seed)
 
     @property
     def wait(self) -> float:
@@ -170,19 +169,23 @@ class Yang2021Receiver(Receiver):
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
-    def start(self, rows: Indices) -> None:
-        """Start episodes."""
+    def start(self, row: int, seed: int | None) -> None:
+        """Start the episode of a row; the receiver is deterministic."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
             self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
-        self.phase[rows] = YangPhase.WAIT
-        self.selected[rows], self._references[rows] = np.nan, np.nan
+        self.phase[row] = YangPhase.WAIT
+        self.selected[row], self._references[row] = np.nan, np.nan
 
     def get_hold_times(self, rows: Indices) -> Array:
         """Return the times (r,) until the next decisions (s), infinite during the retreat."""
         config = self.config
         times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
+
+    def count_hold_steps(self, rows: Indices) -> AnyIntegers:
+        """Return the physics steps (r,) until the next decisions."""
+        return np.array([steps_from_hold_time(time) for time in self.get_hold_times(rows).tolist()])
 
     def decide(self, rows: Indices, observation: Observation) -> Actions:
         """Return the next target joint positions (r, 9) (rad, m)."""
@@ -286,27 +289,3 @@ class Yang2021Receiver(Receiver):
     @property
     def _solver(self) -> IkSolver:
         return require_reset(self._ik_solver, self.name)
-
-
-class Yang2021Batch(ArrayPolicy[Yang2021Receiver]):
-    """Batch of `Yang2021Receiver`, whose actions equal those of single receivers to the bit."""
-
-    def __init__(self, policy: Yang2021Receiver, count: int) -> None:
-        super().__init__(policy.copy_for(count), count)
-
-    def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
-        """Start an episode, and read the grasps of its object; see `PolicyBatch.reset`."""
-        self._policy.prepare(object_names)
-        super().reset(row, seed, object_names)
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode; the receiver is deterministic."""
-        self._policy.start(np.array([row]))
-
-    def decide(self, rows: Indices, observation: Observation) -> npt.NDArray[np.float32]:
-        """Return the next target joint positions (r, 9) (rad, m)."""
-        return self._policy.decide(rows, observation)
-
-    def count_hold_steps(self, rows: Indices) -> AnyIntegers:
-        """Return the physics steps (r,) until the next decisions."""
-        return np.array([steps_from_hold_time(time) for time in self._policy.get_hold_times(rows).tolist()])

@@ -8,16 +8,15 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, CameraConfig, WorldConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.camera_observations import BENCHMARK_CAMERA, CameraCapture, WristCamera, WristCameraConfig
-from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import make_judge
+from handover_marl.episode.giver_motion import NO_DEVIATION, PLANNED_STEPS, GiverMotion, requests_release
 from handover_marl.episode.observations import (
     Observation,
     observe,
     observe_giver_motion,
     select_receiver_observation,
 )
-from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind, requests_release
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
+from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes

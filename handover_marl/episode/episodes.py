@@ -2,11 +2,9 @@
 
 from handover_marl.config import TIME_STEP, WorldConfig
 from handover_marl.datasets.dataset import Scene
-from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion
-from handover_marl.episode.lockstep import make_judge
+from handover_marl.episode.giver_motion import PLANNED_STEPS, GiverMotion, requests_release
 from handover_marl.episode.observations import Observation, observe_giver_motion, state_space
-from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason
-from handover_marl.episode.spaces import requests_release
+from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
 from handover_marl.simulation.contacts import Contacts

@@ -307,6 +307,11 @@ class GiverMotion:
         reference.objects[moving, :, 0] = xp.where(is_held, moved[:, :, 1], bodies[:, :, 1])
 
 
+def requests_release(giver_actions: AnyArray) -> AnyArray:
+    """Return whether actions (..., 8) of givers request the release of the object, (...)."""
+    return giver_actions[..., 7] > 0.5
+
+
 def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
     """Return the number (r,) of the next k steps that start before each object is picked up.
 

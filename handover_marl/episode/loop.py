@@ -1,8 +1,9 @@
 """Episode loop: policies act, the simulation advances, callbacks observe."""
 
+import contextlib
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -118,74 +119,48 @@ class EpisodePolicy(Protocol):
         """Time (s) for which the last action is held before the policy is called again."""
 
 
-class PolicyScheduler:
-    """Scheduler of one policy: calls the policy when its last action has been held long enough.
+def start_policy(policy: EpisodePolicy, seed: int | None, object_names: Sequence[str] = ()) -> None:
+    """Prepare a policy for an episode and start it.
+
+    Args:
+        policy: Policy to start.
+        seed: Seed of the policy.
+        object_names: YCB names of the objects, the one that is handed over first.
+
+    Raises:
+        PolicyError: The policy fails.
+    """
+    with _name_policy(policy, "reset"):
+        policy.prepare(object_names)
+        policy.reset(seed)
+
+
+def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> tuple[Action, int]:
+    """Return the action of a policy, and the physics step up to which it is held.
 
     Args:
         policy: Policy to call.
+        observation: Observation of its agent.
+        step: Number of physics steps since the start.
 
-    Attributes:
-        due: Physics step from which on the policy is to be called again.
+    Raises:
+        PolicyError: The policy fails.
+        OptionError: The policy's hold time is not a positive number.
     """
+    with _name_policy(policy, f"after {step} steps"):
+        action, hold_time = policy.act(observation), policy.hold_time
+    return action, step + steps_from_hold_time(hold_time)
 
-    def __init__(self, policy: EpisodePolicy) -> None:
-        self._policy = policy
-        self._action: Action | None = None
-        self.due = 0
 
-    def reset(self, seed: int | None, object_names: Sequence[str] = ()) -> None:
-        """Prepare the policy for an episode and start it.
-
-        Args:
-            seed: Seed of the policy.
-            object_names: YCB names of the objects, the one that is handed over first.
-
-        Raises:
-            PolicyError: The policy fails.
-        """
-        try:
-            self._policy.prepare(object_names)
-            self._policy.reset(seed)
-        except HandoverError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise self._make_error("reset", error) from error
-        self._action, self.due = None, 0
-
-    def act(self, observe: Callable[[], Observation], step: int) -> Action:
-        """Return the policy's action at a physics step: a new one if a decision is due, else the last one.
-
-        Args:
-            observe: Returns the policy's observation; called only if the policy is due.
-            step: Number of physics steps since the start.
-
-        Raises:
-            PolicyError: The policy fails.
-            OptionError: The policy's hold time is not a positive number.
-        """
-        if self._action is None or step >= self.due:
-            return self.decide(observe(), step)
-        return self._action
-
-    def decide(self, observation: Observation, step: int) -> Action:
-        """Call the policy, whether it is due or not, and return its action.
-
-        Raises:
-            PolicyError: The policy fails.
-            OptionError: The policy's hold time is not a positive number.
-        """
-        try:
-            self._action = self._policy.act(observation)
-            hold_time = self._policy.hold_time
-        except HandoverError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise self._make_error(f"after {step} steps", error) from error
-        self.due = step + steps_from_hold_time(hold_time)
-        return self._action
-
-    def _make_error(self, when: str, error: BaseException) -> PolicyError:
-        return PolicyError(f"policy {self._policy.name!r} failed ({when}): {type(error).__name__}: {error}")
+@contextlib.contextmanager
+def _name_policy(policy: EpisodePolicy, when: str) -> Iterator[None]:
+    """Name the policy in errors of its code."""
+    try:
+        yield
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise PolicyError(f"policy {policy.name!r} failed ({when}): {type(error).__name__}: {error}") from error
 
 
 def steps_from_hold_time(hold_time: float) -> int:
@@ -214,6 +189,7 @@ class EpisodeAgent:
     Attributes:
         agent: Agent that the policy acts for, "giver" or "receiver".
         action: Action that is held; empty before the first decision.
+        due: Physics step from which on the policy is to be called again.
         planning_time: Time of the last call of the policy (s).
         rendering_time: Time in which the observation of the last decision was made (s).
 
@@ -223,19 +199,14 @@ class EpisodeAgent:
 
     def __init__(self, episode: Episode, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
         self.agent, self.action = agent, np.zeros(0, dtype=np.float32)
-        self.planning_time = self.rendering_time = 0.0
+        self.due, self.planning_time, self.rendering_time = 0, 0.0, 0.0
         self._episode, self._policy, self._seed = episode, policy, seed
-        self._scheduler, self._is_giver = PolicyScheduler(policy), agent == "giver"
+        self._is_giver = agent == "giver"
         self._giver_space, self._objects = giver_action_space(episode.config.giver), episode.scene.info.object_names
         if self._is_giver:
-            self._scheduler.reset(derive_giver_seed(seed, episode.scene.info.scene_id), self._objects)
+            start_policy(policy, derive_giver_seed(seed, episode.scene.info.scene_id), self._objects)
         else:
             episode.seed_camera(derive_seed(seed, "camera"))
-
-    @property
-    def due(self) -> int:
-        """Physics step from which on the policy is to be called again."""
-        return self._scheduler.due
 
     @property
     def observes(self) -> bool:
@@ -272,9 +243,9 @@ class EpisodeAgent:
             observation = episode.observe_for_policy(self._policy, state) if self.observes else {}
         self.rendering_time = time.perf_counter() - started
         if not self._is_giver and not self.action.size:
-            self._scheduler.reset(derive_receiver_seed(self._seed, observation), self._objects)
+            start_policy(self._policy, derive_receiver_seed(self._seed, observation), self._objects)
         started = time.perf_counter()
-        action = self._scheduler.decide(observation, now)
+        action, self.due = call_policy(self._policy, observation, now)
         self.planning_time = time.perf_counter() - started
         self.action = check_giver_action(action, self._giver_space) if self._is_giver else check_receiver_action(action)
 

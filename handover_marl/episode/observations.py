@@ -111,22 +111,12 @@ def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time
         released: Whether the person has released the object.
         time: Time since the start of the episode (s).
     """
-    n_objects = len(object_ids)
-    poses = np.zeros((MAX_OBJECTS, _POSE), dtype=np.float32)
-    mask = np.zeros(MAX_OBJECTS, dtype=np.float32)
     classes = np.zeros(MAX_OBJECTS, dtype=np.float32)
-    poses[:n_objects], mask[:n_objects], classes[:n_objects] = state.object_poses, 1.0, object_ids
-    hand, keypoints = state.hand_dof_position, state.hand_keypoints
+    classes[: len(object_ids)] = object_ids
     return {
-        "robot_joint_position": state.robot_joint_position,
-        "robot_joint_velocity": state.robot_joint_velocity,
-        "gripper_pose": state.gripper_pose,
-        "object_poses": poses,
-        "object_mask": mask,
+        **state._asdict(),
+        "object_mask": (classes > 0).astype(np.float32),
         "object_classes": classes,
-        "hand_dof_position": np.zeros(HAND_DOF, dtype=np.float32) if hand is None else hand,
-        "hand_keypoints": np.zeros((N_KEYPOINTS, 3), dtype=np.float32) if keypoints is None else keypoints,
-        "hand_present": np.array([hand is not None], dtype=np.float32),
         "released": np.array([released], dtype=np.float32),
         "time": np.array([time], dtype=np.float32),
     }

@@ -6,7 +6,6 @@ from gymnasium import spaces
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
 from handover_marl.errors import ActionError, check_name
-from handover_marl.geometry.arrays import AnyArray
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode: the simulator's state, and the wrist camera's data.
@@ -76,11 +75,6 @@ def giver_action_space(config: GiverConfig = OFFICIAL_CONFIG.giver) -> spaces.Bo
     low = -high
     low[-1] = 0.0
     return spaces.Box(low, high)
-
-
-def requests_release(giver_actions: AnyArray) -> AnyArray:
-    """Return whether actions (..., 8) of givers request the release of the object, (...)."""
-    return giver_actions[..., 7] > 0.5
 
 
 def check_receiver_action(action: object) -> npt.NDArray[np.float32]:

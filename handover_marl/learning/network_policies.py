@@ -4,9 +4,10 @@ Actions equal those of single policies to the bit and do not depend on the other
 tensors, they equal those of single policies to 1e-5.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
@@ -17,18 +18,17 @@ from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.policy_spec import DenseNetwork
 from handover_marl.learning.schemes import make_array_scheme
-from handover_marl.policies.batch import Actions, ArrayPolicy, PolicyBatch
+from handover_marl.policies.batch import Actions
 from handover_marl.policies.policy import Policy
 
 
-class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
-    """Batch of policies that evaluate one network, for all episodes in one call.
+class NetworkArrayPolicy:
+    """Policy on arrays that evaluates one network for all episodes in one call; see `ArrayPolicy`.
 
     Args:
         policy: Policy of a single episode, whose function is a `DenseNetwork`.
         features: Features of n episodes.
         scheme: Action scheme of n episodes.
-        count: Number n of episodes.
         check: Function that checks an action that is not finite, and raises an error.
         arrays: Creator of the arrays.
     """
@@ -38,14 +38,20 @@ class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
         policy: FunctionPolicy,
         features: ArrayFeatures,
         scheme: ArrayScheme,
-        count: int,
         check: Callable[[object], Actions],
         arrays: ArrayFactory = NUMPY_ARRAYS,
     ) -> None:
-        super().__init__(policy, count, policy.scheme.agent, arrays)
+        self._policy, self._arrays, self._hold_steps = policy, arrays, steps_from_hold_time(policy.hold_time)
         self._features, self._scheme, self._check = features, scheme, check
         network: Any = policy.function
         self._network: DenseNetwork = network.copy_to(arrays)
+
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Do nothing: a network needs no preparation."""
+
+    def count_hold_steps(self, rows: AnyIndices) -> int:
+        """Return the number of physics steps for which actions are held."""
+        return self._hold_steps
 
     def start(self, row: int, seed: int | None) -> None:
         """Clear the state of the previous episode."""
@@ -80,10 +86,10 @@ class NetworkPolicyBatch(ArrayPolicy[FunctionPolicy]):
         return found
 
 
-def make_network_policy_batch(
+def make_network_array_policy(
     policy: Policy, count: int, check: Callable[[object], Actions], arrays: ArrayFactory = NUMPY_ARRAYS
-) -> PolicyBatch | None:
-    """Return the batch of a policy with a dense network, built-in features and a built-in action scheme.
+) -> NetworkArrayPolicy | None:
+    """Return the version on arrays of a policy with a dense network, built-in features and a built-in action scheme.
 
     Args:
         policy: Policy of a single episode.
@@ -92,10 +98,10 @@ def make_network_policy_batch(
         arrays: Creator of the arrays.
 
     Returns:
-        The batch, or None for other policies: PyTorch modules and user-defined encodings are evaluated
+        The policy, or None for other policies: PyTorch modules and user-defined encodings are evaluated
         episode by episode.
     """
-    # A subclass may act in another way, so it has no batch.
+    # A subclass may act in another way, so it has no version on arrays.
     if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
         return None
     if not isinstance(policy.function, DenseNetwork):
@@ -107,4 +113,4 @@ def make_network_policy_batch(
     features = make_array_features(agent, policy.spec.features, context, selector, count, arrays)
     scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
     scheme.wait = policy.scheme.wait
-    return NetworkPolicyBatch(policy, features, scheme, count, check, arrays)
+    return NetworkArrayPolicy(policy, features, scheme, check, arrays)

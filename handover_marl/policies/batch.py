@@ -6,18 +6,17 @@ arrays are tensors.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeAlias, TypeVar
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from handover_marl.config import PANDA_DOF
-from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
+from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
-from handover_marl.policies.policy import Giver, Policy
+from handover_marl.policies.policy import Policy
 
-PolicyType = TypeVar("PolicyType", bound=Policy)
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
 #: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
@@ -63,29 +62,24 @@ class SequentialPolicyBatch(PolicyBatch):
     """
 
     def __init__(self, policies: Sequence[Policy], check: Callable[[object], Actions]) -> None:
-        self._schedulers = [PolicyScheduler(policy) for policy in policies]
-        self._check = check
+        self._policies, self._check = policies, check
+        self._actions: dict[int, Actions] = {}
+        self._due = np.zeros(len(policies), dtype=np.int64)
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start an episode; see `PolicyBatch.reset`."""
-        self._schedulers[row].reset(seed, object_names)
+        start_policy(self._policies[row], seed, object_names)
+        self._due[row] = 0
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
-        schedulers = [self._schedulers[row] for row in rows.tolist()]
-        is_due = steps >= np.array([scheduler.due for scheduler in schedulers])
-        found = observe(rows[is_due]) if is_due.any() else {}
-        observations = iter(range(int(is_due.sum())))
-
-        def observe_next() -> Observation:
-            number = next(observations)
-            return {key: values[number] for key, values in found.items()}
-
-        actions = [
-            self._check(scheduler.act(observe_next, step))
-            for scheduler, step in zip(schedulers, steps.tolist(), strict=True)
-        ]
-        return np.stack(actions), np.array([scheduler.due for scheduler in schedulers])
+        numbers = np.flatnonzero(steps >= self._due[rows])
+        found = observe(rows[numbers]) if len(numbers) else {}
+        for place, number in enumerate(numbers.tolist()):
+            row, observation = int(rows[number]), {key: values[place] for key, values in found.items()}
+            action, self._due[row] = call_policy(self._policies[row], observation, int(steps[number]))
+            self._actions[row] = self._check(action)
+        return np.stack([self._actions[row] for row in rows.tolist()]), self._due[rows]
 
 
 class HostPolicyBatch(PolicyBatch):
@@ -113,61 +107,51 @@ class HostPolicyBatch(PolicyBatch):
         return self._arrays.asarray(actions), self._arrays.asarray(due)
 
 
-class ArrayPolicy(PolicyBatch, Generic[PolicyType]):
-    """Base class of policies that compute the actions of all episodes as arrays.
+class ArrayPolicy(Protocol):
+    """Interface of policies whose state is in arrays (n, ...), one row for each of n episodes."""
 
-    Subclasses define `decide`, `start` if they store anything between decisions, and `count_hold_steps` if the times
-    between decisions vary.
+    def prepare(self, object_names: Sequence[str]) -> None:
+        """Prepare for an episode with the objects of these YCB names."""
+
+    def start(self, row: int, seed: int | None) -> None:
+        """Start the episode of a row with a seed of its random numbers."""
+
+    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
+        """Return the actions (r, ...) in the episodes of rows (r,), from their observations (r, ...)."""
+
+    def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
+        """Return the physics steps, (r,) or one number for all, for which the actions are held."""
+
+
+class ArrayPolicyBatch(PolicyBatch):
+    """Batch of a policy that computes the actions of all episodes as arrays.
 
     Args:
-        policy: Policy of a single episode; its parameters apply to all episodes.
-        count: Number of episodes.
-        agent: Agent that acts, "giver" or "receiver"; default: that of the policy's class.
+        policy: Policy of n episodes.
+        count: Number n of episodes.
+        agent: Agent that acts, "giver" or "receiver".
         arrays: Creator of the arrays.
     """
 
-    def __init__(
-        self, policy: PolicyType, count: int, agent: str | None = None, arrays: ArrayFactory = NUMPY_ARRAYS
-    ) -> None:
-        self._policy, self._hold_steps, self._arrays = policy, steps_from_hold_time(policy.hold_time), arrays
-        is_giver = isinstance(policy, Giver) if agent is None else agent == "giver"
-        self._actions = arrays.zeros((count, GIVER_ACTION_SIZE if is_giver else PANDA_DOF), "float32")
+    def __init__(self, policy: ArrayPolicy, count: int, agent: str, arrays: ArrayFactory = NUMPY_ARRAYS) -> None:
+        self._policy, self._arrays = policy, arrays
+        self._actions = arrays.zeros((count, GIVER_ACTION_SIZE if agent == "giver" else PANDA_DOF), "float32")
         self._due = arrays.zeros(count, "int64")
 
     def reset(self, row: int, seed: int | None, object_names: Sequence[str]) -> None:
         """Start an episode; see `PolicyBatch.reset`."""
         self._due[row] = 0
-        self.start(row, seed)
+        self._policy.prepare(object_names)
+        self._policy.start(row, seed)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
         """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
             due = rows[numbers]
-            self._actions[due] = self.decide(due, observe(due))
-            self._due[due] = steps[numbers] + self.count_hold_steps(due)
+            self._actions[due] = self._policy.decide(due, observe(due))
+            self._due[due] = steps[numbers] + self._policy.count_hold_steps(due)
         return self._actions[rows], self._due[rows]
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode.
-
-        Args:
-            row: Index of the episode.
-            seed: Seed of the policy.
-        """
-
-    def count_hold_steps(self, rows: AnyIndices) -> int | AnyArray:
-        """Return the physics steps, (r,) or one for all, for which actions are held; default: as the policy."""
-        return self._hold_steps
-
-    @abstractmethod
-    def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Decide on the actions (r, ...) of episodes whose last action has expired.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of the agent's observations.
-        """
 
 
 def make_giver_actions(

@@ -138,7 +138,7 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
     from handover_marl.simulation.mujoco.world import MujocoWorld
 
     simulation = BatchSimulation()
-    return HostWorlds([MujocoWorld(config, simulation=simulation) for _ in range(count)], arrays)
+    return HostWorlds([MujocoWorld(config, simulation=simulation) for _ in range(count)])
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:

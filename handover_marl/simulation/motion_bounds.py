@@ -110,7 +110,7 @@ class RobotMotionBounds:
             robot_centers: Centers (..., b, 3) of the robot's spheres (m), from
                 `compute_sphere_centers`.
             centers: Centers (..., m, 3) of spheres around the bodies (m); inf for absent bodies.
-            radii: Radii (m,) of the spheres around the bodies (m).
+            radii: Radii (..., m) of the spheres around the bodies (m).
         """
         distances = self._distances(centers[..., None, :, :], robot_centers)[..., 0, :]
         return np.asarray((distances - radii < _MARGIN).any(axis=-1))

@@ -1,12 +1,11 @@
-"""Device that Warp and PyTorch share, and poses of bodies as tensors on it."""
+"""Device that Warp and PyTorch share."""
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import warp
 
-from handover_marl.geometry.arrays import AnyArray, ArrayFactory
+from handover_marl.geometry.arrays import ArrayFactory
 
 
 class WarpDevice:
@@ -42,20 +41,3 @@ class WarpDevice:
                 # A graph cannot be captured in the default stream.
                 stack.enter_context(warp.ScopedStream(warp.stream_from_torch(self.stream)))
             yield
-
-
-@dataclass(frozen=True, eq=False)
-class JointSnapshotBatch:
-    """Joint positions and poses of the bodies of n worlds at one time (world frame, m, rad), float32.
-
-    Attributes:
-        robot: Positions (n, 9) of the Pandas' joints.
-        hand: Positions (n, 51) of the hands' joints, undefined without a hand.
-        hand_present: Whether there is a hand, (n,), bool.
-        objects: Poses (n, 5, 7) of the objects, quaternions xyzw; those of absent objects are undefined.
-    """
-
-    robot: AnyArray
-    hand: AnyArray
-    hand_present: AnyArray
-    objects: AnyArray

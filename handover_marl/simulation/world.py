@@ -2,15 +2,23 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import CameraConfig, PhysicsConfig, ProtocolConfig
+from handover_marl.config import (
+    HAND_DOF,
+    MAX_OBJECTS,
+    N_KEYPOINTS,
+    PANDA_DOF,
+    CameraConfig,
+    PhysicsConfig,
+    ProtocolConfig,
+)
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
+from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.camera.renderers import check_rendering
 from handover_marl.simulation.contacts import Contacts, JudgeFunction
@@ -22,28 +30,55 @@ if TYPE_CHECKING:
     from handover_marl.simulation.bullet.rendering import SceneRenderer
 
 
-@dataclass(frozen=True, eq=False)
-class WorldState:
-    """State of robot, objects and human hand after a physics step.
+class WorldState(NamedTuple):
+    """State of robot, objects and human hand after a physics step, of one world or of n worlds (n, ...).
 
     Arrays are float32, in the world frame, in m and rad; quaternions are xyzw.
 
     Attributes:
         robot_joint_position: Positions (9,) of the Panda's arm and finger joints.
-        robot_joint_velocity: Velocities (9,) of the Panda's arm and finger joints.
+        robot_joint_velocity: Velocities (9,) of these joints.
         gripper_pose: Pose (7,) of the Panda's hand link.
-        object_poses: Poses (n, 7) of the objects, the target first.
-        hand_dof_position: Positions (51,) of the human hand's joints, or None without a hand.
-        hand_keypoints: Positions (16, 3) of the wrist and the finger-joint origins, or None without
-            a hand.
+        object_poses: Poses (5, 7) of the objects, the target first; zeros for no object.
+        hand_present: 1 with a hand, 0 without, (1,).
+        hand_dof_position: Positions (51,) of the human hand's joints, zeros without a hand.
+        hand_keypoints: Positions (16, 3) of the wrist and the finger-joint origins, zeros without a hand.
     """
 
-    robot_joint_position: npt.NDArray[np.float32]
-    robot_joint_velocity: npt.NDArray[np.float32]
-    gripper_pose: npt.NDArray[np.float32]
-    object_poses: npt.NDArray[np.float32]
-    hand_dof_position: npt.NDArray[np.float32] | None
-    hand_keypoints: npt.NDArray[np.float32] | None
+    robot_joint_position: AnyArray
+    robot_joint_velocity: AnyArray
+    gripper_pose: AnyArray
+    object_poses: AnyArray
+    hand_present: AnyArray
+    hand_dof_position: AnyArray
+    hand_keypoints: AnyArray
+
+    @classmethod
+    def from_bodies(
+        cls,
+        robot_joints: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
+        gripper_pose: npt.NDArray[np.float32],
+        object_poses: npt.NDArray[np.float32],
+        hand_joints: npt.NDArray[np.float32] | None,
+        hand_keypoints: npt.NDArray[np.float32] | None,
+    ) -> "WorldState":
+        """Return the state of one world: positions and velocities of the robot, poses (m, 7) of m objects, a hand."""
+        poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)
+        poses[: len(object_poses)] = object_poses
+        return cls(
+            *robot_joints,
+            gripper_pose,
+            poses,
+            np.array([hand_joints is not None], dtype=np.float32),
+            np.zeros(HAND_DOF, dtype=np.float32) if hand_joints is None else hand_joints,
+            np.zeros((N_KEYPOINTS, 3), dtype=np.float32) if hand_keypoints is None else hand_keypoints,
+        )
+
+    @classmethod
+    def from_zeros(cls, count: int, arrays: ArrayFactory) -> "WorldState":
+        """Return a state of n worlds with zeros."""
+        shapes = ((PANDA_DOF,), (PANDA_DOF,), (7,), (MAX_OBJECTS, 7), (1,), (HAND_DOF,), (N_KEYPOINTS, 3))
+        return cls(*(arrays.zeros((count, *shape), "float32") for shape in shapes))
 
 
 class AgentJoints(NamedTuple):

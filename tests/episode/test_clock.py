@@ -1,4 +1,4 @@
-"""Tests of the policy scheduler: the steps at which policies act, their hold times and their errors."""
+"""Tests of the steps at which policies act, their hold times and their errors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.episode.loop import PolicyScheduler, steps_from_hold_time
+from handover_marl.episode.loop import call_policy, start_policy, steps_from_hold_time
 from handover_marl.errors import OptionError, PolicyError, SimulationError
+from handover_marl.policies.batch import SequentialPolicyBatch
 
 SEEN: dict[str, np.ndarray] = {}
 
@@ -49,33 +50,17 @@ class CountingPolicy:
     ],
 )
 def test_policies_are_asked_when_they_want_to_be(hold_time: float, expected: list[int]) -> None:
-    clock = PolicyScheduler(CountingPolicy(hold_time))
+    batch, row = SequentialPolicyBatch([CountingPolicy(hold_time)], np.asarray), np.array([0])
     for _ in range(2):
-        clock.reset(None)
-        assert [int(clock.act(lambda: SEEN, 100 * n)[0]) for n in range(5)] == expected
-
-
-def test_due_is_reported_in_physics_steps() -> None:
-    clock = PolicyScheduler(CountingPolicy(0.13))
-    assert clock.due == 0, "a policy that has not acted is due"
-    clock.reset(None)
-    assert clock.due == 0
-    clock.act(lambda: SEEN, 0)
-    assert clock.due == 130
-    clock.act(lambda: SEEN, 129)
-    assert clock.due == 130
-    clock.act(lambda: SEEN, 150)
-    assert clock.due == 280
-    clock.reset(None)
-    assert clock.due == 0
+        batch.reset(0, None, ())
+        found = [batch.act(row, lambda rows: SEEN, np.array([100 * n]))[0] for n in range(5)]
+        assert [int(actions[0, 0]) for actions in found] == expected
 
 
 @pytest.mark.parametrize("hold_time", [0, -0.1, float("nan"), "0.1", None, True])
 def test_no_time_at_all_is_refused(hold_time: Any) -> None:
-    clock = PolicyScheduler(CountingPolicy(hold_time))
-    clock.reset(None)
     with pytest.raises(OptionError, match="hold_time"):
-        clock.act(lambda: SEEN, 0)
+        call_policy(CountingPolicy(hold_time), SEEN, 0)
 
 
 def test_short_times_are_one_step() -> None:
@@ -90,21 +75,15 @@ def test_short_times_are_one_step() -> None:
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("nought"), SystemExit("bye")])
 def test_whose_fault_it_was(error: BaseException) -> None:
-    clock = PolicyScheduler(CountingPolicy(0.1, error))
+    policy = CountingPolicy(0.1, error)
     with pytest.raises(PolicyError, match=rf"policy 'counting' failed \(reset\): {type(error).__name__}: {error}"):
-        clock.reset(None)
+        start_policy(policy, None)
     with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 300 steps\)"):
-        clock.act(lambda: SEEN, 300)
+        call_policy(policy, SEEN, 300)
 
 
 def test_errors_of_the_library_and_of_the_user_stay_what_they_are() -> None:
     with pytest.raises(SimulationError, match="broken"):
-        PolicyScheduler(CountingPolicy(0.1, SimulationError("broken"))).reset(None)
+        start_policy(CountingPolicy(0.1, SimulationError("broken")), None)
     with pytest.raises(KeyboardInterrupt):
-        PolicyScheduler(CountingPolicy(0.1, KeyboardInterrupt())).act(lambda: SEEN, 0)
-
-
-def test_policies_get_ready_before_an_episode() -> None:
-    policy = CountingPolicy(0.1)
-    PolicyScheduler(policy).reset(0, ("025_mug",))
-    assert policy.prepared == ("025_mug",)
+        call_policy(CountingPolicy(0.1, KeyboardInterrupt()), SEEN, 0)

@@ -9,14 +9,11 @@ import pytest
 from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.camera_observations import WristCamera, WristCameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import PROPRIOCEPTION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.errors import OptionError, ResetNeededError
-from handover_marl.simulation.camera import renderers
-from handover_marl.simulation.camera.noise import CameraNoise
+from handover_marl.errors import ResetNeededError
 from handover_marl.simulation.contacts import NO_POINTS
 from handover_marl.simulation.world import World
 
@@ -79,16 +76,6 @@ def test_steps_with_callbacks_equal_rollouts(batch_episode: Episode, monkeypatch
     assert steps == list(range(1, episode.steps + 1))
 
 
-def test_rollouts_need_no_single_steps(batch_episode: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
-    episode, steps = batch_episode, list[int]()
-    monkeypatch.setattr(type(episode.world), "step", lambda world, target: pytest.fail("a single step was simulated"))
-    episode.advance(START, 450)
-    assert episode.steps == 450
-    monkeypatch.undo()
-    episode.advance(START, 250, on_step=[lambda _: steps.append(episode.steps)])
-    assert steps == list(range(451, 701))
-
-
 def test_voluntary_release(episode: Episode) -> None:
     assert not episode.object_offered
     episode.advance(START, 100, RELEASE)
@@ -108,20 +95,6 @@ def test_voluntary_release(episode: Episode) -> None:
     assert episode.status == EpisodeStatus.OBJECT_DROP
 
 
-def test_the_hand_opens_after_a_voluntary_release_only(episode: Episode) -> None:
-    episode.advance(START, HELD)
-    before = episode.world.read_agent_joints().hand
-    episode.advance(START, 50)
-    still = episode.world.read_agent_joints().hand
-    episode.advance(START, 200, RELEASE)
-    opened = episode.world.read_agent_joints().hand
-    assert before is not None
-    assert still is not None
-    assert opened is not None
-    assert np.abs(opened[6:]).sum() < 0.7 * np.abs(before[6:]).sum()
-    np.testing.assert_allclose(still[6:], before[6:], atol=0.02)
-
-
 def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:
     class Policy:
         obs_mode = "pointcloud"
@@ -139,34 +112,6 @@ def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:
         policy.obs_mode = mode
         assert episode.observe_for_policy(policy, state).keys() == keys
     assert episode.observe_camera("state") == {}
-
-
-def test_the_rays_renderer_is_needed_only_for_images(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*args: object, **options: object) -> None:
-        raise OptionError("a package is missing")
-
-    monkeypatch.setattr(renderers, "require_modules", fail)
-    episode = Episode("fast")
-    episode.reset(SCENE)
-    episode.advance(START, 10)
-    with pytest.raises(OptionError, match="missing"):
-        episode.capture_wrist_camera()
-    episode.close()
-
-
-@pytest.mark.parametrize(("latency", "n_snapshots"), [(0.05, 1 + 120), (0.0, 0)])
-def test_cameras_with_latency_record_every_step(
-    latency: float, n_snapshots: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    snapshots = []
-    monkeypatch.setattr(WristCamera, "record_snapshot", lambda camera, world: snapshots.append(world))
-    episode = Episode("fast", wrist_camera=WristCameraConfig(camera_noise=CameraNoise(latency=latency)))
-    episode.reset(SCENE)
-    episode.advance(START, 120)
-    assert len(snapshots) == n_snapshots
-    episode.reset(SCENE)
-    assert len(snapshots) == n_snapshots + (latency > 0.0)
-    episode.close()
 
 
 def test_nothing_is_known_before_a_reset_and_after_closing(episode: Episode) -> None:

@@ -62,13 +62,6 @@ def test_zero_is_the_recording_to_the_bit() -> None:
     np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
 
 
-def test_the_start_is_the_first_frame() -> None:
-    start = GiverMotion(1, CONFIG).reset(0, SCENE)
-    np.testing.assert_array_equal(start.objects, SCENE.object_dof[:1])
-    np.testing.assert_array_equal(start.hand, SCENE.hand_dof[:1])
-    assert start.hand_present.tolist() == [False]
-
-
 def test_pausing_stops_and_doubling_skips() -> None:
     played = playback()
     advance(played, 1000)
@@ -140,23 +133,6 @@ def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> 
     parts = [advance(in_parts, steps, displaced) for steps in (30, 1, 25, 44)]
     np.testing.assert_allclose(np.concatenate([part.objects for part in parts]), around.objects, atol=1e-6)
     assert at_once.holding
-
-
-def test_after_letting_go_the_hand_opens_and_leaves_the_object() -> None:
-    played = held()
-    before = advance(played, 1)
-    after = advance(played, 1000, action(shift=(0.0, 0.2, 0.0)), released=True, is_opening=True)
-    np.testing.assert_array_equal(after.objects[-1], before.objects[-1])
-    assert wrist(after)[-1, 1] - wrist(before)[-1, 1] == pytest.approx(0.2, abs=1e-6)
-    np.testing.assert_allclose(after.hand[-1, 6:], (1 - CONFIG.opening) * before.hand[-1, 6:], atol=1e-6)
-    assert played.opening_progress == 1.0
-
-
-def test_moving_by_nothing_is_nothing() -> None:
-    rows = SCENE.object_dof[::100, 0]
-    bodies = np.stack([rows, rows], axis=1)[None]
-    moved = move_with_wrists(bodies, np.zeros((1, len(rows), 2, 3)), np.ones((1, 3)), bodies[:, 0, :, 3:])
-    np.testing.assert_allclose(moved, bodies, atol=1e-6)
 
 
 def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
@@ -345,15 +321,6 @@ def test_an_opening_hand_opens_evenly() -> None:
     fingers = np.concatenate([part.hand[:, 6:] for part in parts])
     np.testing.assert_allclose(fingers, (1.0 - CONFIG.opening * opened[:, None]) * before[6:], atol=1e-6)
     np.testing.assert_array_equal(np.concatenate([part.hand[:, :6] for part in parts]), np.tile(before[:6], (500, 1)))
-
-
-def test_the_progress_of_opening_is_kept() -> None:
-    played = held()
-    assert played.opening_progress == 0.0
-    advance(played, 150, released=True, is_opening=True)
-    assert played.opening_progress == pytest.approx(0.5)
-    advance(played, 75, released=True, is_opening=True)
-    assert played.opening_progress == pytest.approx(0.75)
 
 
 def start() -> GiverMotion:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.episode.giver_motion import NO_DEVIATION, GiverMotion
-from handover_marl.geometry.arrays import make_tensor_factory, to_numpy
+from handover_marl.geometry.arrays import make_tensor_factory
 from tests.episode.one_giver import CONFIG, COUNT, HIGH, SCENES, OneGiver
 
 pytest.importorskip("torch", reason="needs the extra `train`")
@@ -59,19 +59,6 @@ def test_random_actions_give_equal_motions(seed: int) -> None:
             actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
             actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
         compare(batch, singles, rng, actions)
-
-
-def test_a_reset_forgets_the_deviation() -> None:
-    batch, _ = start()
-    actions, held = TENSORS.asarray(np.tile(HIGH, (COUNT, 1))), TENSORS.zeros(COUNT, "bool")
-    for _ in range(20):
-        batch.commit(batch.plan(ROWS, 200, actions, held, held), TENSORS.full(COUNT, 200, "int64"))
-    assert to_numpy(batch.deviation)[:, 1:4].all()
-    batch.reset(0, SCENES[0])
-    assert not to_numpy(batch.deviation)[0].any()
-    assert to_numpy(batch.deviation)[1:].any(axis=1).all()
-    plan = batch.plan(ROWS[:1], 1, TENSORS.asarray(NO_DEVIATION[None]), held[:1], held[:1])
-    np.testing.assert_array_equal(plan.reference.hand[0], SCENES[0].hand_dof[1:2])
 
 
 def test_previews_are_those_of_single_givers() -> None:

@@ -8,8 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.lockstep import judge_steps
-from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.referee import (
+    RELEASE_REASONS,
+    EpisodeStatus,
+    Referee,
+    RefereeState,
+    ReleaseReason,
+    judge_steps,
+)
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 

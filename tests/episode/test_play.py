@@ -1,16 +1,13 @@
 """Tests of the episode loop: when policies act, with which observations and with which seeds."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import loop
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import (
     EpisodeCallback,
@@ -50,16 +47,6 @@ class CopyingReceiver(Yang2021Receiver):
 
     def act(self, observation: Observation) -> np.ndarray:
         return np.array(super().act({key: value.copy() for key, value in observation.items()}))
-
-
-class ScribblingReceiver(CopyingReceiver):
-    """Receiver that overwrites the observed arrays after it has planned with copies."""
-
-    def act(self, observation: Observation) -> np.ndarray:
-        action = super().act(observation)
-        for value in observation.values():
-            value[...] = 0.0
-        return action
 
 
 class ScribblingGiver(CooperativeGiver):
@@ -107,17 +94,8 @@ def test_what_policies_write_into_their_observations_is_seen_by_nobody() -> None
     for seen, as_it_was in keeping.kept:
         for key, value in seen.items():
             np.testing.assert_array_equal(value, as_it_was[key])
-    for receiver, giver in (
-        (ScribblingReceiver, keeping),
-        (CopyingReceiver, ScribblingGiver()),
-        (ScribblingReceiver, ScribblingGiver()),
-    ):
-        assert_same(played(receiver, giver, HALF_WAY), clean)
-    spoilt = keeping.kept
-    assert len(spoilt) > 20
-    for seen, as_it_was in spoilt:
-        for key, value in seen.items():
-            np.testing.assert_array_equal(value, as_it_was[key], err_msg=f"the receiver spoilt the giver's {key}")
+    assert len(keeping.kept) > 20
+    assert_same(played(CopyingReceiver, ScribblingGiver(), HALF_WAY), clean)
 
 
 class Counting(Policy):
@@ -186,16 +164,6 @@ def test_every_policy_gets_a_seed_of_its_own(pair: tuple[Counting, Counting]) ->
     episode.close()
 
 
-def test_the_seed_of_a_receiver_does_not_depend_on_the_number_of_the_scene(pair: tuple[Counting, Counting]) -> None:
-    receiver, _ = pair
-    episode, scene = Episode("fast"), SyntheticDataset().load_scene(SCENE)
-    for scene_id in (SCENE, SCENE + 1):
-        episode.reset(replace(scene, info=replace(scene.info, scene_id=scene_id)))
-        run_episode(episode, receiver, until=1)
-    episode.close()
-    assert receiver.seeds[0] == receiver.seeds[1]
-
-
 def test_the_seed_of_a_receiver_depends_on_the_run_and_on_every_observed_array() -> None:
     observation = {"time": np.zeros(1), "pose": np.zeros(7)}
     seeds = {derive_receiver_seed(seed, observation) for seed in (0, 1, 2)}
@@ -211,21 +179,6 @@ def test_receiver_seed_ignores_an_empty_cloud_of_other_objects() -> None:
     scene = {**targets, "wrist_other_points": 0.0 * points, "wrist_point_counts": counts}
     assert derive_receiver_seed(0, scene) == derive_receiver_seed(0, targets)
     assert derive_receiver_seed(0, {**scene, "wrist_other_points": points}) != derive_receiver_seed(0, targets)
-
-
-def test_times_of_a_decision_are_those_of_rendering_and_policy(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Times(EpisodeCallback):
-        def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-            self.seconds = (decision.rendering_time, decision.planning_time)
-
-    clock, times = iter([1.0, 3.0, 4.0, 9.0]), Times()
-    monkeypatch.setattr(loop, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    dataset = SyntheticDataset()
-    episode = Episode("fast")
-    episode.reset(dataset.load_scene(SCENE))
-    run_episode(episode, receivers.make("hold", dataset), until=1, callbacks=[times])
-    episode.close()
-    assert times.seconds == (2.0, 5.0)
 
 
 def test_seeds_are_those_of_earlier_versions() -> None:

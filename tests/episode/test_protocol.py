@@ -160,6 +160,18 @@ def test_referee_reports_the_release_step() -> None:
     assert referee.release_step == 110
 
 
+def test_a_voluntary_release_takes_effect_once() -> None:
+    referee = Referee(CONFIG)
+    for step in range(5):
+        assert (referee.released, referee.steps) == (False, step)
+        referee.update(NOTHING)
+    for _ in range(3):
+        referee.release_voluntarily()
+        assert (referee.release_reason, referee.release_step) == (ReleaseReason.VOLUNTARY, 5)
+        assert referee.released
+        referee.update(GRASP)
+
+
 @given(st.lists(st.sampled_from([GRASP, PUSH, ONE_FINGER, NOTHING, AT_GOAL]), max_size=6), st.booleans())
 def test_a_restored_referee_continues_as_the_original(parts: list[Contacts], gives: bool) -> None:
     """A restored referee gives equal states before, at and after releases of all three kinds; each part is 60 steps."""

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.lockstep import make_judge
-from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason
+from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
 from tests.episode.test_lockstep import stack_contacts
 

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -6,18 +5,10 @@ import pytest
 
 from handover_marl.config import GiverConfig
 from handover_marl.episode.spaces import (
-    FULL_POINTCLOUD,
-    OBS_MODES,
-    POINTCLOUD,
-    RGBD,
-    SCENE_POINTCLOUD,
     check_giver_action,
     check_receiver_action,
     check_vector,
-    get_camera_data_kind,
     giver_action_space,
-    has_state,
-    requests_release,
 )
 from handover_marl.errors import ActionError
 
@@ -67,18 +58,6 @@ def test_what_is_no_number_is_refused(action: object) -> None:
         check_receiver_action(action)
 
 
-def check_giver(action: object) -> np.ndarray:
-    return check_giver_action(action, giver_action_space())
-
-
-@pytest.mark.parametrize(
-    ("check", "agent", "size"), [(check_receiver_action, "receiver", 9), (check_giver, "giver", 8)]
-)
-def test_agents_without_an_action_are_named(check: Callable[[object], object], agent: str, size: int) -> None:
-    with pytest.raises(ActionError, match=f"action of the {agent} must be {size} numbers.*got None"):
-        check(None)
-
-
 @pytest.mark.parametrize(
     ("action", "message"),
     [
@@ -101,13 +80,6 @@ def test_what_givers_may_do_can_be_chosen() -> None:
     np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0), space), space.low)
 
 
-@pytest.mark.parametrize(("value", "releases"), [(0.0, False), (0.5, False), (0.51, True), (1.0, True)])
-def test_the_giver_releases_above_one_half(value: float, releases: bool) -> None:
-    action = np.arange(8, dtype=np.float32)
-    action[7] = value
-    assert requests_release(action) == releases
-
-
 def test_only_the_first_numbers_must_be_finite() -> None:
     values = [1.0, 2.0, float("nan")]
     np.testing.assert_array_equal(check_vector("pose", values, 3, "metres", n_finite=2), np.float32(values))
@@ -126,20 +98,3 @@ def test_tensors_on_a_gpu_are_explained() -> None:
         check_receiver_action(GpuTensor())
     with pytest.raises(ActionError, match=r"got Tensor$"):
         check_receiver_action(Tensor())
-
-
-def test_parts_of_observation_modes() -> None:
-    assert [(has_state(mode), get_camera_data_kind(mode)) for mode in OBS_MODES] == [
-        (True, None),
-        (True, POINTCLOUD),
-        (False, POINTCLOUD),
-        (True, RGBD),
-        (False, RGBD),
-        (True, FULL_POINTCLOUD),
-        (False, FULL_POINTCLOUD),
-        (True, SCENE_POINTCLOUD),
-        (False, SCENE_POINTCLOUD),
-    ]
-    # Equal strings need not be the same object.
-    assert has_state("".join(["sta", "te"]))
-    assert get_camera_data_kind("".join(["sta", "te"])) is None

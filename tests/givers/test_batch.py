@@ -8,8 +8,8 @@ import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
-from handover_marl.givers.array_giver import make_giver_batch
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.policies.batch import ArrayPolicyBatch
 from tests.givers.test_givers import seen
 from tests.tensors import make_device_tensors, make_observe_function
 
@@ -66,11 +66,14 @@ def draw_observations(seed: int, decisions: int = 60) -> Iterator[list[Observati
         yield found
 
 
+def make_batch(name: str, arrays: ArrayFactory = NUMPY_ARRAYS) -> ArrayPolicyBatch:
+    return ArrayPolicyBatch(givers.make(name).copy_for(COUNT, arrays), COUNT, "giver", arrays)  # type: ignore[attr-defined]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_batches_act_as_single_givers(name: str) -> None:
     singles = [givers.make(name) for _ in range(COUNT)]
-    batch = make_giver_batch(givers.make(name), COUNT)
-    assert batch is not None
+    batch = make_batch(name)
     for row, single in enumerate(singles):
         single.reset(row)
         batch.reset(row, row, ("025_mug",))
@@ -97,21 +100,19 @@ def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
     """The actions are equal after resets of single rows, too, and when only some rows decide."""
     with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
-        batches = [make_giver_batch(givers.make(name), COUNT, arrays) for arrays in makers]
+        batches = [make_batch(name, arrays) for arrays in makers]
         starts, acted = np.zeros(COUNT, dtype=np.int64), []
         for decision, observations in enumerate(draw_observations(2)):
             observation = stack(observations)
             for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14, 21) else []:
                 starts[row] = 100 * decision
                 for batch in batches:
-                    assert batch is not None
                     batch.reset(row, 10 * decision + row, ("025_mug",))
             for rows in (np.array([1, 3, 4]), np.array([5, 2]), np.array([0])):
                 if rows[0] == 5 and decision % 3 == 0:
                     continue
                 found = []
                 for batch, arrays in zip(batches, makers, strict=True):
-                    assert batch is not None
                     steps = arrays.asarray(100 * decision - starts[rows])
                     found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
                 assert is_tensor(found[1])

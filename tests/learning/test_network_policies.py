@@ -19,7 +19,7 @@ from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.features import count_features, list_features
-from handover_marl.learning.network_policies import NetworkPolicyBatch, make_network_policy_batch
+from handover_marl.learning.network_policies import make_network_array_policy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
     ACTIVATIONS,
@@ -29,7 +29,7 @@ from handover_marl.learning.policy_spec import (
     PolicySpec,
 )
 from handover_marl.learning.schemes import count_outputs, list_schemes
-from handover_marl.policies.batch import SequentialPolicyBatch
+from handover_marl.policies.batch import ArrayPolicyBatch, SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.learning.array_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
 from tests.tensors import make_device_tensors, make_observe_function
@@ -100,15 +100,19 @@ def test_a_network_of_tensors_has_the_same_outputs(
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
+def make_network_batch(policy: LearnedPolicy) -> ArrayPolicyBatch:
+    network = make_network_array_policy(policy, COUNT, np.asarray)
+    assert network is not None
+    return ArrayPolicyBatch(network, COUNT, policy.scheme.agent)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
     network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
     singles = [LearnedPolicy(agent, CONTEXT, path) for _ in ROWS]
-    batch, alone = (make_network_policy_batch(singles[0], COUNT, np.asarray) for _ in range(2))
-    assert batch is not None
-    assert alone is not None
+    batch, alone = (make_network_batch(singles[0]) for _ in range(2))
     some = np.array([5])
     for episode in range(2):
         for row, single in enumerate(singles):
@@ -137,8 +141,8 @@ def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
     network = draw_network(count_features("receiver", "close"), 7, 0)
     path = write(tmp_path / "policy.npz", "receiver", "close", "grasp_servo", network)
     policies = [f"learned:{path}", f"learned:{path}:wait=0.5", handover_marl.as_receiver(path)]
-    assert [type(make_batch(policy)) for policy in policies] == [NetworkPolicyBatch] * 3
-    assert type(make_batch("learned", "giver")) is NetworkPolicyBatch
+    assert [type(make_batch(policy)) for policy in policies] == [ArrayPolicyBatch] * 3
+    assert type(make_batch("learned", "giver")) is ArrayPolicyBatch
     own = "tests.learning.custom"
     custom = write(tmp_path / "own.npz", "receiver", f"{own}:OffsetAndCount", "grasp_servo", draw_network(4, 7, 0))
     assert type(make_batch(f"learned:{custom}")) is SequentialPolicyBatch
@@ -146,16 +150,14 @@ def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
     class Other(LearnedPolicy):
         pass
 
-    assert make_network_policy_batch(Other("receiver", CONTEXT, path), 2, np.asarray) is None
+    assert make_network_array_policy(Other("receiver", CONTEXT, path), 2, np.asarray) is None
 
 
 def test_a_batch_waits_as_the_option_says(tmp_path: Path) -> None:
     network = draw_network(count_features("receiver", "close"), 7, 0)
     path = write(tmp_path / "policy.npz", "receiver", "close", "grasp_servo", network)
-    batch = make_network_policy_batch(LearnedPolicy("receiver", CONTEXT, path, wait=0.5), COUNT, np.asarray)
-    usual = make_network_policy_batch(LearnedPolicy("receiver", CONTEXT, path), COUNT, np.asarray)
-    assert batch is not None
-    assert usual is not None
+    batch = make_network_batch(LearnedPolicy("receiver", CONTEXT, path, wait=0.5))
+    usual = make_network_batch(LearnedPolicy("receiver", CONTEXT, path))
     observation = draw_observation(0) | {"time": np.full((COUNT, 1), 0.6, dtype=np.float32)}
     acted, waited = (one.act(ROWS, functools.partial(select, observation), 0 * ROWS)[0] for one in (batch, usual))
     assert (acted != waited).any(axis=1).sum() > COUNT // 2

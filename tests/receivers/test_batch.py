@@ -13,9 +13,10 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.observations import Observation
 from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
+from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import yang2021
-from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
+from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 DATA = SyntheticDataset()
 CONTEXT = make_policy_context(DATA)
@@ -72,7 +73,7 @@ def test_a_batch_acts_as_single_receivers(monkeypatch: pytest.MonkeyPatch, make_
     rollouts = record_rollouts(limit)
     assert all(len(decisions) <= limit for decisions in rollouts)
     assert any(not action[7:].any() for decisions in rollouts for *_, action in decisions), "fingers have closed"
-    batch = Yang2021Batch(Yang2021Receiver(CONTEXT, wait=0.4), ROWS)
+    batch = ArrayPolicyBatch(Yang2021Receiver(CONTEXT, wait=0.4).copy_for(ROWS), ROWS, "receiver")
     # Per row: rollouts that have not ended, start time (ms) of the current one, and number of its next decision.
     waiting = [[first, second] for first, second in zip(rollouts[:ROWS], rollouts[ROWS:], strict=True)]
     starts, numbers = [0, 130, 470], [0] * ROWS
@@ -114,7 +115,7 @@ def test_an_object_without_grasps() -> None:
     episode.close()
     missing = DATA.object_names[int(state["object_classes"][0]) + 1]
     context = replace(CONTEXT, grasps=lambda name: None if name == missing else DATA.load_grasps(name))
-    batch = Yang2021Batch(Yang2021Receiver(context, wait=0.0), 3)
+    batch = ArrayPolicyBatch(Yang2021Receiver(context, wait=0.0).copy_for(3), 3, "receiver")
     found = {key: np.stack([values] * 3) for key, values in state.items()}
     found["object_classes"][1, 0] += 1
     for row in range(3):

@@ -9,7 +9,7 @@ import pytest
 from handover_marl.assets.shipped import GADDPG_WEIGHTS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler
+from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import PolicyError, ResetNeededError
 from handover_marl.geometry.poses import compose
@@ -185,20 +185,20 @@ def test_commands_do_not_depend_on_the_call_period(network: ConstantNetwork) -> 
     for period in (None, 1, 10):
         episode, receiver = Episode("fast"), GaddpgReceiver(CONTEXT, network=scaled_step, wait=0.3)
         episode.reset(DATA.load_scene(9))
-        scheduler = PolicyScheduler(receiver)
-        scheduler.reset(None)
+        start_policy(receiver, None)
+        due = 0
         actions = []
         calls.append(0)
         while episode.steps < 900:
-            if period is None and episode.steps < scheduler.due:
+            if period is None and episode.steps < due:
                 action = actions[-1]
             else:
                 # The points are synthetic; other tests check rendering.
                 known = episode.observe()
                 own = make_observation(0, known["gripper_pose"], FAR, episode.world.read_joints_float64())
-                action = scheduler.decide({**own, "time": known["time"]}, episode.steps)
+                action, due = call_policy(receiver, {**own, "time": known["time"]}, episode.steps)
                 calls[-1] += 1
-            steps = scheduler.due - episode.steps if period is None else period
+            steps = due - episode.steps if period is None else period
             # Periods of 10 ms miss the last millisecond of a decision.
             actions += [action] * min(steps, 900 - episode.steps)
             episode.advance(action, steps)

@@ -9,7 +9,7 @@ import pytest
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler
+from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.rendering import render_plan
@@ -89,13 +89,12 @@ def test_commands_do_not_depend_on_the_call_period() -> None:
     for period in (None, 10):
         episode, receiver = Episode("fast"), make_omg()
         episode.reset(DATA.load_scene(SCENE))
-        scheduler = PolicyScheduler(receiver)
-        scheduler.reset(None)
+        start_policy(receiver, None)
         actions = []
         while not episode.status:
             observation, now = episode.observe(), episode.steps
-            action = scheduler.decide(observation, now) if period is None else receiver.act(observation)
-            count = min(scheduler.due, 13_000) - now if period is None else period
+            action, due = call_policy(receiver, observation, now)
+            count = min(due, 13_000) - now if period is None else period
             episode.advance(action, count)
             actions += [action] * (episode.steps - now)
         commands.append((int(episode.status), np.array(actions)))

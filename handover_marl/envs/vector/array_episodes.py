@@ -19,7 +19,7 @@ from handover_marl.episode.loop import derive_giver_seed, derive_receiver_seed
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
-from handover_marl.episode.wrist_camera_batch import WristCameraBatch
+from handover_marl.episode.warp_wrist_camera import WarpWristCamera
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
 from handover_marl.learning.array_features import ArrayFeatures
 from handover_marl.learning.array_schemes import ArrayScheme
@@ -84,10 +84,10 @@ class ArrayEpisodes:
         self._schemes: dict[str, ArrayScheme] = {}
         if isinstance(template, EncodedEnv):
             self._make_encodings(template, count)
-        self._camera: WristCameraBatch | None = None
+        self._camera: WarpWristCamera | None = None
         is_camera_used = RECEIVER not in self._features or self._features[RECEIVER].uses_camera
         if config.obs_mode != STATE and RECEIVER in self._agents and is_camera_used:
-            self._camera = WristCameraBatch(
+            self._camera = WarpWristCamera(
                 config.obs_mode, config.wrist_camera, config.world_config.physics, count, arrays
             )
 

@@ -18,7 +18,7 @@ from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv
 from handover_marl.episode.spaces import STATE, get_camera_data_kind
-from handover_marl.episode.wrist_camera_batch import DEVICE_KINDS
+from handover_marl.episode.warp_wrist_camera import DEVICE_KINDS
 from handover_marl.errors import OptionError
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike

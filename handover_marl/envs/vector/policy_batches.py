@@ -10,10 +10,11 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.spaces import check_giver_action, check_receiver_action, giver_action_space
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, AnyIntegers, ArrayFactory, to_numpy
-from handover_marl.givers.array_giver import make_giver_batch
-from handover_marl.learning.network_policies import make_network_policy_batch
+from handover_marl.givers.array_giver import ArrayGiver
+from handover_marl.learning.network_policies import make_network_array_policy
 from handover_marl.policies.batch import (
     Actions,
+    ArrayPolicyBatch,
     HostPolicyBatch,
     ObserveFunction,
     PolicyBatch,
@@ -22,9 +23,7 @@ from handover_marl.policies.batch import (
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.populations import PopulationPolicy
 from handover_marl.policies.reference import PolicyReference
-from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
-
-Check = Callable[[object], Actions]
+from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 
 class PopulationBatch(PolicyBatch):
@@ -87,25 +86,27 @@ def make_policy_batch(
     Raises:
         PolicyError: The constructor of the policy fails.
     """
-    space = giver_action_space(config.giver)
+    agent, space = reference.agent, giver_action_space(config.giver)
 
     def check(action: object) -> npt.NDArray[np.float32]:
-        return check_giver_action(action, space) if reference.agent == "giver" else check_receiver_action(action)
+        return check_giver_action(action, space) if agent == "giver" else check_receiver_action(action)
 
-    return _make_batch(functools.partial(reference.make, dataset, config, setup), count, check, arrays)
+    def make_batch(make: Callable[[], Policy]) -> PolicyBatch:
+        first = make()
+        if isinstance(first, PopulationPolicy):
+            makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
+            return PopulationBatch(first, [make_batch(maker) for maker in makers], count, arrays)
+        # A subclass of a policy may act in another way.
+        if isinstance(first, ArrayGiver) and type(first).act is ArrayGiver.act:
+            return ArrayPolicyBatch(first.copy_for(count, arrays), count, agent, arrays)
+        network = make_network_array_policy(first, count, check, arrays)
+        if network is not None:
+            return ArrayPolicyBatch(network, count, agent, arrays)
+        batch: PolicyBatch
+        if type(first) is Yang2021Receiver:
+            batch = ArrayPolicyBatch(first.copy_for(count), count, agent)
+        else:
+            batch = SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
+        return batch if arrays == NUMPY_ARRAYS else HostPolicyBatch(batch, arrays)
 
-
-def _make_batch(make: Callable[[], Policy], count: int, check: Check, arrays: ArrayFactory) -> PolicyBatch:
-    first = make()
-    batch = make_giver_batch(first, count, arrays) or make_network_policy_batch(first, count, check, arrays)
-    if batch is not None:
-        return batch
-    if isinstance(first, PopulationPolicy):
-        makers = [functools.partial(first.make_member, number) for number in range(len(first.members))]
-        return PopulationBatch(first, [_make_batch(maker, count, check, arrays) for maker in makers], count, arrays)
-    # A subclass of a receiver may act in another way.
-    if type(first) is Yang2021Receiver:
-        batch = Yang2021Batch(first, count)
-    else:
-        batch = SequentialPolicyBatch([first, *(make() for _ in range(count - 1))], check)
-    return batch if arrays == NUMPY_ARRAYS else HostPolicyBatch(batch, arrays)
+    return make_batch(functools.partial(reference.make, dataset, config, setup))

@@ -75,14 +75,12 @@ class BulletWorld(World):
     def read_state(self) -> WorldState:
         """Return the current state of robot, objects and human hand."""
         panda = self._loaded_workcell.panda
-        position, velocity = panda.read_joint_states()
-        return WorldState(
-            robot_joint_position=position,
-            robot_joint_velocity=velocity,
-            gripper_pose=panda.read_link_poses([panda.hand_link])[0],
-            object_poses=self._read_object_poses(),
-            hand_dof_position=self._read_hand_joints(),
-            hand_keypoints=self._read_hand_keypoints(),
+        return WorldState.from_bodies(
+            panda.read_joint_states(),
+            panda.read_link_poses([panda.hand_link])[0],
+            self._read_object_poses(),
+            self._read_hand_joints(),
+            self._read_hand_keypoints(),
         )
 
     def read_agent_joints(self) -> AgentJoints:

@@ -31,7 +31,8 @@ from handover_marl.geometry.tree_bank import TreeBank
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA, INVISIBLE_LINKS, N_PIXELS
 from handover_marl.simulation.camera.warp_kernels import render_images
-from handover_marl.simulation.tensor_state import JointSnapshotBatch, WarpDevice
+from handover_marl.simulation.tensor_state import WarpDevice
+from handover_marl.simulation.world import WorldState
 
 #: Link number of meshes whose vertices are in the world frame.
 WORLD = -1
@@ -215,25 +216,25 @@ class WarpCamera:
         self._slots[row] = 0
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
-    def render_wrist_camera(self, rows: AnyArray, snapshots: JointSnapshotBatch, color: bool) -> ImageBatch:
+    def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
         """Render wrist-camera images with all bodies of the scenes.
 
         Args:
             rows: Numbers (r,) of the worlds.
-            snapshots: Joint positions and poses of their bodies.
+            states: States (r, ...) of these worlds.
             color: Whether to render colours: those of the models' materials and textures, in PyBullet's light.
         """
-        return self._render(rows, snapshots, tuple(SegmentationLabel), color)
+        return self._render(rows, states, tuple(SegmentationLabel), color)
 
-    def render_targets(self, rows: AnyArray, snapshots: JointSnapshotBatch, with_others: bool = False) -> ImageBatch:
+    def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
         """Render the visible pixels of target objects and human hands; all others are background.
 
         Args:
             rows: Numbers (r,) of the worlds.
-            snapshots: Joint positions and poses of their bodies.
+            states: States (r, ...) of these worlds.
             with_others: Whether to render the other objects, too.
         """
-        return self._render(rows, snapshots, _OBJECTS if with_others else _TARGETS, False)
+        return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
 
     def sample_pixels(
         self, images: ImageBatch, label: SegmentationLabel, limit: int, seeds: AnyArray, steps: AnyArray, stream: int
@@ -270,7 +271,7 @@ class WarpCamera:
         self._slots = self._slots[:, :0]
 
     def _render(
-        self, rows: AnyArray, snapshots: JointSnapshotBatch, wanted: tuple[SegmentationLabel, ...], color: bool
+        self, rows: AnyArray, states: WorldState, wanted: tuple[SegmentationLabel, ...], color: bool
     ) -> ImageBatch:
         if self._bank is None:
             raise ResetNeededError("no world has a scene; call reset() first")
@@ -278,7 +279,7 @@ class WarpCamera:
         with self._device.use():
             if color:
                 self._bank.read_colors()
-            inputs = self._make_kernel_inputs(self._bank, rows, snapshots)
+            inputs = self._make_kernel_inputs(self._bank, rows, states)
             shape = (len(rows), N_PIXELS)
             depth = xp.empty(shape, dtype=xp.float32, device=arrays.device)
             segmentation = xp.empty(shape, dtype=xp.uint8, device=arrays.device)
@@ -291,16 +292,16 @@ class WarpCamera:
             )
         return ImageBatch(depth, segmentation, rgb if color else None)
 
-    def _make_kernel_inputs(self, bank: MeshBank, rows: AnyArray, snapshots: JointSnapshotBatch) -> "list[warp.array]":
+    def _make_kernel_inputs(self, bank: MeshBank, rows: AnyArray, states: WorldState) -> "list[warp.array]":
         """Make the first inputs of `render_images`: meshes of the worlds in the frame of the camera, and the camera."""
         xp = self._arrays.xp
-        origins, rotations = self._compute_frames(rows, snapshots)
+        origins, rotations = self._compute_frames(rows, states)
         hand_origin, hand_rotation = origins[:, self._hand_link], rotations[:, self._hand_link]
         camera = hand_rotation @ self._hand_from_camera
         pinhole = hand_origin + (hand_rotation @ self._camera_position[:, None])[..., 0]
         slots = self._slots[rows]
         meshes, frames, labels = slots[..., _MESH], slots[..., _FRAME], slots[..., _LABEL]
-        is_absent = (labels == int(SegmentationLabel.HAND)) & ~snapshots.hand_present[:, None]
+        is_absent = (labels == int(SegmentationLabel.HAND)) & (states.hand_present <= 0.0)
         meshes = xp.where(is_absent, 0, meshes)
         worlds = self._arrays.arange(len(rows))[:, None]
         turns = camera[:, None].mT @ rotations[worlds, frames]
@@ -328,13 +329,16 @@ class WarpCamera:
         own = xp.astype(tensor, xp.float32) if tensor.dtype == xp.float64 else tensor
         return warp.from_torch(own.contiguous(), dtype)
 
-    def _compute_frames(self, rows: AnyArray, snapshots: JointSnapshotBatch) -> tuple[AnyArray, AnyArray]:
+    def _compute_frames(self, rows: AnyArray, states: WorldState) -> tuple[AnyArray, AnyArray]:
         """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames that mesh slots refer to."""
         xp = self._arrays.xp
-        origins, rotations = self._robots.compute_link_frames(self._robot[rows], widen(snapshots.robot)[:, None])
+        origins, rotations = self._robots.compute_link_frames(
+            self._robot[rows], widen(states.robot_joint_position)[:, None]
+        )
         robots = origins[:, 0] @ self._base_rotation.mT + self._base_position, self._base_rotation @ rotations[:, 0]
-        origins, rotations = self._hands.compute_link_frames(self._hand[rows], widen(snapshots.hand)[:, None])
-        objects = widen(snapshots.objects)
+        joints = widen(states.hand_dof_position)[:, None]
+        origins, rotations = self._hands.compute_link_frames(self._hand[rows], joints)
+        objects = widen(states.object_poses)
         world = xp.zeros_like(objects[:, :1, :3]), xp.zeros_like(rotations[:, 0, :1])
         world[1].diagonal(dim1=-2, dim2=-1)[:] = 1.0
         parts = (

@@ -6,7 +6,7 @@ released. The step in which the world wakes depends on the positions of the bodi
 steps are divided into calls.
 """
 
-import functools
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 _STATE = ("qpos", "qvel", "qacc_warmstart")
 # Number of cached rollouts. One of 200 steps takes 100 kB; waiting for two seconds takes ten.
 _CACHE_SIZE = 256
+#: Largest number of worlds that are simulated in one call; sensor readings of more do not fit into the cache.
+MAX_WORLDS = 32
 _HALF = OBJECT_DOF // 2
 
 
@@ -62,9 +64,9 @@ class RobotOnlySimulation:
 
     def __init__(self, model: RobotOnlyModel) -> None:
         self._model = model
-        self._batch, self._data = Batch(model.model, 1, nthread=1), mujoco.MjData(model.model)
+        self._batch, self._data = Batch(model.model, MAX_WORLDS, nthread=1), mujoco.MjData(model.model)
         self._state = [self._batch.bind(name) for name in _STATE]
-        self._simulate = functools.lru_cache(_CACHE_SIZE)(self._simulate_uncached)
+        self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
 
     def compute_body_poses(self, joints: Array) -> tuple[Array, Array]:
         """Compute the world positions (b, 3) (m) and quaternions wxyz (b, 4) of all bodies, valid until the next call.
@@ -81,34 +83,48 @@ class RobotOnlySimulation:
         position = np.array([joints], dtype=np.float64)
         return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
 
-    def simulate(self, trajectory: RobotTrajectory, row: int, target: list[float], steps: int) -> RobotTrajectory:
-        """Simulate the robot from a row of its trajectory on, and return the new trajectory.
+    def simulate(
+        self, starts: Sequence[tuple[RobotTrajectory, int]], targets: Sequence[list[float]], steps: int
+    ) -> list[RobotTrajectory]:
+        """Simulate up to 32 robots from rows of their trajectories on, and return the new trajectories.
 
         Args:
-            trajectory: Previous motion of the robot.
-            row: Row of the previous motion to start from.
-            target: Nine joint targets of the robot (rad, m).
+            starts: Previous motion of each robot, and its row to start from.
+            targets: Nine joint targets of each robot (rad, m).
             steps: Number of steps to simulate.
 
         Raises:
-            SimulationError: MuJoCo warned; the robot's state is invalid.
+            SimulationError: MuJoCo warned; the robots' states are invalid.
         """
-        state = np.stack([trajectory.joints[row], trajectory.velocities[row], trajectory.warm_start[row], target])
-        return self._simulate(state.tobytes(), steps)
+        states = [
+            np.stack([motion.joints[row], motion.velocities[row], motion.warm_start[row], target])
+            for (motion, row), target in zip(starts, targets, strict=True)
+        ]
+        keys = [(state.tobytes(), steps) for state in states]
+        new = {key: state for key, state in zip(keys, states, strict=True) if key not in self._cache}
+        if new:
+            self._cache.update(zip(new, self._simulate(np.stack(list(new.values())), steps), strict=True))
+        for key in keys:
+            self._cache.move_to_end(key)
+        found = [self._cache[key] for key in keys]
+        while len(self._cache) > _CACHE_SIZE:
+            self._cache.popitem(last=False)
+        return found
 
-    def _simulate_uncached(self, content: bytes, steps: int) -> RobotTrajectory:
-        state = np.frombuffer(content).reshape(len(_STATE) + 1, -1)
-        batch = self._batch
-        for array, part in zip(self._state, state[:-1], strict=True):
-            array[0] = part
-        batch.warning[0] = 0
-        controls = np.repeat(state[None, -1:], steps, axis=1)
-        rollout = batch.rollout(steps, controls, int(mujoco.mjtState.mjSTATE_CTRL), (*_STATE, "site_xpos"))
+    def _simulate(self, states: Array, steps: int) -> list[RobotTrajectory]:
+        batch, count = self._batch, len(states)
+        for number, array in enumerate(self._state):
+            array[:count] = states[:, number]
+        batch.warning[:count] = 0
+        controls = np.repeat(states[:, -1:], steps, axis=1)
+        records, kind = (*_STATE, "site_xpos"), int(mujoco.mjtState.mjSTATE_CTRL)
+        rollout = batch.rollout(steps, controls, kind, records, ids=np.arange(count))
         check_warnings(batch)
-        joints, velocities, warm_start = (
-            np.concatenate([first[None], rollout[name][0]]) for first, name in zip(state[:-1], _STATE, strict=True)
-        )
-        return RobotTrajectory(joints, velocities, warm_start, rollout["site_xpos"][0][:, self._model.spheres])
+        motions = [
+            np.concatenate([states[:, number, None], rollout[name]], axis=1) for number, name in enumerate(_STATE)
+        ]
+        centers = rollout["site_xpos"][:, :, self._model.spheres]
+        return [RobotTrajectory(*(part[number] for part in (*motions, centers))) for number in range(count)]
 
 
 class SleepState:
@@ -149,25 +165,42 @@ class SleepState:
         """
         self._first -= rows
 
-    def simulate_robot(self, row: int, target: list[float], hand: BodyTrajectory) -> None:
-        """Simulate the robot alone from a step on, and store the first step with a body near it.
+    @staticmethod
+    def simulate_robots(
+        worlds: "Sequence[SleepState]",
+        rows: Sequence[int],
+        targets: Sequence[list[float]],
+        hands: Sequence[BodyTrajectory],
+    ) -> None:
+        """Simulate the robots of worlds alone from a step on, and store the first step with a body near each.
 
         A body is near if the spheres around it and around the robot's links may touch.
 
         Args:
-            row: First step of the reference motion to simulate.
-            target: Nine joint targets of the robot (rad, m).
-            hand: Trajectory of the human hand under the current reference motion.
+            worlds: Sleeping worlds, at most 32.
+            rows: First step of each reference motion to simulate.
+            targets: Nine joint targets of each robot (rad, m).
+            hands: Trajectory of each human hand under its current reference motion.
 
         Raises:
-            SimulationError: MuJoCo warned; the robot's state is invalid.
+            SimulationError: MuJoCo warned; the robots' states are invalid.
         """
-        done, self._first = row - self._first, row
-        centers = np.stack([body.predict_positions(row) for body in [hand, *self.objects]], axis=1)
-        self._robot = self._simulation.simulate(self._robot, done, target, len(centers))
-        radii = np.array([self._scene.hand_reach, *self._scene.object_reaches])
-        near = self._scene.robot_only.motion_bounds.is_near(self._robot.sphere_centers, centers, radii)
-        self._free = int(near.argmax()) if near.any() else len(near)
+        groups: dict[tuple[RobotOnlySimulation, tuple[int, ...]], list[tuple[SleepState, int, list[float], Array]]] = {}
+        for world, row, target, hand in zip(worlds, rows, targets, hands, strict=True):
+            centers = np.stack([body.predict_positions(row) for body in [hand, *world.objects]], axis=1)
+            groups.setdefault((world._simulation, centers.shape), []).append((world, row, target, centers))
+        for (simulation, shape), group in groups.items():
+            starts = [(world._robot, row - world._first) for world, row, *_ in group]
+            robots = simulation.simulate(starts, [target for *_, target, _ in group], shape[0])
+            radii = np.array([[world._scene.hand_reach, *world._scene.object_reaches] for world, *_ in group])
+            near = group[0][0]._scene.robot_only.motion_bounds.is_near(
+                np.stack([robot.sphere_centers for robot in robots]),
+                np.stack([centers for *_, centers in group]),
+                radii[:, None],
+            )
+            free = np.where(near.any(axis=1), near.argmax(axis=1), shape[0]).tolist()
+            for (world, row, *_), robot, count in zip(group, robots, free, strict=True):
+                world._robot, world._first, world._free = robot, row, count
 
     def count_free_steps(self, row: int) -> int:
         """Return the number of steps from `row` on before a body comes near the robot."""

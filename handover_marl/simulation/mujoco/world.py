@@ -14,7 +14,7 @@ from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, 
 from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.quaternions import bullet_xyzw_from_wxyz, chain_joints_from_poses
-from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation, SleepState
+from handover_marl.simulation.mujoco.sleep import MAX_WORLDS, RobotOnlySimulation, SleepState
 from handover_marl.simulation.reference_tracking import (
     BodyTrajectory,
     ReferenceMotion,
@@ -27,8 +27,6 @@ from handover_marl.simulation.world import AgentJoints, RolloutWorld, WorldState
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]
 
-# The sensor readings of more worlds do not fit into the processor's cache.
-_ROLLOUT_WORLDS = 32
 # Steps of one rollout. Steps after a release or an episode's end are simulated in vain.
 _ROLLOUT_STEPS = 100
 
@@ -168,9 +166,9 @@ class MujocoWorld(RolloutWorld):
             robot_targets: Nine joint targets of each robot (rad, m).
         """
         track_worlds(worlds)
+        _update_sleep(worlds, robot_targets)
         groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
         for world, target in zip(worlds, robot_targets, strict=True):
-            world.update_sleep(target)
             if world.sleep is None and world.robot_target != target:
                 world.robot_target, world.controls_row = target, world.row + 1
                 model = world.data.scene.model
@@ -246,22 +244,12 @@ class MujocoWorld(RolloutWorld):
         left = len(self.reference.objects) - (self.row + 1)
         return left if self.sleep is None else min(left, self.sleep.count_free_steps(self.row + 1))
 
-    def update_sleep(self, target: list[float]) -> None:
-        """Simulate the robot of a sleeping world; wake the world for a release, or if a body comes near.
-
-        Args:
-            target: Nine joint targets of the coming steps (rad, m).
-        """
+    def apply_release(self) -> None:
+        """Make a pending release of the object effective, which wakes the world."""
         if self._release_pending:
             self.wake()
             self.data.release_object(self._config.gravity)
             self._release_pending = False
-        if self.sleep is not None:
-            if self.robot_target != target:
-                self.robot_target = target
-                self.sleep.simulate_robot(self.row + 1, target, self.hand)
-            if not self.sleep.count_free_steps(self.row + 1):
-                self.wake()
 
     def wake(self) -> None:
         """Wake the world: robot and objects are simulated together from the coming step on."""
@@ -292,13 +280,12 @@ class MujocoWorld(RolloutWorld):
         ).reshape(-1, 7)
         poses[:, 3:] = bullet_xyzw_from_wxyz(poses[:, 3:])
         keypoints = None if hand is None else self._keypoint_kinematics.compute_poses(hand[None])[0][0]
-        return WorldState(
-            robot_joint_position=data.qpos[scene.robot_qpos].astype(np.float32),
-            robot_joint_velocity=data.qvel[scene.robot_qvel].astype(np.float32),
-            gripper_pose=poses[0].astype(np.float32),
-            object_poses=poses[1:].astype(np.float32),
-            hand_dof_position=None if hand is None else hand.astype(np.float32),
-            hand_keypoints=None if keypoints is None else keypoints.astype(np.float32),
+        return WorldState.from_bodies(
+            (data.qpos[scene.robot_qpos].astype(np.float32), data.qvel[scene.robot_qvel].astype(np.float32)),
+            poses[0].astype(np.float32),
+            poses[1:].astype(np.float32),
+            None if hand is None else hand.astype(np.float32),
+            None if keypoints is None else keypoints.astype(np.float32),
         )
 
     def read_agent_joints(self) -> AgentJoints:
@@ -352,7 +339,7 @@ class MujocoWorld(RolloutWorld):
 
 def _split(numbers: list[int]) -> list[list[int]]:
     """Split the numbers of worlds into those of single rollouts."""
-    return [numbers[first : first + _ROLLOUT_WORLDS] for first in range(0, len(numbers), _ROLLOUT_WORLDS)]
+    return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
 
 
 def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
@@ -368,3 +355,24 @@ def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
     track_references([*hands, *objects])
     for world in behind:
         world.is_tracked = True
+
+
+def _update_sleep(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
+    """Simulate the robots of sleeping worlds with changed targets; wake worlds for a release, or if a body comes near.
+
+    Args:
+        worlds: Worlds with a scene.
+        robot_targets: Nine joint targets of each robot (rad, m).
+    """
+    for world in worlds:
+        world.apply_release()
+    changed: list[tuple[SleepState, int, list[float], BodyTrajectory]] = []
+    for world, target in zip(worlds, robot_targets, strict=True):
+        if world.sleep is not None and world.robot_target != target:
+            world.robot_target = target
+            changed.append((world.sleep, world.row + 1, target, world.hand))
+    if changed:
+        SleepState.simulate_robots(*zip(*changed, strict=True))
+    for world in worlds:
+        if world.sleep is not None and not world.sleep.count_free_steps(world.row + 1):
+            world.wake()

@@ -11,7 +11,8 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction, RolloutEnd
 from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.worlds import Worlds, WorldStateBatch
+from handover_marl.simulation.world import WorldState
+from handover_marl.simulation.worlds import Worlds
 from tests.fake_device import DeviceTensor
 
 
@@ -40,8 +41,8 @@ class TensorWorlds(Worlds):
     def release_targets(self, rows: Any) -> None:
         self._worlds.release_targets(_read(rows, "int64"))
 
-    def read_state(self, rows: Any) -> WorldStateBatch:
-        return WorldStateBatch(*map(self._arrays.asarray, self._worlds.read_state(_read(rows, "int64"))))
+    def read_state(self, rows: Any) -> WorldState:
+        return WorldState(*map(self._arrays.asarray, self._worlds.read_state(_read(rows, "int64"))))
 
     def are_grasped(self, rows: Any, rules: ProtocolConfig) -> Any:
         return self._arrays.asarray(self._worlds.are_grasped(_read(rows, "int64"), rules))

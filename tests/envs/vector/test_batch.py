@@ -125,24 +125,7 @@ def test_last_observations_and_infos_of_episodes() -> None:
     assert infos["_final_info"].tolist() == infos["final_info"]["_steps"].tolist() == [True, *[False] * 4]
 
 
-def test_a_masked_reset_returns_the_infos_of_its_environments() -> None:
-    envs = make_env(["receiver"], "next_step", make_tensor_factory("cuda"))
-    envs.reset()
-    mask = [True, False, False, False, True]
-    _, infos = envs.reset(options={"reset_mask": mask})
-    assert infos["episode"].tolist() == [2, 0, 0, 0, 2]
-    infos["_steps"][:] = False
-    assert infos["_episode"].tolist() == mask, "each info has a mask of its own"
-
-
 Make = Callable[[], Any]
-
-
-@pytest.mark.parametrize("make", [lambda: torch.zeros(COUNT, 2), lambda: torch.zeros(COUNT, 2, dtype=torch.int32)])
-@pytest.mark.parametrize("place", ["cpu", "cuda"])
-def test_tensors_are_not_copied(make: Make, place: str) -> None:
-    actions = torch.asarray(make(), device=place)
-    assert check_action_array(actions, ACTIONS, COUNT, "receiver", make_tensor_factory("cuda")) is actions
 
 
 @pytest.mark.parametrize(

@@ -69,19 +69,6 @@ def test_environments_can_be_stepped_in_the_inference_mode_of_a_collector() -> N
     envs.close()
 
 
-def test_learning_givers_return_tensors() -> None:
-    envs = handover_marl.vector_env(
-        COUNT, "giver", "hold", features="giver", schemes="deviation", backend="warp", **OPTIONS
-    )
-    features, _ = envs.reset(seed=0)
-    assert features.shape == (COUNT, envs.single_observation_space.shape[0])
-    features, rewards, *_ = envs.step(torch.zeros(envs.action_space.shape))
-    assert features.dtype == torch.float32
-    assert np.isfinite(to_numpy(features)).all()
-    assert rewards.shape == (COUNT,)
-    envs.close()
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("emulated_gpu")
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from handover_marl.config import ARM_DOF
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import PolicyScheduler
+from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.planning.clearance import Spheres
 from handover_marl.policies.policy import make_policy_context
@@ -38,14 +38,15 @@ def observe_at(observation: Observation, seconds: float, **changes: np.ndarray) 
 
 def play_scene(receiver: ReactiveReceiver, scene: int = SCENE) -> tuple[Episode, np.ndarray, list[ReactivePhase]]:
     """Return an episode with the actions and phases of all decisions."""
-    episode, clock = Episode("fast"), PolicyScheduler(receiver)
+    episode = Episode("fast")
     episode.reset(DATA.load_scene(scene))
-    clock.reset(None)
+    start_policy(receiver, None)
     actions, phases = [], []
     while not episode.status:
-        actions.append(clock.decide(episode.observe(), episode.steps))
+        action, due = call_policy(receiver, episode.observe(), episode.steps)
+        actions.append(action)
         phases.append(receiver.phase)
-        episode.advance(actions[-1], min(clock.due, 13_000) - episode.steps)
+        episode.advance(actions[-1], min(due, 13_000) - episode.steps)
     episode.close()
     return episode, np.array(actions), phases
 
@@ -84,20 +85,20 @@ def test_targets_respect_motor_limits() -> None:
     servo = receiver.config.servo
     lead = 1.0 / (1.0 - 0.99**50)
     most = lead * 0.05 * max(servo.max_joint_speeds)
-    episode, clock = Episode("fast"), PolicyScheduler(receiver)
+    episode = Episode("fast")
     episode.reset(DATA.load_scene(SCENE))
-    clock.reset(None)
+    start_policy(receiver, None)
     before = np.zeros(ARM_DOF)
     while not episode.status:
         observation = episode.observe()
-        action = clock.decide(observation, episode.steps)
+        action, due = call_policy(receiver, observation, episode.steps)
         ahead = action[:ARM_DOF] - observation["robot_joint_position"][:ARM_DOF]
         assert np.abs(ahead).max() < most + 1e-3
         # The commanded velocity respects the maximum acceleration.
         change = np.abs(receiver.servo.velocity - before).max()
         assert change < servo.max_acceleration * receiver.config.period + 1e-6
         before = receiver.servo.velocity.copy()
-        episode.advance(action, min(clock.due, 13_000) - episode.steps)
+        episode.advance(action, min(due, 13_000) - episode.steps)
     episode.close()
 
 

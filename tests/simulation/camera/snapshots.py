@@ -12,7 +12,7 @@ from handover_marl.geometry.panda import HAND_LINK, LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.geometry.poses import quaternions_from_euler
 from handover_marl.simulation.camera.images import JointSnapshot
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
-from handover_marl.simulation.tensor_state import JointSnapshotBatch
+from handover_marl.simulation.world import WorldState
 
 
 def draw_snapshot(
@@ -46,15 +46,15 @@ def place_in_view(
     return np.asarray(base.apply(points @ turns[link].T + origins[link]) + config.panda.base_position)
 
 
-def stack_snapshots(snapshots: list[JointSnapshot], arrays: ArrayFactory) -> JointSnapshotBatch:
-    """Return snapshots of several worlds as tensors."""
+def stack_states(snapshots: list[JointSnapshot], arrays: ArrayFactory) -> WorldState:
+    """Return the states (n, ...) of n worlds with these joints at rest as tensors, as far as a camera sees them."""
     objects = np.zeros((len(snapshots), MAX_OBJECTS, 7))
     for own, one in zip(objects, snapshots, strict=True):
         own[: len(one.objects)] = np.c_[one.objects[:, :3], quaternions_from_euler(one.objects[:, 3:])]
     hands = [np.zeros(51, np.float32) if one.hand is None else one.hand for one in snapshots]
-    return JointSnapshotBatch(
-        robot=arrays.asarray(np.array([one.robot for one in snapshots])),
-        hand=arrays.asarray(np.array(hands)),
-        hand_present=arrays.asarray(np.array([one.hand is not None for one in snapshots])),
-        objects=arrays.asarray(objects, "float32"),
+    return WorldState.from_zeros(len(snapshots), arrays)._replace(
+        robot_joint_position=arrays.asarray(np.array([one.robot for one in snapshots])),
+        hand_dof_position=arrays.asarray(np.array(hands)),
+        hand_present=arrays.asarray(np.array([[one.hand is not None] for one in snapshots]), "float32"),
+        object_poses=arrays.asarray(objects, "float32"),
     )

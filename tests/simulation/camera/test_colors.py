@@ -23,7 +23,7 @@ from handover_marl.simulation.bullet.rendering import SceneRenderer
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import WarpCamera
-from tests.simulation.camera.snapshots import draw_snapshot, stack_snapshots
+from tests.simulation.camera.snapshots import draw_snapshot, stack_states
 
 TENSORS = make_tensor_factory("cpu")
 CONFIG = PhysicsConfig()
@@ -96,7 +96,7 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
             now = draw_snapshot(scene, CONFIG, rng)
             drawn = bullet.render_wrist_camera(now, color=True)
             cast = rays.render_wrist_camera(now, color=True)
-            images = device.render_wrist_camera(TENSORS.arange(1), stack_snapshots([now], TENSORS), color=True)
+            images = device.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=True)
             assert drawn.rgb is not None
             assert cast.rgb is not None
             own_rgb, own_labels = (to_numpy(values[0]) for values in (images.rgb, images.segmentation))

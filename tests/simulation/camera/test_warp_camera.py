@@ -20,7 +20,7 @@ from handover_marl.simulation.camera.images import CameraImage, SegmentationLabe
 from handover_marl.simulation.camera.optics import N_PIXELS
 from handover_marl.simulation.camera.ray_camera import RayCamera
 from handover_marl.simulation.camera.warp_camera import ImageBatch, WarpCamera
-from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_snapshots
+from tests.simulation.camera.snapshots import draw_snapshot, place_in_view, stack_states
 
 TENSORS = make_tensor_factory("cpu")
 CONFIG = PhysicsConfig()
@@ -74,7 +74,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     rows, counts = TENSORS.arange(len(scenes)), np.zeros(len(SegmentationLabel), dtype=int)
     for number in range(2):
         now = [draw_snapshot(scene, config, rng, has_hand=(number + row) % 3 > 0) for row, scene in enumerate(scenes)]
-        batch = stack_snapshots(now, TENSORS)
+        batch = stack_states(now, TENSORS)
         images = camera.render_wrist_camera(rows, batch, color=True)
         targets, objects = (camera.render_targets(rows, batch, with_others) for with_others in (False, True))
         for row, (single, own) in enumerate(zip(singles, now, strict=True)):
@@ -84,7 +84,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
             assert own.hand is not None or not (images.segmentation[row] == HAND).any()
     assert counts.min() > 500
     # Images do not depend on the other worlds.
-    some = camera.render_wrist_camera(TENSORS.asarray([2, 0]), stack_snapshots([now[2], now[0]], TENSORS), color=True)
+    some = camera.render_wrist_camera(TENSORS.asarray([2, 0]), stack_states([now[2], now[0]], TENSORS), color=True)
     for found, expected in zip(some, images, strict=True):
         np.testing.assert_array_equal(found, expected[[2, 0]])
     camera.close()
@@ -101,7 +101,7 @@ def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     now = draw_snapshot(scenes[1], CONFIG, rng, nearest=0.3)
     # A target around the camera shows back faces only, which are invisible.
     now.objects[0, :3] = place_in_view(scenes[1], CONFIG, now.robot, [0.0, 0.0, 0.0])
-    images = camera.render_wrist_camera(TENSORS.arange(1), stack_snapshots([now], TENSORS), color=False)
+    images = camera.render_wrist_camera(TENSORS.arange(1), stack_states([now], TENSORS), color=False)
     assert images.rgb is None
     compare(images, 0, singles[1].render_wrist_camera(now, False))
     assert not (images.segmentation[0] == TARGET).any()

@@ -24,7 +24,8 @@ from handover_marl.simulation.reference_tracking import (
     list_hand_motors,
     select_keypoint_links,
 )
-from handover_marl.simulation.worlds import Worlds, WorldStateBatch
+from handover_marl.simulation.world import WorldState
+from handover_marl.simulation.worlds import Worlds
 
 
 class HandBatch:
@@ -197,9 +198,9 @@ class WarpWorlds(Worlds):
             self._hands.store(index, hands, own.hand_present, simulated[places])
         return simulated
 
-    def read_state(self, rows: AnyArray) -> WorldStateBatch:
+    def read_state(self, rows: AnyArray) -> WorldState:
         """Return the state of r worlds."""
-        xp, batch = self._arrays.xp, WorldStateBatch.from_zeros(len(rows), self._arrays)
+        xp, batch = self._arrays.xp, WorldState.from_zeros(len(rows), self._arrays)
         for group, places in self._split(rows):
             index, scene = rows[places], group.scene
             qpos = group.state["qpos"][index]

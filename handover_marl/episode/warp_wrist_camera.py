@@ -13,7 +13,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import POINTCLOUD, RGBD, SCENE_POINTCLOUD, get_camera_data_kind
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.optics import N_PIXELS, compute_points
-from handover_marl.simulation.tensor_state import JointSnapshotBatch
+from handover_marl.simulation.world import WorldState
 
 #: Kinds of camera data that are rendered on a device.
 DEVICE_KINDS = (POINTCLOUD, SCENE_POINTCLOUD, RGBD)
@@ -21,7 +21,7 @@ DEVICE_KINDS = (POINTCLOUD, SCENE_POINTCLOUD, RGBD)
 _CHUNK = 64
 
 
-class WristCameraBatch:
+class WarpWristCamera:
     """Wrist cameras of n episodes without noise; images are rendered by ray casting with Warp.
 
     Observations are those of `WristCamera` with the renderer "rays" to single precision, but clouds of more than 1024
@@ -72,16 +72,11 @@ class WristCameraBatch:
         observation = {key: self._arrays.zeros((count, *shape), dtype) for key, (shape, dtype) in self._formats.items()}
         for first in range(0, count, _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            snapshots = JointSnapshotBatch(
-                robot=state["robot_joint_position"][chunk],
-                hand=state["hand_dof_position"][chunk],
-                hand_present=state["hand_present"][chunk, 0] > 0.0,
-                objects=state["object_poses"][chunk],
-            )
+            states = WorldState(*(state[key][chunk] for key in WorldState._fields))
             if self._kind == RGBD:
-                chunk_observation = self._observe_images(rows[chunk], snapshots)
+                chunk_observation = self._observe_images(rows[chunk], states)
             else:
-                chunk_observation = self._observe_clouds(rows[chunk], snapshots, steps[chunk])
+                chunk_observation = self._observe_clouds(rows[chunk], states, steps[chunk])
             for key, values in chunk_observation.items():
                 observation[key][chunk] = values.reshape(-1, *self._formats[key][0])
         return observation
@@ -90,13 +85,13 @@ class WristCameraBatch:
         """Free the models' meshes."""
         self._camera.close()
 
-    def _observe_images(self, rows: AnyArray, snapshots: JointSnapshotBatch) -> Observation:
-        images = self._camera.render_wrist_camera(rows, snapshots, color=True)
+    def _observe_images(self, rows: AnyArray, states: WorldState) -> Observation:
+        images = self._camera.render_wrist_camera(rows, states, color=True)
         return {"wrist_depth": images.depth, "wrist_segmentation": images.segmentation, "wrist_rgb": images.rgb}
 
-    def _observe_clouds(self, rows: AnyArray, snapshots: JointSnapshotBatch, steps: AnyArray) -> Observation:
+    def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray) -> Observation:
         xp, clouds, counts = self._arrays.xp, {}, []
-        images = self._camera.render_targets(rows, snapshots, with_others=self._kind == SCENE_POINTCLOUD)
+        images = self._camera.render_targets(rows, states, with_others=self._kind == SCENE_POINTCLOUD)
         for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
