@@ -1,19 +1,14 @@
 """Tests of the wrist camera: equality with recordings of the reference, and agreement of its two renderers."""
 
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from handover_marl.config import OFFICIAL_CONFIG, CameraConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
-from handover_marl.simulation.bullet.bodies import PandaBody
-from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
+from handover_marl.simulation.camera.images import SegmentationLabel
 from tests.conftest import RECORDINGS
 from tests.integration.test_reference import STRIDE
 
@@ -80,22 +75,3 @@ def test_recorded_views_are_seen(name: str, recordings: Path, camera_dataset: Of
     if name == WHOLE:
         assert (episode.status, episode.steps) == (expected["status"], expected["steps"])
     episode.close()
-
-
-def test_leaving_the_cameras_body_out_changes_no_picture(
-    camera_dataset: OfficialDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    world = SceneRenderer(camera_dataset.load_scene(4), OFFICIAL_CONFIG.physics)
-    random = np.random.default_rng(0)
-    robots = [random.uniform(LOWER_LIMITS, UPPER_LIMITS).astype(np.float32) for _ in range(4)]
-    moments = [JointSnapshot(robot, None, np.zeros((1, 6), dtype=np.float32)) for robot in robots]
-    outside = [world.render_overview(now, CameraConfig()) for now in moments]
-    without = [world.render_wrist_camera(now, color=True) for now in moments]
-    for now, picture in zip(moments, outside, strict=True):
-        np.testing.assert_array_equal(world.render_overview(now, CameraConfig()), picture)
-    monkeypatch.setattr(PandaBody, "hide_camera_link", lambda panda: nullcontext())
-    for now, photo in zip(moments, without, strict=True):
-        drawn = world.render_wrist_camera(now, color=True)
-        for name in ("depth", "segmentation", "rgb"):
-            np.testing.assert_array_equal(getattr(drawn, name), getattr(photo, name))
-    world.close()

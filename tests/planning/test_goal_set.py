@@ -10,7 +10,7 @@ from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.planning import goal_set
 from handover_marl.planning.goal_set import GoalSet, GoalSetBuilder, is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules
-from handover_marl.planning.planner import make_hand_obstacle
+from handover_marl.planning.planner import Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
 
@@ -81,14 +81,19 @@ def test_colliding_goals_are_dropped(goals: GoalSet) -> None:
     assert 0 < len(unchecked) <= 5
 
 
-def test_goals_keep_clear_of_the_hand(goals: GoalSet) -> None:
+@pytest.mark.parametrize("avoids_hand", [True, False])
+def test_goals_keep_clear_of_the_hand(goals: GoalSet, avoids_hand: bool) -> None:
     # A gripper that opens towards the capsule is closer than one that is rotated away.
     capsule = Capsules(np.array([[0.58, 0.08, 0.5]]), np.array([[0.75, 0.08, 0.5]]), np.array([0.02]))
-    clear = make_builder().build(grasps(), [], make_hand_obstacle(capsule))
-    assert len(clear) > 0
-    assert clear.clearances.min() >= goal_set.MIN_HAND_CLEARANCE
-    assert set(clear.grasps) < set(np.arange(12))
-    assert np.isinf(goals.clearances).all()
+    planner = Planner(URDF, START, PlannerConfig(n_waypoints=10, avoids_hand=avoids_hand))
+    plan = planner.plan(grasps(), [], capsule)
+    assert plan is not None
+    if avoids_hand:
+        assert plan.goals.clearances.min() >= goal_set.MIN_HAND_CLEARANCE
+        assert set(plan.goals.grasps) < set(np.arange(12))
+    else:
+        assert np.isinf(plan.goals.clearances).all()
+        assert len(plan.goals) == len(goals)
 
 
 def test_rules_of_usable_grasps() -> None:

@@ -51,7 +51,8 @@ def test_pixels_without_noise_are_unchanged() -> None:
     same, half = worsen(photo, NONE), worsen(photo, replace(NONE, pixel_stride=2))
     for name in ("depth", "segmentation", "rgb"):
         np.testing.assert_array_equal(getattr(same, name), getattr(photo, name))
-    assert (same.depth.dtype, same.segmentation.dtype) == (np.float32, np.uint8)
+    assert same.depth.dtype == np.float32
+    assert same.segmentation.dtype == np.uint8
     others = np.ones(SHAPE, dtype=bool)
     others[::2, ::2] = False
     for name, empty in (("depth", EMPTY_DEPTH), ("segmentation", SegmentationLabel.BACKGROUND)):

@@ -2,8 +2,6 @@
 
 import importlib.util
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,21 +37,6 @@ def test_renderers_that_cannot_be_used_are_refused(monkeypatch: pytest.MonkeyPat
     with pytest.raises(OptionError, match=r"embreex.*handover-marl\[vision\].*renderer='bullet'"):
         resolve_renderer("auto", "fast")
     assert resolve_renderer("auto", "exact") == "bullet"
-
-
-@pytest.mark.slow
-def test_the_bullet_renderer_needs_no_extra() -> None:
-    code = """
-import sys
-sys.modules["embreex"] = sys.modules["trimesh"] = None
-from handover_marl.datasets import open_dataset
-from handover_marl.episode.episode import Episode
-from handover_marl.episode.camera_observations import WristCameraConfig
-episode = Episode("fast", wrist_camera=WristCameraConfig(renderer="bullet"))
-episode.reset(open_dataset("synthetic").load_scene(209))
-assert episode.observe_camera("pointcloud")["wrist_point_counts"].shape == (2,)
-"""
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_unreadable_meshes_are_reported_at_the_first_image(tmp_path: Path) -> None:
