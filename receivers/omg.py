@@ -23,8 +23,7 @@ from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotati
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
 from handover_marl.planning.ik_solvers import make_ik_solver
-from handover_marl.planning.planner import Plan, Planner
-from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.planner import OBJECT_PADDING, Plan, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.grasp_library import GraspLibrary
@@ -162,17 +161,17 @@ class OmgReceiver(PhasedReceiver):
 
     def _make_obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
         """Return the objects of the scene as obstacles in the base frame."""
-        padding = self.config.costs.padding
         present = np.flatnonzero(observation["object_mask"])
         names = [self.context.object_names[int(observation["object_classes"][number])] for number in present]
+        urdfs = [self.context.object_urdf(name) for name in names]
         return [
-            Obstacle(load_object_sdf(self.context.object_urdf(name), padding), base_from_objects[number], padding)
-            for number, name in zip(present, names, strict=True)
+            Obstacle(load_object_sdf(urdf, OBJECT_PADDING), base_from_objects[number], OBJECT_PADDING)
+            for number, urdf in zip(present, urdfs, strict=True)
         ]
 
     def _find_human_hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
         """Return the person's hand in the base frame, or None if it is ignored or absent."""
-        hand = None if self.config.hand is None else hand_capsules_from_observation(observation)
+        hand = hand_capsules_from_observation(observation) if self.config.avoids_hand else None
         if hand is None:
             return None
         starts, ends = (transform_points(base_from_world, points) for points in (hand.starts, hand.ends))
@@ -196,7 +195,7 @@ class OmgHandAwareReceiver(OmgReceiver):
     """OMG receiver that avoids the person's hand, in its choice of a grasp and on its path."""
 
     name = "omg_hand_aware"
-    default_config = PlannerConfig(hand=HandAvoidanceConfig())
+    default_config = PlannerConfig(avoids_hand=True)
 
 
 class OmgUncheckedLastReceiver(OmgReceiver):

@@ -101,7 +101,7 @@ def test_the_panda_that_ships_is_pybullets() -> None:
 
 
 #: Steps of episodes in which agents observe and act, but which end before the handover.
-SHORT = 1500
+SHORT = 700
 PLAYING = f"""
 import sys
 import handover_marl
@@ -120,20 +120,19 @@ for giver, receiver, is_whole in {{pairs}}:
     fluency = report.episodes[0].fluency
     assert fluency.min_distance is None or 0.0 <= fluency.min_distance < 1.0
     print(receiver, report.episodes[0].status.label)
-check_receiver("random", scenes=(9,), steps=500)
-check_giver("noisy", scenes=(9,), steps=500)
+check_receiver("random", scenes=(9,), steps=100)
+check_giver("noisy", scenes=(9,), steps=100)
 assert "handover_marl.simulation.bullet.client" not in sys.modules
 """
 
 
 @pytest.mark.slow
 def test_policies_play_and_can_be_checked(elsewhere: dict[str, str]) -> None:
-    """Shipped policies play in one process; `yang2021` and `reactive` play whole handovers."""
-    pairs = [("replay", "yang2021", True), ("cooperative", "yang2021", False), ("noisy", "hold", False)]
-    pairs.append(("tired", "random", False))
+    """Shipped policies play in one process; `reactive` plays a whole handover."""
+    pairs = [("cooperative", "yang2021", False), ("noisy", "hold", False), ("tired", "random", False)]
     if importlib.util.find_spec("igl") is not None:
         # The number of copies limits the time of the validation of grasps.
-        pairs += [("replay", "omg_hand_aware:wait=0.5", False), ("replay", "reactive:preparation_max_copies=1", True)]
+        pairs += [("replay", "omg_hand_aware:wait=0.1", False), ("replay", "reactive:preparation_max_copies=1", True)]
     if importlib.util.find_spec("torch") is not None and importlib.util.find_spec("embreex") is not None:
         pairs.append(("replay", "vision", False))
     reported = python(elsewhere, PLAYING.format(pairs=pairs)).splitlines()

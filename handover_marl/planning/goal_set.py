@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.poses import compose
 from handover_marl.planning.ik_solvers import solve_ik
-from handover_marl.planning.planner_config import PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost
 
 Array = npt.NDArray[np.float64]
@@ -61,8 +60,10 @@ _N_ROUNDS, _LEARNING_RATES = 50, (0.25, 0.5, 1.0, 4.0, 16.0)
 _LOOKAHEAD_RATE = 0.6
 # Weight of the straight path's squared length in joint space.
 _SMOOTHNESS_WEIGHT = 0.003
-#: Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
-UNCHECKED = 5
+# Number of last goals that the original never checks for collisions; see `PlannerConfig.unchecked_last`.
+_UNCHECKED = 5
+#: Minimum clearance of the gripper to the person's hand (m); goals with less are excluded if other goals exist.
+MIN_HAND_CLEARANCE = 0.02
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
@@ -130,7 +131,7 @@ class GoalSetBuilder:
             the person's hand are computed.
         start: (7,) configuration at which motions start (rad).
         limits: Lower and upper joint limits with padding, (7,) each (rad).
-        config: Configuration of the planner.
+        unchecked_last: Whether to reproduce the indexing error that `PlannerConfig` describes.
     """
 
     def __init__(
@@ -140,10 +141,10 @@ class GoalSetBuilder:
         gripper: Sequence[Array],
         start: Array,
         limits: Limits,
-        config: PlannerConfig,
+        unchecked_last: bool = False,
     ) -> None:
         self._arm, self._body, self._gripper, self._start, self._limits = arm, body, gripper, start, limits
-        self._hand, self._unchecked_last = config.hand, config.unchecked_last
+        self._unchecked_last = unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
         """Return the goals at which the gripper can grasp an object by grasps (n, 7) in the base frame.
@@ -154,10 +155,10 @@ class GoalSetBuilder:
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))
         goals = goals.select(self._is_collision_free(goals.standoffs, objects))
-        if person is not None and self._hand is not None and len(goals):
+        if person is not None and len(goals):
             goals = replace(goals, clearances=self._compute_clearances(goals.tails, person))
             goals = goals.select(np.argsort(-goals.clearances, kind="stable"))
-            least = min(self._hand.min_clearance, float(goals.clearances.max()))
+            least = min(MIN_HAND_CLEARANCE, float(goals.clearances.max()))
             goals = goals.select(goals.clearances >= least)
         return self._thin_out(goals)
 
@@ -229,7 +230,7 @@ class GoalSetBuilder:
             hits += (distances.reshape(points.shape[1:]) < COLLISION_DISTANCE).sum(axis=0)
         is_free: npt.NDArray[np.bool_] = hits <= _MAX_COLLISIONS
         if self._unchecked_last:
-            is_free[-UNCHECKED:] = True
+            is_free[-_UNCHECKED:] = True
         return is_free
 
     def _thin_out(self, goals: GoalSet) -> GoalSet:

@@ -8,7 +8,7 @@ import atexit
 import threading
 from collections import OrderedDict
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,12 @@ from handover_marl.geometry.arm import ArmKinematics, IkSolver, IndependentArmKi
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
 
+if TYPE_CHECKING:
+    from handover_marl.simulation.bullet.kinematics import BulletIKStep
+
 Array = npt.NDArray[np.float64]
+#: Solvers of single queries, which may not converge.
+IkStepper: TypeAlias = "BulletIKStep | PandaIkSolver"
 
 _DAMPING = 1e-9
 _MIN_SINE = 1e-9
@@ -128,19 +133,6 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
     return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])
-
-
-class IkStepper(Protocol):
-    """Interface of inverse kinematics solvers that make one query, which may not converge."""
-
-    def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
-        """Return joints (9,) that bring the hand link to a world pose or closer to it; the fingers mean nothing."""
-
-    def to_base_frame(self, world_from_hand: npt.NDArray[np.floating]) -> Array:
-        """Transform a pose (7,) of the hand link from the world to the robot's base frame."""
-
-    def to_world_frame(self, base_from_hand: Array) -> Array:
-        """Transform a pose (7,) of the hand link from the robot's base frame to the world."""
 
 
 def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:

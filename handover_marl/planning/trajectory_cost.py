@@ -54,7 +54,6 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        weight: Weight of the obstacle's cost.
         in_tail: Whether the obstacle has a cost in the final approach to a grasp too, unlike an
             object that is to be grasped.
     """
@@ -62,7 +61,6 @@ class Obstacle:
     field: DistanceField
     base_from_field: Array
     padding: float
-    weight: float = 1.0
     in_tail: bool = False
 
     def compute_distances(self, points: Floats) -> Floats:
@@ -194,7 +192,7 @@ class ObstacleCost:
         flat = points.reshape(3, -1)
         for obstacle in self.obstacles:
             cost = compute_proximity_cost(obstacle.compute_distances(flat), obstacle.padding).reshape(total.shape)
-            total += np.float32(obstacle.weight) * (cost if obstacle.in_tail else cost * ~tails)
+            total += cost if obstacle.in_tail else cost * ~tails
         return total
 
     def _costs_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
@@ -204,7 +202,7 @@ class ObstacleCost:
         counts[-self.n_tail :] = 0.0
         for obstacle in self.obstacles:
             distances, outward = obstacle.compute_distances_and_gradients(points.reshape(3, -1))
-            weight = np.float32(obstacle.weight) * (np.float32(1.0) if obstacle.in_tail else counts)
+            weight = np.float32(1.0) if obstacle.in_tail else counts
             total += weight * compute_proximity_cost(distances, obstacle.padding).reshape(total.shape)
             slope = compute_proximity_gradient(distances, obstacle.padding)
             gradients += weight * (slope * outward).reshape(gradients.shape)

@@ -58,28 +58,6 @@ class ClearanceMonitor:
         self._panda_urdf = panda_urdf
         self._world_from_panda = np.array([*config.base_position, *config.base_orientation])
 
-    def compute_min_distance(
-        self,
-        hand_urdf: Path,
-        robot: Array,
-        hand: Array,
-        robot_frames: tuple[Array, Array],
-        hand_frames: tuple[Array, Array],
-    ) -> float:
-        """Compute the smallest distance between the surfaces of robot and hand (m) over n times.
-
-        The result is 0 if robot and hand overlap, and at most 3 m.
-
-        Args:
-            hand_urdf: Model of the human hand.
-            robot: Joint positions (n, 9) of the Panda (rad, m).
-            hand: Joint positions (n, 51) of the hand (m, rad).
-            robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
-            hand_frames: Link frames of the hand at these joint positions.
-        """
-        no_margin = np.zeros(len(robot))
-        return self.compute_min_margin(hand_urdf, robot, hand, robot_frames, hand_frames, no_margin)
-
     def compute_min_margin(
         self,
         hand_urdf: Path,
@@ -87,9 +65,9 @@ class ClearanceMonitor:
         hand: Array,
         robot_frames: tuple[Array, Array],
         hand_frames: tuple[Array, Array],
-        required: Array,
+        required: Array | None = None,
     ) -> float:
-        """Compute the smallest difference of the distance of robot and hand and a required distance (m) over n times.
+        """Compute the smallest distance of robot and hand, minus a required distance, over n times (m).
 
         The distance is 0 if robot and hand overlap; the result is at most 3 m.
 
@@ -99,23 +77,24 @@ class ClearanceMonitor:
             hand: Joint positions (n, 51) of the hand (m, rad).
             robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
             hand_frames: Link frames of the hand at these joint positions.
-            required: Required distances (n,) in m, at least 0.
+            required: Required distances (n,) in m, at least 0; None for zeros.
         """
+        needed = np.zeros(len(robot)) if required is None else required
         spheres = [
             _MovingSpheres(self._query.read_bounding_spheres(self._panda_urdf), robot_frames, self._world_from_panda),
             _MovingSpheres(self._query.read_bounding_spheres(hand_urdf), hand_frames, IDENTITY),
         ]
-        bounds = _bound_distances(*spheres) - required
+        bounds = _bound_distances(*spheres) - needed
         smallest, left = _MAX_DISTANCE, np.arange(len(bounds))
         while len(left):
             time = int(left[bounds[left].argmin()])
             # A lower bound of the distance at that time, if its margin is not below `smallest`.
-            limit = smallest + float(required[time])
+            limit = smallest + float(needed[time])
             found = max(0.0, self._query.measure(hand_urdf, robot[time].tolist(), hand[time].tolist(), limit))
-            smallest = min(smallest, found - float(required[time]))
+            smallest = min(smallest, found - float(needed[time]))
             left = left[(bounds[left] < smallest) & (left != time)]
             moved = [own.bound_motion(time, left) for own in spheres]
-            bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1] - required[left])
+            bounds[left] = np.maximum(bounds[left], found - moved[0] - moved[1] - needed[left])
             left = left[bounds[left] < smallest]
         return smallest
 

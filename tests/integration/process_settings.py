@@ -1,11 +1,8 @@
-"""Play shipped policies after changing a setting of the process, and print a hash of each episode.
+"""Play shipped policies, also after changing settings of the process, and print a hash of each episode.
 
-`python process_settings.py SETTINGS PHYSICS STEPS [RECEIVER ...]`, with names of `SETTINGS` and of engines, separated
-by commas.
+`python process_settings.py none|changed STEPS`
 """
 
-import decimal
-import gc
 import hashlib
 import json
 import locale
@@ -24,23 +21,18 @@ from tests.comma_locale import COMMA
 FOLDER = Path(__file__).parent
 LEARNED = FOLDER.parent / "data" / "v0_7_0" / "policies" / "receiver.npz"
 SCENE = 209
-#: Receivers, with a giver that each is played with.
-PAIRS = {
-    "yang2021:wait=0.1": "cooperative",
-    "omg:wait=0.1": "replay",
-    "reactive": "noisy",
-    "gaddpg:wait=0.1": "withdrawing",
-    "vision": "hesitant",
-    f"learned:{LEARNED}": "learned",
-    "yang2021:wait=0.5": "stop_when_near",
-    "yang2021:wait=0.6": "recording_spread",
-    f"population:population={FOLDER / 'population.json'}": "population",
-    "random": "tired",
-    "hold": "hurried",
-    "yang2021:wait=0.2": "displaced",
-    "yang2021:wait=0.3": "early_release",
-    "yang2021:wait=0.4": "interrupting",
-}
+#: Physics and receivers, with a giver that each is played with.
+EPISODES = (
+    ("exact", "yang2021:wait=0.1", "cooperative"),
+    ("mujoco", "yang2021:wait=0.1", "stop_when_near"),
+    ("exact", "omg:wait=0.1", "replay"),
+    ("mujoco", "reactive", "noisy"),
+    ("exact", "gaddpg:wait=0.1", "withdrawing"),
+    ("mujoco", "vision", "hesitant"),
+    ("mujoco", f"learned:{LEARNED}", "learned"),
+    ("exact", f"population:population={FOLDER / 'population.json'}", "population"),
+    ("exact", "random", "recording_spread"),
+)
 
 
 def set_numpy() -> None:
@@ -58,29 +50,22 @@ def read_generators() -> tuple[object, ...]:
     return random.getstate(), str(np.random.get_state()), torch.get_rng_state().tolist()  # noqa: NPY002
 
 
-def set_decimal() -> None:
-    decimal.setcontext(decimal.Context(prec=1, rounding=decimal.ROUND_UP))
-
-
-#: Settings by name: what the program that calls the library may do before.
-SETTINGS: dict[str, Callable[[], object]] = {
-    "none": lambda: None,
-    "locale": lambda: locale.setlocale(locale.LC_NUMERIC, COMMA),
-    "bfloat16": lambda: torch.set_default_dtype(torch.bfloat16),
-    "autocast": lambda: torch.autocast("cpu", dtype=torch.bfloat16).__enter__(),
-    "precision": lambda: torch.set_float32_matmul_precision("medium"),
-    "device": lambda: torch.set_default_device("meta"),
-    "deterministic": lambda: torch.use_deterministic_algorithms(True),
-    "denormals": lambda: torch.set_flush_denormal(True),
-    "threads": lambda: torch.set_num_threads(2),
-    "gradients": lambda: torch.set_grad_enabled(False),
-    "numpy": set_numpy,
-    "warnings": lambda: warnings.simplefilter("error"),
-    "generators": seed_generators,
-    "decimal": set_decimal,
-    "garbage": gc.disable,
-    "umask": lambda: os.umask(0o777),
-}
+#: Settings that the program that calls the library may have changed before.
+SETTINGS: tuple[Callable[[], object], ...] = (
+    lambda: locale.setlocale(locale.LC_NUMERIC, COMMA),
+    lambda: os.umask(0o777),
+    lambda: warnings.simplefilter("error"),
+    set_numpy,
+    seed_generators,
+    lambda: torch.set_default_dtype(torch.bfloat16),
+    lambda: torch.autocast("cpu", dtype=torch.bfloat16).__enter__(),
+    lambda: torch.set_float32_matmul_precision("medium"),
+    lambda: torch.set_default_device("meta"),
+    lambda: torch.use_deterministic_algorithms(True),
+    lambda: torch.set_flush_denormal(True),
+    lambda: torch.set_num_threads(2),
+    lambda: torch.set_grad_enabled(False),
+)
 
 
 def play(reference: str, giver: str, physics: str, steps: int) -> str:
@@ -109,20 +94,16 @@ def play(reference: str, giver: str, physics: str, steps: int) -> str:
     return digest.hexdigest()[:16]
 
 
-def main(settings: str, engines: str, steps: str, *chosen: str) -> None:
-    for name in settings.split(","):
-        SETTINGS[name]()
+def main(has_settings: bool, steps: int) -> None:
+    if has_settings:
+        for change in SETTINGS:
+            change()
     before = read_generators()
-    found = {
-        f"{physics} {receiver} {giver}": play(receiver, giver, physics, int(steps))
-        for physics in engines.split(",")
-        for receiver, giver in PAIRS.items()
-        if not chosen or receiver.partition(":")[0] in chosen
-    }
+    found = {" ".join(one): play(one[1], one[2], one[0], steps) for one in EPISODES}
     if read_generators() != before:
         raise SystemExit("a global random generator has changed")
     print("hashes:", json.dumps(found))
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(sys.argv[1] == "changed", int(sys.argv[2]))

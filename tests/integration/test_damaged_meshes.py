@@ -11,6 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError, HandoverError
 from handover_marl.geometry.model_files.urdf import list_mesh_references
+from handover_marl.simulation.engines import list_available_physics
 
 DAMAGES: dict[str, Callable[[str], str]] = {
     "empty": lambda text: "",
@@ -18,17 +19,6 @@ DAMAGES: dict[str, Callable[[str], str]] = {
     "not finite": lambda text: text.replace("v ", "v nan ", 1),
     "joined": lambda text: text.replace("\nf ", "\nf \\\n"),
     "flat": lambda text: "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
-}
-
-
-#: Impossible numbers by body and by a pattern of the text before them.
-NUMBERS = {
-    ("object", 'mass value="'): ("nan", "-5", "1e30"),
-    ("object", 'lateral_friction value="'): ("inf",),
-    ("hand", 'mass value="'): ("nan",),
-    ("hand", 'ixx="'): ("-1",),
-    ("panda", 'izz="'): ("1e30",),
-    ("object", 'scale="'): ("0 1 1",),
 }
 
 
@@ -53,36 +43,40 @@ def damage(
     return replace(scene, assets=replace(assets, **changed))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])
-@pytest.mark.parametrize("body", ["object", "hand"])
-@pytest.mark.parametrize("kind", DAMAGES)
-def test_damaged_collision_meshes_are_refused(physics: str, body: str, kind: str, tmp_path: Path) -> None:
-    if physics == "mujoco":
-        pytest.importorskip("mujoco")
-    if kind == "half" and body == "object":
-        pytest.skip("half of an object's convex parts are a valid model")
-    scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, DAMAGES[kind])
+def assert_refused(scene: Scene, physics: str, error: type[HandoverError], message: str) -> None:
     episode = Episode(physics)
-    with pytest.raises(DataFormatError, match=r"\.obj"):
+    with pytest.raises(error, match=message):
         episode.reset(scene)
     episode.close()
 
 
-@pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])
 @pytest.mark.parametrize(
-    ("body", "name", "number"), [(*key, value) for key, found in NUMBERS.items() for value in found]
+    ("kind", "body"),
+    [("empty", "object"), ("half", "hand"), ("not finite", "object"), ("joined", "hand"), ("flat", "object")],
 )
-def test_impossible_numbers_are_refused(physics: str, body: str, name: str, number: str, tmp_path: Path) -> None:
-    if physics == "mujoco":
-        pytest.importorskip("mujoco")
+def test_damaged_collision_meshes_are_refused(kind: str, body: str, tmp_path: Path) -> None:
+    scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, DAMAGES[kind])
+    for physics in list_available_physics():
+        assert_refused(scene, physics, DataFormatError, r"\.obj")
 
+
+@pytest.mark.parametrize(
+    ("body", "name", "number"),
+    [
+        ("object", 'mass value="', "nan"),
+        ("object", 'mass value="', "1e30"),
+        ("object", 'lateral_friction value="', "inf"),
+        ("hand", 'ixx="', "-1"),
+        ("panda", 'izz="', "1e30"),
+        ("object", 'scale="', "0 1 1"),
+    ],
+)
+def test_impossible_numbers_are_refused(body: str, name: str, number: str, tmp_path: Path) -> None:
     def change(text: str) -> str:
         start, _, end = text.rpartition(name)
         assert start
         return "".join([start, name, number, end[end.index('"') :]])
 
     scene = damage(open_dataset("synthetic").load_scene(209), body, tmp_path, keep, change)
-    episode = Episode(physics)
-    with pytest.raises(HandoverError, match=r"\.urdf: .* must be a number from"):
-        episode.reset(scene)
-    episode.close()
+    for physics in list_available_physics():
+        assert_refused(scene, physics, HandoverError, r"\.urdf: .* must be a number from")

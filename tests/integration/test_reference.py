@@ -9,23 +9,32 @@ import pytest
 from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback
+from handover_marl.episode.loop import ActionRecorder, EpisodeCallback, run_episode
+from handover_marl.episode.referee import EpisodeStatus
 from tests.conftest import RECORDINGS
 from tests.playing import play
 
 pytestmark = pytest.mark.slow
 
 STRIDE = 10
+#: Steps after which recordings are cut, except those of successful handovers; what happens later is in these, too.
+MAX_STEPS = 3500
 NAMES = sorted(path.stem for path in Path(RECORDINGS).glob("scene*.npz")) if RECORDINGS else ["none"]
 if RECORDINGS and not NAMES:
     raise FileNotFoundError(f"no recordings (scene*.npz) in {RECORDINGS}")
 SEVERAL = sorted(path.stem for path in Path(RECORDINGS).glob("multi/*.npz")) if RECORDINGS else ["none"]
 YANG = [name for name in NAMES if name.endswith("yang")] or ["none"]
+#: Recordings with the receiver that are played; three of them end in success, two without.
+PLAYED = [name for name in YANG if name[5:8] not in ("034", "109", "159")]
 
 
 def read_recording(recordings: Path, name: str) -> dict[str, np.ndarray]:
+    """Read a recording; the actions are cut after `MAX_STEPS`, except those of the receiver's successes."""
     with np.load(recordings / f"{name}.npz") as archive:
-        return dict(archive)
+        content = dict(archive)
+    if name not in YANG or content["status"] != EpisodeStatus.SUCCESS:
+        content["action"] = content["action"][:MAX_STEPS]
+    return content
 
 
 def assert_same_state(episode: Episode, expected: dict[str, np.ndarray], row: int) -> None:
@@ -71,6 +80,9 @@ def assert_replays(expected: dict[str, np.ndarray], dataset: OfficialDataset) ->
 
 
 def assert_same_end(episode: Episode, expected: dict[str, np.ndarray]) -> None:
+    if len(expected["action"]) < expected["steps"]:
+        assert not episode.status
+        return
     assert episode.steps == expected["steps"]
     assert episode.status == expected["status"]
     assert (episode.release_step or -1) == expected["release_step"]
@@ -88,30 +100,30 @@ class StateComparison(EpisodeCallback):
             self.compared += 1
 
 
-@pytest.mark.parametrize("name", YANG)
+@pytest.mark.parametrize("name", PLAYED)
 def test_yang_receiver_gives_the_recording(name: str, recordings: Path, real_dataset: OfficialDataset) -> None:
     expected = read_recording(recordings, name)
-    episode, states = Episode("exact"), StateComparison(expected)
-    policy = receivers.make("yang2021", real_dataset)
-    scene = real_dataset.load_scene(int(expected["scene_id"]))
-    actions, times = play(episode, scene, policy, None, states)
-    np.testing.assert_array_equal(actions, expected["action"])
-    assert times.shape == (len(actions),)
-    assert states.compared == -(-len(actions) // STRIDE)
+    episode, states, log = Episode("exact"), StateComparison(expected), ActionRecorder()
+    episode.reset(real_dataset.load_scene(int(expected["scene_id"])))
+    receiver = receivers.make("yang2021", real_dataset)
+    run_episode(episode, receiver, until=len(expected["action"]), callbacks=[states, log])
+    np.testing.assert_array_equal(log.actions, expected["action"])
+    assert log.times.shape == (len(log.actions),)
+    assert states.compared == -(-len(log.actions) // STRIDE)
     assert_same_end(episode, expected)
     episode.close()
 
 
-# Two of the scenes without a recording are played; experiments/make_results.py evaluates all test splits.
+# One of the scenes without a recording is played; experiments/make_results.py evaluates all test splits.
 def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset) -> None:
     expected = json.loads((recordings / "yang_s0_val.json").read_text())
     scene_ids = real_dataset.list_scenes("s0", "val")
     assert sorted(expected) == sorted(map(str, scene_ids))
     episode = Episode("exact")
     policy = receivers.make("yang2021", real_dataset)
-    recorded = {int(read_recording(recordings, name)["scene_id"]) for name in YANG}
+    recorded = {int(name[5:8]) for name in YANG}
     outcomes = {}
-    for scene_id in [number for number in scene_ids if number not in recorded][::15]:
+    for scene_id in [number for number in scene_ids if number not in recorded][7::20]:
         play(episode, real_dataset.load_scene(scene_id), policy)
         outcomes[str(scene_id)] = (int(episode.status), episode.steps, episode.release_step or -1)
     wanted = {key: (row["status"], row["steps"], row["release"]) for key, row in expected.items()}

@@ -4,15 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.model_files.meshes import read_link_vertices
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import ARM_CAPSULES, Spheres, compute_arm_clearances, find_closest_arm_points
-from tests.planning.robots import ARM, LIMITS, START, random_joints
+from handover_marl.planning.clearance import ARM_CAPSULES, Spheres, compute_arm_clearances
+from tests.planning.robots import ARM, LIMITS, START
 
 IN_WORLD = ArmInWorld(ARM, np.array([0.61, -0.5, 0.875, 0.0, 0.0, 0.7071068, 0.7071068]), LIMITS)
 URDF: Path = SyntheticDataset().panda_urdf
@@ -37,20 +35,3 @@ def test_capsules_cover_the_collision_meshes(link: int) -> None:
     ]
     assert max(clearances) < 0.016
     assert np.median(clearances) > -0.06
-
-
-@given(st.integers(0, 10_000))
-def test_closest_point_matches_the_clearance(seed: int) -> None:
-    joints = random_joints(seed, 3)
-    rng = np.random.default_rng(seed)
-    spheres = Spheres(rng.uniform(-0.5, 1.5, (5, 3)), rng.uniform(0.0, 0.05, 5))
-    many = compute_arm_clearances(IN_WORLD, joints, spheres)
-    for one, distance in zip(joints, many, strict=True):
-        closest, link = find_closest_arm_points(IN_WORLD, one, spheres)
-        assert closest.distance == pytest.approx(distance, abs=1e-7)
-        # The point is on the capsule's surface, and the normal points from the sphere to the capsule.
-        back = closest.point - closest.distance * closest.normal
-        assert np.linalg.norm(back - spheres.centers[closest.sphere]) == pytest.approx(
-            spheres.radii[closest.sphere], abs=1e-9
-        )
-        assert link in {capsule[0] for capsule in ARM_CAPSULES}

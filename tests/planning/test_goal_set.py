@@ -10,18 +10,17 @@ from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
 from handover_marl.planning import goal_set
 from handover_marl.planning.goal_set import GoalSet, GoalSetBuilder, is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules
-from handover_marl.planning.planner import make_hand_obstacle
-from handover_marl.planning.planner_config import HandAvoidanceConfig, PlannerConfig
+from handover_marl.planning.planner import Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
 
 URDF = SyntheticDataset().panda_urdf
-CONFIG = PlannerConfig()
 
 
-def make_builder(config: PlannerConfig = CONFIG) -> GoalSetBuilder:
+def make_builder(unchecked_last: bool = False) -> GoalSetBuilder:
     body = sample_body_points(URDF, tuple(ARM.link_names), 15)
-    return GoalSetBuilder(ARM, body, sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60), START, LIMITS, config)
+    gripper = sample_body_points(URDF, (HAND_LINK, *FINGER_LINKS), 60)
+    return GoalSetBuilder(ARM, body, gripper, START, LIMITS, unchecked_last)
 
 
 def grasps(count: int = 12) -> np.ndarray:
@@ -78,33 +77,32 @@ def make_wall(x: float) -> Obstacle:
 def test_colliding_goals_are_dropped(goals: GoalSet) -> None:
     assert len(make_builder().build(grasps(), [make_wall(0.2)], None)) == 0
     assert len(make_builder().build(grasps(), [make_wall(0.9)], None)) == len(goals)
-    unchecked = make_builder(PlannerConfig(unchecked_last=True)).build(grasps(), [make_wall(0.2)], None)
+    unchecked = make_builder(unchecked_last=True).build(grasps(), [make_wall(0.2)], None)
     assert 0 < len(unchecked) <= 5
 
 
-def test_goals_keep_clear_of_the_hand(goals: GoalSet) -> None:
+@pytest.mark.parametrize("avoids_hand", [True, False])
+def test_goals_keep_clear_of_the_hand(goals: GoalSet, avoids_hand: bool) -> None:
     # A gripper that opens towards the capsule is closer than one that is rotated away.
     capsule = Capsules(np.array([[0.58, 0.08, 0.5]]), np.array([[0.75, 0.08, 0.5]]), np.array([0.02]))
-    config = PlannerConfig(hand=HandAvoidanceConfig(min_clearance=0.02))
-    assert config.hand is not None
-    clear = make_builder(config).build(grasps(), [], make_hand_obstacle(capsule, config.hand))
-    assert len(clear) > 0
-    assert clear.clearances.min() >= 0.02
-    assert set(clear.grasps) < set(np.arange(12))
-    assert np.isinf(goals.clearances).all()
+    planner = Planner(URDF, START, PlannerConfig(n_waypoints=10, avoids_hand=avoids_hand))
+    plan = planner.plan(grasps(), [], capsule)
+    assert plan is not None
+    if avoids_hand:
+        assert plan.goals.clearances.min() >= goal_set.MIN_HAND_CLEARANCE
+        assert set(plan.goals.grasps) < set(np.arange(12))
+    else:
+        assert np.isinf(plan.goals.clearances).all()
+        assert len(plan.goals) == len(goals)
 
 
 def test_rules_of_usable_grasps() -> None:
-    level = Rotation.identity()
-    tilted = Rotation.from_euler("y", 40.0, degrees=True)
-    poses = np.array([[0.0, 0.05, 0.1, *rotation.as_quat()] for rotation in (level, tilted)])
-    assert is_usable_grasp("024_bowl", poses).tolist() == [False, True]
-    assert is_usable_grasp("025_mug", poses).tolist() == [False, True]
+    rotations = Rotation.identity(), Rotation.from_euler("y", 40.0, degrees=True)
+    poses = np.array([[0.0, 0.05, 0.1, *rotation.as_quat()] for rotation in rotations])
+    for name in ("024_bowl", "025_mug", "037_scissors"):
+        assert is_usable_grasp(name, poses).tolist() == [False, True]
     assert is_usable_grasp("003_cracker_box", poses).tolist() == [True, True]
-    assert is_usable_grasp("037_scissors", poses).tolist() == [False, True]
-    near = poses.copy()
-    near[:, 2] = -0.08
-    assert not is_usable_grasp("037_scissors", near).any()
-    aside = poses.copy()
-    aside[:, 0] = -0.06
-    assert not is_usable_grasp("037_scissors", aside).any()
+    for column, value in ((2, -0.08), (0, -0.06)):
+        moved = poses.copy()
+        moved[:, column] = value
+        assert not is_usable_grasp("037_scissors", moved).any()

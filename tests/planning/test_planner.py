@@ -9,7 +9,6 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.distance_field import sample_distance_field
 from handover_marl.planning.goal_set import update_weights
 from handover_marl.planning.planner import Chomp, make_initial_trajectory
-from handover_marl.planning.planner_config import ChompConfig
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
 
@@ -29,7 +28,7 @@ def make_sphere(center: np.ndarray, radius: float = 0.1, in_tail: bool = False) 
 
 
 def chomp(cost: ObstacleCost) -> Chomp:
-    return Chomp(cost, START, LIMITS, ChompConfig().n_waypoints)
+    return Chomp(cost, START, LIMITS, 30)
 
 
 @given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=8), st.integers(0, 1000))

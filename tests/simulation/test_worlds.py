@@ -1,5 +1,6 @@
-"""Tests that every engine passes: repeated episodes, division of steps, images, and agreement with exact physics."""
+"""Tests that every engine passes: repeated episodes, division of steps, other worlds, and agreement between engines."""
 
+import importlib.util
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,30 +11,45 @@ import numpy.typing as npt
 import pytest
 
 from handover_marl import givers, receivers
-from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig
+from handover_marl.config import CameraConfig, PandaConfig, PhysicsConfig, WorldConfig
 from handover_marl.datasets import OfficialDataset, open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
+from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError
-from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS, WAITING_JOINTS
+from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.geometry.arrays import to_numpy
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.policies.policy import Action
 from handover_marl.simulation.bullet.fast_world import FastWorld
-from handover_marl.simulation.engines import PHYSICS, make_world
+from handover_marl.simulation.engines import (
+    PHYSICS,
+    THREADS,
+    WARP,
+    BatchBackend,
+    check_physics,
+    list_available_physics,
+    make_world,
+)
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
-WAITING = np.array(WAITING_JOINTS, dtype=np.float32)
 #: Joint positions with which the robot is in the hand's way in scene 209.
 INTO_THE_HAND = np.array([0.285, -0.182, -0.074, -2.037, -0.538, 2.359, 0.688, 0.04, 0.04], dtype=np.float32)
 DATA = open_dataset("synthetic", robot="panda_camera")
+#: Packages of the engines besides PyBullet.
+MODULES = {"mujoco": "mujoco", THREADS: "mujoco", WARP: "mujoco_warp"}
+
+
+def require_engine(name: str) -> str:
+    if name in MODULES:
+        pytest.importorskip(MODULES[name])
+    return name
 
 
 @pytest.fixture(params=PHYSICS)
 def physics(request: pytest.FixtureRequest) -> str:
-    if request.param == "mujoco":
-        pytest.importorskip("mujoco")
-    return str(request.param)
+    return require_engine(request.param)
 
 
 @pytest.fixture
@@ -43,6 +59,15 @@ def episodes() -> Iterator[list[Episode]]:
     yield made
     for episode in made:
         episode.close()
+
+
+def load_late_scene(scene_id: int, first: int) -> Scene:
+    """Return a scene that begins late in its recording."""
+    scene = DATA.load_scene(scene_id)
+    assert scene.hand_last == scene.n_frames - 1, "the hand stays"
+    motion = {"object_dof": scene.object_dof[first:], "hand_dof": scene.hand_dof[first:]}
+    hand_first = max(0, (scene.hand_first or 0) - first)
+    return replace(scene, **motion, hand_first=hand_first, hand_last=scene.hand_last - first)
 
 
 class Motion(EpisodeCallback):
@@ -63,39 +88,38 @@ def test_a_used_world_equals_a_new_one(physics: str, episodes: list[Episode]) ->
     `yang2021` grasps the object, which is released; the random receiver hits itself, the table and the objects.
     """
 
-    def play(episode: Episode, receiver: str, giver: str, scene_id: int) -> tuple[Any, ...]:
+    def play(episode: Episode, receiver: str, giver: str, scene: Scene, until: int | None) -> tuple[Any, ...]:
         motion = Motion()
-        episode.reset(DATA.load_scene(scene_id))
+        episode.reset(scene)
         players = receivers.make(receiver, DATA), givers.make(giver, DATA)
-        until = 2000 if receiver == "random" else None
         run_episode(episode, *players, seed=0, until=until, callbacks=[motion])
         return (episode.status, episode.steps, episode.release_step), np.array(motion.rows), episode.observe()
 
     episodes += [Episode(physics), Episode(physics)]
     used, new = episodes
-    grasping, hitting = ("yang2021", "replay", 34), ("random", "noisy", 209)
-    expected = {grasping: play(used, *grasping), hitting: play(new, *hitting)}
-    assert expected[grasping][0][2] is not None, "the object was released"
-    for played in (hitting,) if physics == "exact" else (hitting, grasping):
-        end, rows, seen = play(used, *played)
-        assert end == expected[played][0]
-        np.testing.assert_array_equal(rows, expected[played][1])
-        for key, value in seen.items():
-            np.testing.assert_array_equal(value, expected[played][2][key], err_msg=key)
+    grasping = "yang2021:wait=0", "replay", load_late_scene(34, 2141), None
+    hitting = "random", "noisy", DATA.load_scene(209), 1000
+    released, expected = play(used, *grasping), play(new, *hitting)
+    assert released[0][2] is not None
+    end, rows, seen = play(used, *hitting)
+    assert end == expected[0]
+    np.testing.assert_array_equal(rows, expected[1])
+    for key, value in seen.items():
+        np.testing.assert_array_equal(value, expected[2][key], err_msg=key)
 
 
 @pytest.mark.slow
 def test_division_of_steps_and_images_change_nothing(physics: str, episodes: list[Episode]) -> None:
     """States are those of long rollouts, whoever looks in between, until the robot touches the hand."""
-    scene, camera = DATA.load_scene(209), CameraConfig(width=32, height=24)
+    scene, camera = load_late_scene(209, 1600), CameraConfig(width=32, height=24)
     found = []
-    for size, is_watched in ((200, False), (7, False), (50, True)):
+    for size, is_watched in ((100, False), (7, False), (50, True)):
         episode = Episode(physics)
         episodes.append(episode)
         episode.reset(scene)
         earlier, states = episode.world.read_joint_snapshot(), []
-        for target in (WAITING, START + np.float32(0.05), INTO_THE_HAND):
-            left = 800
+        for target, steps in ((START + np.float32(0.05), 100), (INTO_THE_HAND, 800)):
+            left = steps
             while left and not episode.status:
                 episode.advance(target, min(size, left), on_step=[lambda one: one.observe()] if is_watched else [])
                 left -= min(size, left)
@@ -105,10 +129,10 @@ def test_division_of_steps_and_images_change_nothing(physics: str, episodes: lis
                     episode.world.render_wrist_camera(earlier, False)
             states.append(np.concatenate([episode.world.read_joints_float64(), *episode.world.read_object_joints()]))
         assert episode.status == EpisodeStatus.HUMAN_CONTACT
-        assert episode.steps == pytest.approx(2280, abs=5), "all engines find the contact"
+        assert episode.steps == pytest.approx(680, abs=5), "all engines find the contact"
         found.append((episode.steps, states))
     # In fast physics, the time at which bodies near each other wake depends on the division.
-    tolerances = (2e-6, 2e-6, 5e-3) if physics == "fast" else (0.0, 0.0, 0.0)
+    tolerances = (2e-6, 5e-2) if physics == "fast" else (0.0, 0.0)
     for steps, other in found[1:]:
         assert steps == found[0][0]
         for one, same, tolerance in zip(found[0][1], other, tolerances, strict=True):
@@ -126,14 +150,12 @@ MOTION = {"hand_dof_position": 1e-2, "hand_keypoints": 1e-3}
 @pytest.mark.parametrize("data", ["synthetic", "coming and going"])
 def test_states_are_those_of_exact_physics(name: str, data: str, fake_data: Path, episodes: list[Episode]) -> None:
     """States are equal while the robot is far from all bodies, also if the hand appears and disappears."""
-    if name == "mujoco":
-        pytest.importorskip("mujoco")
-    scene = DATA.load_scene(209) if data == "synthetic" else OfficialDataset(fake_data).load_scene(14)
-    episodes += [Episode("exact"), Episode(name)]
+    scene = load_late_scene(209, 300) if data == "synthetic" else OfficialDataset(fake_data).load_scene(14)
+    episodes += [Episode("exact"), Episode(require_engine(name))]
     for episode in episodes:
         episode.reset(scene)
     presence = []
-    for steps in (0, 1, 59, 40, 300, 100, 500, 1000, 1000) if data == "synthetic" else [10] * 45:
+    for steps in (0, 1, 29, 70, 400, 400) if data == "synthetic" else [15] * 30:
         seen = []
         for episode in episodes:
             episode.advance(START, steps)
@@ -150,31 +172,10 @@ def test_states_are_those_of_exact_physics(name: str, data: str, fake_data: Path
         assert not any(item.is_awake for item in world._objects)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("frame", [0, 1500])
-def test_images_are_alike(frame: int, episodes: list[Episode]) -> None:
-    pictures = []
-    for physics in ("exact", "fast"):
-        episodes.append(Episode(physics))
-        episodes[-1].reset(DATA.load_scene(209))
-        episodes[-1].advance(START, frame)
-        pictures.append(episodes[-1].render(CameraConfig(width=160, height=120)).astype(int))
-    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 40).mean() < 0.002
-
-
-def load_late_scene(scene_id: int, first: int = 2300) -> Scene:
-    """Return a scene that begins late in its recording, when the hand holds out the object."""
-    scene = DATA.load_scene(scene_id)
-    assert scene.hand_last == scene.n_frames - 1, "the hand stays"
-    motion = {"object_dof": scene.object_dof[first:], "hand_dof": scene.hand_dof[first:]}
-    return replace(scene, **motion, hand_first=0, hand_last=scene.hand_last - first)
-
-
 def throw(physics: str, scene: Scene, targets: list[Action]) -> tuple[EpisodeStatus, int]:
     """Return status and steps after the arm was driven to two joint targets in turn."""
     episode = Episode(physics)
     episode.reset(scene)
-    episode.advance(START, 100)
     for target, steps in zip(targets, (250, 500), strict=True):
         episode.advance(target, steps)
     episode.close()
@@ -182,7 +183,7 @@ def throw(physics: str, scene: Scene, targets: list[Action]) -> tuple[EpisodeSta
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scene_id", "seed", "touches"), [(8, 4, True), (53, 19, True), (5, 4, False)])
+@pytest.mark.parametrize(("scene_id", "seed", "touches"), [(53, 19, True), (5, 4, False)])
 def test_no_contact_with_the_hand_is_missed(scene_id: int, seed: int, touches: bool) -> None:
     """An arm that moves to random joint positions touches the hand in both engines, at most 3 steps apart."""
     rng, lower, upper = np.random.default_rng(seed), np.array(LOWER_LIMITS), np.array(UPPER_LIMITS)
@@ -191,13 +192,91 @@ def test_no_contact_with_the_hand_is_missed(scene_id: int, seed: int, touches: b
         target = START.copy()
         target[:7] = lower[:7] + rng.uniform(0.2, 0.8, 7) * (upper - lower)[:7]
         targets.append(target)
-    exact, fast = (throw(physics, load_late_scene(scene_id), targets) for physics in ("exact", "fast"))
+    exact, fast = (throw(physics, load_late_scene(scene_id, 2400), targets) for physics in ("exact", "fast"))
     assert bool(exact[0] & EpisodeStatus.HUMAN_CONTACT) == touches
     assert bool(fast[0] & EpisodeStatus.HUMAN_CONTACT) == touches
     assert abs(exact[1] - fast[1]) <= 3
 
 
+# ----------------------------------------------------------------------------------------------- many worlds at once
+
+#: The robot starts so near to the hand of scene 209 that it touches the hand after some 15 steps.
+NEAR = tuple((START + np.float32(0.97) * (INTO_THE_HAND - START)).tolist())
+NEAR_CONFIG = WorldConfig(physics=PhysicsConfig(panda=replace(PandaConfig(), start_joints=NEAR)))
+#: The hand appears in the first scene during the episode; the robot touches that of the second one.
+BATCH_SCENES = (load_late_scene(14, 390), load_late_scene(209, 2300))
+STEPS = (8, 14)
+State = dict[str, npt.NDArray[Any]]
+
+
+def advance_batch(backend: str, rows: list[int], scenes: list[Scene], count: int) -> list[State]:
+    """Return the states (r, ...) of some of n episodes after each of `STEPS`; the others are in another scene."""
+    episodes = Episodes(NEAR_CONFIG, count, BatchBackend(backend))
+    for row in range(count):
+        episodes.reset(row, scenes[rows.index(row)] if row in rows else BATCH_SCENES[0])
+    everyone, own = (episodes.arrays.asarray(numbers) for numbers in (np.arange(count), np.array(rows)))
+    targets, deviations = np.tile(INTO_THE_HAND, (count, 1)), np.zeros((count, 8), np.float32)
+    found = []
+    for steps in STEPS:
+        running = everyone[episodes.referees.status[everyone] == 0]
+        robot, giver = (episodes.arrays.asarray(array)[running] for array in (targets, deviations))
+        episodes.advance(running, robot, steps, giver)
+        episodes.observe(everyone)
+        state = {**episodes.select_state(own), **episodes.make_infos(own)}
+        found.append({key: to_numpy(value) for key, value in state.items()})
+    episodes.close()
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", [THREADS, WARP])
+def test_one_world_of_many_is_that_of_a_single_world(backend: str) -> None:
+    """Each of four worlds of a batch equals the only world of another one; those of MuJoCo equal a single episode."""
+    require_engine(backend)
+    together = advance_batch(backend, [2, 0], [*BATCH_SCENES], 4)
+    alone = [advance_batch(backend, [0], [scene], 1) for scene in BATCH_SCENES]
+    assert [found["hand_present"][0].tolist() for found in together] == [[0.0], [1.0]]
+    assert together[1]["status"].tolist() == [0, EpisodeStatus.HUMAN_CONTACT]
+    for number, found in enumerate(together):
+        for key, values in found.items():
+            for row, single in enumerate(alone):
+                np.testing.assert_array_equal(values[row], single[number][key][0], err_msg=key)
+    if backend == THREADS:
+        for row, scene in enumerate(BATCH_SCENES):
+            episode = Episode("mujoco", NEAR_CONFIG)
+            episode.reset(scene)
+            for steps, found in zip(STEPS, together, strict=True):
+                episode.advance(INTO_THE_HAND, steps)
+                for key, value in episode.observe().items():
+                    np.testing.assert_array_equal(found[key][row], value, err_msg=key)
+            episode.close()
+    else:
+        expected = advance_batch(THREADS, [2, 0], [*BATCH_SCENES], 4)
+        for state, other in zip(together, expected, strict=True):
+            for key, value in other.items():
+                # Single precision may find the contact some steps earlier.
+                atol = 3 if key == "steps" else 0.1 if key in ("robot_joint_velocity", "time") else 1e-3
+                np.testing.assert_allclose(state[key], value, rtol=0, atol=atol, err_msg=key)
+
+
+# --------------------------------------------------------------------------------------------------- choice of engines
+
+
+def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert PHYSICS == ("exact", "fast", "mujoco")
+    with pytest.raises(UnknownNameError, match="valid: exact, fast, mujoco"):
+        check_physics("nuclear")
+    assert ("mujoco" in list_available_physics()) == (importlib.util.find_spec("mujoco") is not None)
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *rest: None if name == "mujoco" else find(name, *rest)
+    )
+    assert list_available_physics() == ("exact", "fast")
+    with pytest.raises(OptionError, match=r"needs MuJoCo.*Python 3\.11 and later"):
+        Episode("mujoco")
+
+
 def test_only_pybullet_has_a_window() -> None:
-    pytest.importorskip("mujoco")
+    require_engine("mujoco")
     with pytest.raises(OptionError, match="opens no window"):
         make_world("mujoco", PhysicsConfig(), window=True)

@@ -160,7 +160,7 @@ class TraceRecorder(EpisodeCallback):
                 self._monitors[assets.panda] = ClearanceMonitor(assets.panda, panda, query)
             monitor, (origins, rotations) = self._monitors[assets.panda], robot_frames
             motion = assets.hand, robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
-            min_distance = 0.0 if self._hand_forces else monitor.compute_min_distance(*motion)
+            min_distance = 0.0 if self._hand_forces else monitor.compute_min_margin(*motion)
             protective = self._compute_protective_distances(wrist, gripper, n_samples)
             min_margin = monitor.compute_min_margin(*motion, protective[has_hand])
             if self._hand_forces:

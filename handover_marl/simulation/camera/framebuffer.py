@@ -21,7 +21,7 @@ from handover_marl.simulation.camera.optics import (
     SKY,
     SPECULAR,
 )
-from handover_marl.simulation.camera.ray_body import PosedMeshes
+from handover_marl.simulation.camera.ray_body import RayBody
 
 Array = npt.NDArray[np.float32]
 #: Numbers of pixels in image order.
@@ -80,45 +80,34 @@ class Framebuffer:
             squares = np.floor(places[:, :2]).astype(np.int64).sum(axis=1) % 2
             self._rgb[is_hit] = _shade(np.array(GROUND)[squares], np.array([0.0, 0.0, 1.0]))
 
-    def add(self, meshes: PosedMeshes) -> Pixels:
-        """Draw a body and return the numbers of the changed pixels.
+    def add(self, body: RayBody, joints: Array) -> Pixels:
+        """Draw a body at joint positions (d,) (m, rad) and return the numbers of the changed pixels.
 
         A pixel that two links of the body changed one after the other occurs twice.
         """
-        body = meshes.body
-        rotations, origins = self._compute_link_frames(meshes)
-        boxes = np.where(_IS_HIGH, body.highest[:, None], body.lowest[:, None]) @ rotations.swapaxes(1, 2)
-        columns, rows, is_cut = _bound_boxes(boxes + origins[:, None])
+        rotations, origins = self._compute_mesh_frames(body, joints)
+        columns, rows, is_cut = _bound_boxes(body, rotations, origins)
         drawn = [_NO_PIXELS]
         for link in np.flatnonzero((columns[:, 0] < columns[:, 1]) & (rows[:, 0] < rows[:, 1])).tolist():
             pixels, frame = _PIXELS[slice(*rows[link]), slice(*columns[link])].ravel(), (rotations[link], origins[link])
             if is_cut[link]:
                 # The rectangle is the whole image.
                 pixels = pixels[self._is_box_hit(pixels, frame, body.lowest[link], body.highest[link])]
-            drawn.append(self._draw_link(meshes, link, frame, pixels))
+            drawn.append(self._draw_link(body, link, frame, pixels))
         return np.concatenate(drawn)
 
-    def remove_occluded_by(self, meshes: PosedMeshes, pixels: Pixels, corners: Array) -> Pixels:
-        """Clear the pixels that a body occludes, and return the numbers of the remaining pixels.
-
-        Args:
-            meshes: Occluding body.
-            pixels: Numbers of the pixels to test.
-            corners: Corners (8, 3) of the frustum that contains the points of these pixels, as returned
-                by `compute_frustum_corners`.
-        """
-        if not len(pixels):
-            return pixels
-        body = meshes.body
-        rotations, origins = self._compute_link_frames(meshes)
-        local = (corners - origins[:, None]) @ rotations
-        is_between = (local.max(axis=1) >= body.lowest) & (local.min(axis=1) <= body.highest)
-        for link in np.flatnonzero(is_between.all(axis=1)).tolist():
-            frame = (rotations[link], origins[link])
-            near = pixels[self._is_box_hit(pixels, frame, body.lowest[link], body.highest[link])]
-            occluded = self._draw_link(meshes, link, frame, near)
-            self._clear(occluded)
-            pixels = pixels[self._labels[pixels] != SegmentationLabel.BACKGROUND] if len(occluded) else pixels
+    def remove_occluded_by(self, body: RayBody, joints: Array, pixels: Pixels) -> Pixels:
+        """Clear the pixels that a body at joint positions (d,) occludes, and return the numbers of the others."""
+        rotations, origins = self._compute_mesh_frames(body, joints)
+        columns, rows, _ = _bound_boxes(body, rotations, origins)
+        for link, frame in enumerate(zip(rotations, origins, strict=True)):
+            row, column = np.divmod(pixels, IMAGE_SIZE)
+            is_inside = (row >= rows[link, 0]) & (row < rows[link, 1])
+            near = pixels[is_inside & (column >= columns[link, 0]) & (column < columns[link, 1])]
+            if len(near):
+                near = near[self._is_box_hit(near, frame, body.lowest[link], body.highest[link])]
+                self._clear(self._draw_link(body, link, frame, near))
+                pixels = pixels[self._labels[pixels] != SegmentationLabel.BACKGROUND]
         return pixels
 
     def remove_below_ground(self, pixels: Pixels) -> Pixels:
@@ -129,31 +118,17 @@ class Framebuffer:
         remaining: Pixels = pixels[~is_below]
         return remaining
 
-    def compute_frustum_corners(self, pixels: Pixels) -> Array:
-        """Return the corners (8, 3) of the view frustum that contains the points of some pixels.
-
-        The frustum extends from the near plane to the farthest point, in the camera's frame (m).
-        """
-        if not len(pixels):
-            return np.zeros((0, 3), dtype=np.float32)
-        rows, columns = np.divmod(pixels, IMAGE_SIZE)
-        corner_pixels = [
-            row * IMAGE_SIZE + column for row in (rows.min(), rows.max()) for column in (columns.min(), columns.max())
-        ]
-        rays = _RAYS[corner_pixels]
-        return np.concatenate([rays * np.float32(NEAR), rays * self._depth[pixels].max()])
-
     def to_image(self) -> CameraImage:
         """Return the content of the framebuffer as a wrist-camera image."""
         shape = (IMAGE_SIZE, IMAGE_SIZE)
         rgb = None if self._rgb is None else self._rgb.reshape(*shape, 3)
         return CameraImage(self._depth.reshape(shape), self._labels.reshape(shape), rgb)
 
-    def _compute_link_frames(self, meshes: PosedMeshes) -> tuple[Array, Array]:
-        """Return rotations (n, 3, 3) and origins (n, 3) of a body's links in the camera frame."""
-        rotations = self._rotation.T @ meshes.rotations
-        origins = (meshes.origins - self._position) @ self._rotation
-        return rotations.astype(np.float32), origins.astype(np.float32)
+    def _compute_mesh_frames(self, body: RayBody, joints: Array) -> tuple[Array, Array]:
+        """Return rotations (n, 3, 3) and origins (n, 3) of a body's meshes in the camera frame."""
+        rotations, origins = body.compute_mesh_frames(joints)
+        turns, places = self._rotation.T @ rotations, (origins - self._position) @ self._rotation
+        return turns.astype(np.float32), places.astype(np.float32)
 
     def _is_box_hit(
         self, pixels: Pixels, frame: tuple[Array, Array], lowest: Array, highest: Array
@@ -173,31 +148,35 @@ class Framebuffer:
         is_hit: npt.NDArray[np.bool_] = enter <= leave
         return is_hit
 
-    def _draw_link(self, meshes: PosedMeshes, link: int, frame: tuple[Array, Array], pixels: Pixels) -> Pixels:
+    def _draw_link(self, body: RayBody, link: int, frame: tuple[Array, Array], pixels: Pixels) -> Pixels:
         """Draw a link where it is nearest to the camera, and return the changed pixels."""
         if not len(pixels):
             return _NO_PIXELS
-        mesh, (rotation, origin) = meshes.body.meshes[link], frame
+        mesh, (rotation, origin) = body.meshes[link], frame
         hits = mesh.cast_rays(-(origin @ rotation), _RAYS[pixels] @ rotation, NEAR, self._depth[pixels])
         drawn = pixels[hits.ray]
         self._depth[drawn] = hits.depth
-        self._labels[drawn] = meshes.body.label
+        self._labels[drawn] = body.label
         if self._rgb is not None:
-            colors = meshes.body.surfaces[link].sample(hits.face, hits.weights)
-            self._rgb[drawn] = _shade(colors, mesh.normals[hits.face] @ meshes.rotations[link].T)
+            colors = body.surfaces[link].sample(hits.face, hits.weights)
+            self._rgb[drawn] = _shade(colors, mesh.normals[hits.face] @ (self._rotation @ rotation).T)
         return drawn
 
     def _clear(self, pixels: Pixels) -> None:
         self._depth[pixels], self._labels[pixels] = EMPTY_DEPTH, SegmentationLabel.BACKGROUND
 
 
-def _bound_boxes(corners: Array) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return the rectangles of pixels that contain boxes with corners (n, 8, 3) in the camera's frame (m).
+def _bound_boxes(
+    body: RayBody, rotations: Array, origins: Array
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the rectangles of pixels that contain a body's meshes, given their frames in the camera's frame.
 
     Returns:
         First columns and those after the last (n, 2); first rows and those after the last (n, 2), empty outside the
         depth range; and whether boxes reach the near plane (n,), whose rectangles are the whole image.
     """
+    boxes = np.where(_IS_HIGH, body.highest[:, None], body.lowest[:, None]) @ rotations.swapaxes(1, 2)
+    corners = boxes + origins[:, None]
     nearest, farthest = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
     is_cut = nearest < NEAR
     places = _PRINCIPAL_POINT + np.float32(HALF_SIZE_PX) * corners[..., :2] / np.maximum(corners[..., 2:], NEAR)

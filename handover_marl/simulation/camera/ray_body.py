@@ -15,13 +15,14 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import Surface, read_surfaces
 from handover_marl.geometry.model_files.urdf import read_model_mtimes
+from handover_marl.geometry.poses import IDENTITY
 from handover_marl.simulation.camera.images import SegmentationLabel
 from handover_marl.simulation.camera.optics import BACK_FACE_OFFSET, INVISIBLE_LINKS, MAX_BACK_FACES
 
 Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
-_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+_ORIGIN = tuple(IDENTITY.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,21 +89,6 @@ class RayMesh:
         return RayHits(*(np.concatenate(parts) for parts in zip(*hits, strict=True)))
 
 
-@dataclass(frozen=True, eq=False)
-class PosedMeshes:
-    """World poses of the visual meshes of a body at given joint positions.
-
-    Attributes:
-        body: Body that the meshes belong to.
-        rotations: (n, 3, 3) rotation matrices of the links with meshes, in the world.
-        origins: (n, 3) world positions of the origins of the links with meshes (m).
-    """
-
-    body: "RayBody"
-    rotations: Float64Array
-    origins: Float64Array
-
-
 class RayBody:
     """Visual meshes of a URDF model for ray casting, one rigid mesh per link.
 
@@ -138,10 +124,10 @@ class RayBody:
         """Colours of the meshes, which are read when an image with colours is rendered first."""
         return read_surfaces(self._urdf, self._tree, self._without)
 
-    def pose_meshes(self, joints: Array) -> PosedMeshes:
-        """Return the body's meshes posed at joint positions (d,) (m, rad)."""
+    def compute_mesh_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
+        """Return world rotations (n, 3, 3) and origins (n, 3) of the links with meshes at joint positions (d,)."""
         rotations, origins = self.compute_link_frames(joints)
-        return PosedMeshes(self, rotations[self._links], origins[self._links])
+        return rotations[self._links], origins[self._links]
 
     def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
         """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links and the base at joints (d,)."""

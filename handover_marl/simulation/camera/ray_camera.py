@@ -14,9 +14,11 @@ from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.simulation.camera.framebuffer import Framebuffer
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, HAND_FROM_CAMERA
-from handover_marl.simulation.camera.ray_body import PosedMeshes, load_ray_body
+from handover_marl.simulation.camera.ray_body import RayBody, load_ray_body
 
 _NO_JOINTS = np.zeros(0, dtype=np.float32)
+# Body and its joint positions (d,) (m, rad).
+PosedBody = tuple[RayBody, npt.NDArray[np.float32]]
 
 
 class RayCamera:
@@ -49,8 +51,8 @@ class RayCamera:
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot), color)
         buffer.add_ground()
-        for meshes in [*self._pose_targets(snapshot), *self._pose_occluders(snapshot)]:
-            buffer.add(meshes)
+        for body, joints in [*self._list_targets(snapshot), *self._list_occluders(snapshot)]:
+            buffer.add(body, joints)
         return buffer.to_image()
 
     def render_targets(self, snapshot: JointSnapshot, with_others: bool = False) -> CameraImage:
@@ -61,13 +63,12 @@ class RayCamera:
             with_others: Whether to render the other objects, too.
         """
         buffer = Framebuffer(*self._compute_camera_frame(snapshot))
-        drawn = [*self._pose_targets(snapshot), *(self._pose_others(snapshot) if with_others else [])]
+        drawn = [*self._list_targets(snapshot), *(self._list_others(snapshot) if with_others else [])]
         # Pixels of the object that the hand occludes appear twice, which does no harm.
-        pixels = np.concatenate([buffer.add(meshes) for meshes in drawn])
+        pixels = np.concatenate([buffer.add(body, joints) for body, joints in drawn])
         pixels = buffer.remove_below_ground(pixels)
-        corners = buffer.compute_frustum_corners(pixels)
-        for meshes in self._pose_occluders(snapshot, with_others=not with_others):
-            pixels = buffer.remove_occluded_by(meshes, pixels, corners)
+        for body, joints in self._list_occluders(snapshot, with_others=not with_others):
+            pixels = buffer.remove_occluded_by(body, joints, pixels)
         return buffer.to_image()
 
     def _compute_camera_frame(self, snapshot: JointSnapshot) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -75,13 +76,13 @@ class RayCamera:
         rotation, origin = rotations[self._hand_link], origins[self._hand_link]
         return rotation @ np.array(HAND_FROM_CAMERA), origin + rotation @ np.array(CAMERA_POSITION_IN_HAND)
 
-    def _pose_targets(self, snapshot: JointSnapshot) -> list[PosedMeshes]:
-        hand = [] if snapshot.hand is None else [self._hand.pose_meshes(snapshot.hand)]
-        return [self._target.pose_meshes(snapshot.objects[0]), *hand]
+    def _list_targets(self, snapshot: JointSnapshot) -> list[PosedBody]:
+        hand = [] if snapshot.hand is None else [(self._hand, snapshot.hand)]
+        return [(self._target, snapshot.objects[0]), *hand]
 
-    def _pose_others(self, snapshot: JointSnapshot) -> list[PosedMeshes]:
-        return [body.pose_meshes(joints) for body, joints in zip(self._others, snapshot.objects[1:], strict=True)]
+    def _list_others(self, snapshot: JointSnapshot) -> list[PosedBody]:
+        return list(zip(self._others, snapshot.objects[1:], strict=True))
 
-    def _pose_occluders(self, snapshot: JointSnapshot, with_others: bool = True) -> list[PosedMeshes]:
-        others = self._pose_others(snapshot) if with_others else []
-        return [self._panda.pose_meshes(snapshot.robot), *others, self._table.pose_meshes(_NO_JOINTS)]
+    def _list_occluders(self, snapshot: JointSnapshot, with_others: bool = True) -> list[PosedBody]:
+        others = self._list_others(snapshot) if with_others else []
+        return [(self._panda, snapshot.robot), *others, (self._table, _NO_JOINTS)]

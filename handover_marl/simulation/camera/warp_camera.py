@@ -35,18 +35,8 @@ from handover_marl.simulation.world import WorldState
 
 #: Link number of meshes whose vertices are in the world frame.
 WORLD = -1
-
-
-class DeviceMesh(NamedTuple):
-    """Mesh of one link of a model.
-
-    Attributes:
-        number: Number of the mesh in its `MeshBank`.
-        link: Number of the link in whose frame the mesh is; `WORLD` for meshes that never move.
-    """
-
-    number: int
-    link: int
+#: Number of a mesh in its `MeshBank`, and of the link in whose frame it is; `WORLD` for meshes that never move.
+DeviceMesh = tuple[int, int]
 
 
 class MeshBank:
@@ -103,7 +93,7 @@ class MeshBank:
                 vertices, link = vertices @ rotations[link].T + origins[link], WORLD
             if link == WORLD:
                 vertices = world_from_base.apply(vertices) + base[:3]
-            found.append(DeviceMesh(self._add_mesh(vertices.astype(np.float32), mesh), link))
+            found.append((self._add_mesh(vertices.astype(np.float32), mesh), link))
         self._uncolored.append((urdf, without))
         self._models[key] = found
         return found
@@ -206,16 +196,14 @@ class WarpCamera:
         slots: list[tuple[int, int, int]] = []
 
         def add(meshes: list[DeviceMesh], label: SegmentationLabel, frames: Sequence[int]) -> None:
-            slots.extend(
-                (mesh.number, world_frame if mesh.link == WORLD else frames[mesh.link], label) for mesh in meshes
-            )
+            slots.extend((number, world_frame if link == WORLD else frames[link], label) for number, link in meshes)
 
         with self._device.use():
             bank = self._bank = self._bank or MeshBank(self._arrays)
             for number, urdf in enumerate(assets.objects):
                 label = SegmentationLabel.OTHER_OBJECT if number else SegmentationLabel.TARGET
                 # All meshes of an object move with it.
-                slots.extend((mesh.number, first_object_frame + number, label) for mesh in bank.add_model(urdf))
+                slots.extend((mesh, first_object_frame + number, label) for mesh, _ in bank.add_model(urdf))
             add(bank.add_model(assets.hand), SegmentationLabel.HAND, range(first_hand_frame, first_object_frame))
             robot = bank.add_model(assets.panda, robot_base, INVISIBLE_LINKS)
             add(robot, SegmentationLabel.ROBOT, range(first_hand_frame))

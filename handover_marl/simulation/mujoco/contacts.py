@@ -36,15 +36,15 @@ _AXES = (mujoco.mjtSensor.mjSENS_FRAMEXAXIS, mujoco.mjtSensor.mjSENS_FRAMEYAXIS,
 
 
 def add_contact_sensors(
-    spec: "mujoco.MjSpec", robot: str, table: str, objects: Sequence[str], hand: Sequence[str]
+    spec: "mujoco.MjSpec", robot: str, objects: Sequence[str], table: str | None = None, hand: Sequence[str] = ()
 ) -> None:
     """Add sensors to a MuJoCo model for the contacts and poses that the task's rules need.
 
     Args:
         spec: Model to extend.
         robot: Name of the robot's base body.
-        table: Name of the table's body.
         objects: Names of the objects' bodies, the target first.
+        table: Name of the table's body, if there is one.
         hand: Names of the human hand's bodies, which collide with the robot only.
     """
     target, *others = objects
@@ -64,7 +64,7 @@ def add_contact_sensors(
         add(f"touch/hand{number}", (body, name), None, _FORCE, _HAND_SLOTS)
     for number, name in enumerate(others):
         add(f"touch/other{number}", (subtree, robot), name, _FORCE, 1)
-    for number, name in enumerate((table, *others)):
+    for number, name in enumerate([*([] if table is None else [table]), *others]):
         add(f"touch/support{number}", (body, name), target, _FORCE, 1)
 
     def add_frame(name: str, of: str, axes: Sequence["mujoco.mjtSensor"]) -> None:
@@ -124,7 +124,7 @@ class ContactSensors:
             released: Whether the human has released the object.
         """
         force, hand_forces = float(self._sum_robot_forces(data)), data[self._hand]
-        touches_hand = bool(hand_forces.max() > 0.0)
+        touches_hand = bool((hand_forces > 0.0).any())
         left, right = NO_POINTS, NO_POINTS
         if force > 0.0:
             points, pressed = self.compute_finger_points(data), data[self._forces] > 0.0
@@ -134,7 +134,7 @@ class ContactSensors:
             robot_touches_hand=touches_hand,
             robot_touches_object=force > 0.0,
             finger_points=(left, right),
-            object_supported=released and bool(data[self._supports].max() > 0.0),
+            object_supported=released and bool((data[self._supports] > 0.0).any()),
             object_height=float(qpos[self._height_index]),
             gripper_position=(x, y, z),
             robot_object_force=force,

@@ -87,22 +87,9 @@ def place_hand(
     positions[:free_steps] = ABSENT
     if free_steps >= len(positions):
         return free_steps
-    # The first row is the state before the coming steps.
-    joints, present = hand.joints[row + 2 :], hand.present[row + 2 :]
-    changes = (joints[1:] != joints[:-1]).any(axis=1) | (present[1:] != present[:-1])
-    joints, present = joints[1:], present[1:]
+    joints, present = hand.joints[row + 3 :], hand.present[row + 3 :]
     # Steps before the hand appears are free of contact, too.
-    coming = np.flatnonzero(present[free_steps:])
-    first = free_steps + (int(coming[0]) if len(coming) else len(present) - free_steps)
+    steps = free_steps + np.flatnonzero(present[free_steps:])
     positions[free_steps:][~present[free_steps:]] = ABSENT
-    if not len(coming):
-        return first
-    changes[first] = True
-    new = np.flatnonzero(present & changes)
-    new = new[new >= first]
-    poses = kinematics.compute_poses(joints[new])
-    # Each step has the poses of the last change before it.
-    steps = free_steps + coming
-    source = np.searchsorted(new, steps, side="right") - 1
-    positions[steps], quaternions[steps] = poses[0][source], poses[1][source]
-    return first
+    positions[steps], quaternions[steps] = kinematics.compute_poses(joints[steps])
+    return int(steps[0]) if len(steps) else len(present)

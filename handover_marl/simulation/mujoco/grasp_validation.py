@@ -22,14 +22,15 @@ from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN, PAD_DISTANCE
 from handover_marl.geometry.poses import (
     compute_rotation_angle,
-    inverse_transform_points,
     quaternion_from_matrix,
     transform_points,
 )
 from handover_marl.simulation.contacts import find_points_in_grasp_region
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
+from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.models.scene_spec import (
+    HULL_MARGIN,
     SceneModelBuilder,
     format_object_name,
     format_rotation_reference_name,
@@ -61,6 +62,7 @@ class GripperModelBuilder(SceneModelBuilder):
         super().__init__(config, read_object_friction(object_urdf))
         self._add_gripper(panda_urdf)
         self._add_object(0, object_urdf)
+        add_contact_sensors(self.spec, HAND_LINK, [_OBJECT])
 
     def _add_gripper(self, urdf: Path) -> None:
         tree = read_tree(urdf)
@@ -106,16 +108,16 @@ class GraspValidator:
         self._model = model = built.spec.compile()
         self._data = mujoco.MjData(model)
         self._body = model.body(_OBJECT).id
-        self._fingers = [model.body(name).id for name in FINGER_LINKS]
         self._finger_qpos = [model.joint(name).qposadr[0] for name in FINGER_LINKS]
         self._free_qpos = model.joint(_OBJECT).qposadr[0]
+        self._sensors = ContactSensors(model, HULL_MARGIN, self._free_qpos + 2)
         self._hand, self._reference = (
             model.body(name).mocapid[0] for name in (HAND_LINK, format_rotation_reference_name(0))
         )
         self._actuators = [model.actuator(f"{_OBJECT}/{axis}").id for axis in range(OBJECT_DOF)]
         self._finger_actuators = [model.actuator(name).id for name in FINGER_LINKS]
         self._force_ranges = model.actuator_forcerange[self._actuators].copy()
-        hand = np.flatnonzero(np.isin(model.geom_bodyid, [model.body(HAND_LINK).id, *self._fingers]))
+        hand = np.flatnonzero(np.isin(model.geom_bodyid, [model.body(name).id for name in (HAND_LINK, *FINGER_LINKS)]))
         self._pairs = list(itertools.product(hand.tolist(), np.flatnonzero(model.geom_bodyid == self._body).tolist()))
 
     def is_collision_free(self, object_from_gripper: npt.ArrayLike) -> bool:
@@ -217,24 +219,8 @@ class GraspValidator:
 
     def _is_gripped(self) -> bool:
         """Return whether both fingers press on the object inside HandoverSim's grasp region."""
-        rule = ProtocolConfig()
-        return all(find_points_in_grasp_region(self._read_points_on(finger), rule).any() for finger in self._fingers)
-
-    def _read_points_on(self, finger: int) -> Array:
-        """Return a finger's contact points (n, 3) with the object, in the finger's frame (m)."""
-        model, data, found = self._model, self._data, []
-        for number in range(data.ncon):
-            contact, force = data.contact[number], np.zeros(6)
-            bodies = model.geom_bodyid[contact.geom].tolist()
-            mujoco.mj_contactForce(model, data, number, force)
-            if force[0] > 0.0 and sorted(bodies) == sorted((finger, self._body)):
-                # MuJoCo places a contact in the middle of both surfaces, its normal from the first
-                # to the second.
-                outwards = float(model.geom_margin[contact.geom[0]]) - 0.5 * contact.dist
-                side = 1.0 if bodies[0] == finger else -1.0
-                found.append(contact.pos + side * outwards * contact.frame[:3])
-        pose = np.concatenate([data.xpos[finger], data.xquat[finger][XYZW]])
-        return inverse_transform_points(pose, np.array(found)) if found else np.zeros((0, 3))
+        points = self._sensors.compute_contacts(self._data.sensordata, self._data.qpos, False).finger_points
+        return all(find_points_in_grasp_region(own, ProtocolConfig()).any() for own in points)
 
     def _read_gripped_pose(self, grasp: Array) -> Array:
         """Return the pose (7,) of the gripped object point relative to the fingers.

@@ -97,9 +97,8 @@ class MujocoWorld(RolloutWorld):
         self.reference, self.row, self.is_tracked = start, -1, True
         self.robot_target: list[float] | None = None
         self.controls, self.controls_row, self.hand_free_steps = np.zeros((0, 0)), 0, 0
-        self.hand_kinematics = simulation.get_hand_kinematics(urdf, model.hand_links.tolist())
-        keypoints = select_keypoint_links(read_tree(urdf).moving_links)
-        self._keypoint_kinematics = simulation.get_hand_kinematics(urdf, keypoints)
+        self.hand_kinematics = HandKinematics(urdf, model.hand_links)
+        self._keypoint_kinematics = HandKinematics(urdf, select_keypoint_links(read_tree(urdf).moving_links))
         data.mocap_pos[model.hand] = ABSENT
         self._is_state_set, self._release_pending = False, False
         # The angles of objects' chains continue from their last values.
@@ -118,7 +117,7 @@ class MujocoWorld(RolloutWorld):
     def step(self, robot_target: list[float]) -> None:
         """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
         data = self.data
-        prepare_controls([self], [robot_target])
+        self.prepare([self], [robot_target])
         if self.sleep is None:
             self._simulation.simulate([data], [self._can_touch_hand(1)], [self._get_coming_controls(1)])
         self._set_row(self.row + 1)
@@ -158,8 +157,38 @@ class MujocoWorld(RolloutWorld):
 
     @classmethod
     def prepare(cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]]) -> None:
-        """Compute the controls of worlds for the coming steps; sleeping worlds may wake."""
-        prepare_controls(worlds, robot_targets)
+        """Compute the controls of each world's remaining steps after a change of targets or reference.
+
+        Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
+
+        Args:
+            worlds: Worlds with a scene.
+            robot_targets: Nine joint targets of each robot (rad, m).
+        """
+        track_worlds(worlds)
+        _update_sleep(worlds, robot_targets)
+        groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
+        for world, target in zip(worlds, robot_targets, strict=True):
+            if world.sleep is None and world.robot_target != target:
+                world.robot_target, world.controls_row = target, world.row + 1
+                model = world.data.scene.model
+                # Models with equally many objects, actuators and mocap bodies have them in the same places.
+                steps, objects = world.reference.objects.shape[:2]
+                key = (steps - world.controls_row, objects, model.nu, model.nmocap)
+                groups.setdefault(key, []).append((world, target))
+        for group in groups.values():
+            own, data = [world for world, _ in group], [world.data for world, _ in group]
+            targets = np.array([target for _, target in group])
+            controls = compute_controls(
+                data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own])
+            )
+            wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
+            free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
+            for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
+                world.controls = controls[number]
+                _, *poses = world.data.split_controls(world.controls)
+                hand_poses = (array[:, world.data.scene.hand] for array in poses)
+                world.hand_free_steps = place_hand(world.hand, world.row, world.hand_kinematics, free, *hand_poses)
 
     @classmethod
     def simulate(
@@ -171,7 +200,7 @@ class MujocoWorld(RolloutWorld):
             The contacts, and a function `truncate(number, steps)` that sets the world with index `number` back to its
             state after `steps` of these steps (1 or more).
         """
-        prepare_controls(worlds, robot_targets)
+        cls.prepare(worlds, robot_targets)
         first = worlds[0]
         if first.is_asleep:
             rollout, contacts = None, ContactBatch.without_contacts(steps, len(worlds))
@@ -347,36 +376,3 @@ def _update_sleep(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[fl
     for world in worlds:
         if world.sleep is not None and not world.sleep.count_free_steps(world.row + 1):
             world.wake()
-
-
-def prepare_controls(worlds: Sequence[MujocoWorld], robot_targets: Sequence[list[float]]) -> None:
-    """Compute the controls of each world's remaining steps after a change of targets or reference.
-
-    Pending releases become effective, and sleeping worlds wake if a body comes near the robot.
-
-    Args:
-        worlds: Worlds with a scene.
-        robot_targets: Nine joint targets of each robot (rad, m).
-    """
-    track_worlds(worlds)
-    _update_sleep(worlds, robot_targets)
-    groups: dict[tuple[int, ...], list[tuple[MujocoWorld, list[float]]]] = {}
-    for world, target in zip(worlds, robot_targets, strict=True):
-        if world.sleep is None and world.robot_target != target:
-            world.robot_target, world.controls_row = target, world.row + 1
-            model = world.data.scene.model
-            # Models with equally many objects, actuators and mocap bodies have them in the same places.
-            steps, objects = world.reference.objects.shape[:2]
-            key = (steps - world.controls_row, objects, model.nu, model.nmocap)
-            groups.setdefault(key, []).append((world, target))
-    for group in groups.values():
-        own, data = [world for world, _ in group], [world.data for world, _ in group]
-        targets = np.array([target for _, target in group])
-        controls = compute_controls(data, targets, np.stack([one.reference.objects[one.controls_row :] for one in own]))
-        wrists = np.array([one.hand.predict_positions(one.controls_row) for one in own])
-        free_steps = count_hand_free_steps(data, [one.robot for one in own], targets, wrists).tolist()
-        for number, (world, free) in enumerate(zip(own, free_steps, strict=True)):
-            world.controls = controls[number]
-            _, *poses = world.data.split_controls(world.controls)
-            hand_poses = (array[:, world.data.scene.hand] for array in poses)
-            world.hand_free_steps = place_hand(world.hand, world.row, world.hand_kinematics, free, *hand_poses)

@@ -266,12 +266,12 @@ def test_gap_is_what_the_world_says() -> None:
     panda = OFFICIAL_CONFIG.physics.panda
     meter = ClearanceMonitor(scene.assets.panda, panda, make_distance_query(scene.assets.panda, panda))
     frames = robot_frames(robot_dof), compute_link_trajectory(scene.assets.hand, hand_dof)
-    compute_min_distance = meter.compute_min_distance(scene.assets.hand, robot_dof, hand_dof, *frames)
-    assert compute_min_distance == pytest.approx(min(distances), abs=1e-4)
+    smallest = meter.compute_min_margin(scene.assets.hand, robot_dof, hand_dof, *frames)
+    assert smallest == pytest.approx(min(distances), abs=1e-4)
     for number, distance in enumerate(distances):
         one = slice(number, number + 1)
         now = np.arange(len(distances)) == number
-        found = meter.compute_min_distance(
+        found = meter.compute_min_margin(
             scene.assets.hand, robot_dof[one], hand_dof[one], *((origins[now], turns[now]) for origins, turns in frames)
         )
         assert found == pytest.approx(distance, abs=1e-4)
@@ -306,7 +306,7 @@ def test_no_time_is_missed_by_the_bounds(engine: str) -> None:
         ]
         for chosen in (slice(None), slice(0, 5), slice(5, 20), np.argsort(measured)[3:]):
             frames = robot_frames(robot[chosen]), compute_link_trajectory(scene.assets.hand, hand[chosen])
-            found = meter.compute_min_distance(scene.assets.hand, robot[chosen], hand[chosen], *frames)
+            found = meter.compute_min_margin(scene.assets.hand, robot[chosen], hand[chosen], *frames)
             distances = np.array(measured)[chosen]
             assert found == pytest.approx(np.min(distances), abs=1e-4)
             required = rng.uniform(0.0, 0.3, len(distances))

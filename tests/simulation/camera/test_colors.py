@@ -68,10 +68,8 @@ def make_textured_scene(scene: Scene, folder: Path) -> Scene:
 def load_scenes(request: pytest.FixtureRequest, data: str, folder: Path) -> list[Scene]:
     if data == "real":
         dataset = request.getfixturevalue("real_dataset")
-        return [dataset.load_scene(scene) for scene in dataset.list_scenes("s0", "val")[:90:30]]
-    dataset = open_dataset("synthetic", robot=PANDA_CAMERA)
-    scenes = [dataset.load_scene(scene) for scene in (14, 209)]
-    return [make_textured_scene(scenes[0], folder)] if data == "own" else scenes
+        return [dataset.load_scene(scene) for scene in dataset.list_scenes("s0", "val")[:60:30]]
+    return [make_textured_scene(open_dataset("synthetic", robot=PANDA_CAMERA).load_scene(14), folder)]
 
 
 def compute_means(
@@ -83,7 +81,7 @@ def compute_means(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("data", ["synthetic", "own", "real"])
+@pytest.mark.parametrize("data", ["own", "real"])
 def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_path: Path, data: str) -> None:
     rng, compared = np.random.default_rng(0), dict.fromkeys(SegmentationLabel, 0)
     scenes = load_scenes(request, data, tmp_path)
@@ -94,7 +92,7 @@ def test_renderers_draw_the_same_colours(request: pytest.FixtureRequest, tmp_pat
             WarpCamera(CONFIG, 1, TENSORS),
         )
         device.reset(0, scene.assets)
-        for _ in range(6):
+        for _ in range(4):
             now = draw_snapshot(scene, CONFIG, rng)
             drawn = bullet.render_wrist_camera(now, color=True)
             cast = rays.render_wrist_camera(now, color=True)
@@ -118,7 +116,7 @@ def test_textures_are_drawn_in_place(tmp_path: Path) -> None:
     scene = make_textured_scene(open_dataset("synthetic", robot=PANDA_CAMERA).load_scene(14), tmp_path)
     bullet, rays, rng = SceneRenderer(scene, CONFIG), RayCamera(scene.assets, CONFIG), np.random.default_rng(1)
     shown = 0
-    for _ in range(4):
+    for _ in range(3):
         now = draw_snapshot(scene, CONFIG, rng, nearest=0.15)
         drawn, cast = (camera.render_wrist_camera(now, True) for camera in (bullet, rays))
         assert drawn.rgb is not None
@@ -126,5 +124,5 @@ def test_textures_are_drawn_in_place(tmp_path: Path) -> None:
         both = drawn.compute_mask(SegmentationLabel.TARGET) & cast.compute_mask(SegmentationLabel.TARGET)
         assert not both.any() or (np.abs(drawn.rgb.astype(int) - cast.rgb)[both].max(axis=1) <= 2).mean() > 0.97
         shown += int(both.sum())
-    assert shown > 2000
+    assert shown > 1000
     bullet.close()

@@ -26,8 +26,7 @@ from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.ik_solvers import make_ik_stepper
-from handover_marl.planning.planner import Planner
-from handover_marl.planning.planner_config import ChompConfig, PlannerConfig
+from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
 
@@ -37,7 +36,7 @@ Array = npt.NDArray[np.float64]
 _SETTLED_FRACTION = 1.0 - 0.99**150
 #: Rule for the steps of an approach to a grasp.
 EXPERT_APPROACH = ApproachFieldConfig()
-_PLANNER = PlannerConfig(chomp=ChompConfig(n_waypoints=20))
+_PLANNER = PlannerConfig(n_waypoints=20)
 # Number of candidates, the cheapest ones, among which the planner chooses.
 _PLANNER_GOALS = 4
 # Largest number of decisions of a simulated approach.
@@ -159,9 +158,8 @@ class GraspExpert:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
         self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self._world_from_base)
-        padding = _PLANNER.costs.padding
-        sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), padding)
-        obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), padding)
+        sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), OBJECT_PADDING)
+        obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), OBJECT_PADDING)
         plan = self._planner.plan(compose(base_from_world, goals), [obstacle])
         if plan is None:
             return _NO_PLAN

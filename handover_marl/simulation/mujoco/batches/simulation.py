@@ -1,7 +1,6 @@
 """Simulation of many worlds in MuJoCo, in one thread. The states of a world do not depend on other worlds."""
 
 import functools
-import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
@@ -145,12 +144,12 @@ class HandKinematics:
         links: Numbers (k,) of the links whose poses are computed.
     """
 
-    def __init__(self, urdf: Path, links: npt.NDArray[np.integer]) -> None:
+    def __init__(self, urdf: Path, links: npt.ArrayLike) -> None:
         self._model = _compile_tree(urdf, urdf.stat().st_mtime_ns)
         self._data = mujoco.MjData(self._model)
         self._joints, self._positions, self._quaternions = self._data.qpos, self._data.xpos, self._data.xquat
         # Body 0 is the world, body 1 the base.
-        self._bodies = links + 2
+        self._bodies = np.asarray(links) + 2
 
     def compute_poses(self, joints: Array) -> tuple[Array, Array]:
         """Compute the links' positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) in the base frame.
@@ -187,7 +186,7 @@ def _compile_tree(urdf: Path, mtime: int) -> "mujoco.MjModel":
 
 
 class MujocoRollout(NamedTuple):
-    """Rollout of k physics steps of n worlds, valid until the next rollout of the simulation.
+    """Rollout of k physics steps of n worlds.
 
     Attributes:
         controls: Controls (n, k, c) of all steps.
@@ -205,11 +204,8 @@ class BatchSimulation:
 
     def __init__(self) -> None:
         configure_engine()
-        # Memory of rollouts by name.
-        self._buffers: dict[str, Array] = {}
         self._batches: OrderedDict[tuple[int, ...], Batch] = OrderedDict()
         self._robots: dict[RobotOnlyModel, RobotOnlySimulation] = {}
-        self._hand_kinematics: dict[tuple[Path, int, tuple[int, ...]], HandKinematics] = {}
 
     def load_scene(self, scene: SceneModel) -> WorldData:
         """Return a world of a scene in the initial state of its model."""
@@ -238,9 +234,8 @@ class BatchSimulation:
             SimulationError: The engine failed; the states of these worlds are invalid.
         """
         first, shape = worlds[0], (len(worlds), len(controls[0]))
-        stacked = np.stack(controls, out=self._get_buffer("controls", (*shape, controls[0].shape[1])))
-        sensordata = self._get_buffer("sensordata", (*shape, len(first.sensordata)))
-        step_states = self._get_buffer("step_states", (*shape, first.step_state_size))
+        stacked, sensordata = np.stack(controls), np.empty((*shape, len(first.sensordata)))
+        step_states = np.empty((*shape, first.step_state_size))
         for number, (world, hand_collides) in enumerate(zip(worlds, hands_collide, strict=True)):
             world.simulate(hand_collides, stacked[number], sensordata[number], step_states[number])
             world.set_step(stacked[number, -1], sensordata[number, -1], step_states[number, -1])
@@ -251,25 +246,6 @@ class BatchSimulation:
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)
         return self._robots[model]
-
-    def get_hand_kinematics(self, urdf: Path, links: Sequence[int]) -> HandKinematics:
-        """Return forward kinematics of a hand, shared by all worlds.
-
-        Args:
-            urdf: Model of the hand.
-            links: Numbers of the links whose poses are computed.
-        """
-        key = urdf, urdf.stat().st_mtime_ns, tuple(links)
-        if key not in self._hand_kinematics:
-            self._hand_kinematics[key] = HandKinematics(urdf, np.array(links))
-        return self._hand_kinematics[key]
-
-    def _get_buffer(self, name: str, shape: tuple[int, ...]) -> Array:
-        """Return an uninitialized array of a shape, in memory that is reused for this name."""
-        size = math.prod(shape)
-        if name not in self._buffers or self._buffers[name].size < size:
-            self._buffers[name] = np.empty(size)
-        return self._buffers[name][:size].reshape(shape)
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:

@@ -1,7 +1,6 @@
 """Collision shapes for MuJoCo: convex parts of URDF links, link inertia as in Bullet, and collision groups."""
 
 import functools
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
@@ -169,10 +168,7 @@ def add_collision_geom(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: Conv
     geom = body.add_geom(pos=part.link_from_part[:3], quat=wxyz_from_xyzw(part.link_from_part[3:]))
     geom.mass = 0.0
     if part.kind == "hull":
-        # MuJoCo caches compiled meshes of files, not of vertices: another model with the hull compiles faster.
-        file, content = _encode_hull(part)
-        spec.assets[file] = content
-        mesh = spec.add_mesh(name=f"hull{len(spec.meshes)}", file=file)
+        mesh = spec.add_mesh(name=f"hull{len(spec.meshes)}", uservert=part.vertices.ravel())
         # Flat hulls have no volume, which MuJoCo refuses otherwise.
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
@@ -181,14 +177,6 @@ def add_collision_geom(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: Conv
     else:
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [part.size[0], 0.0, 0.0]
     return geom
-
-
-@functools.lru_cache(maxsize=4096)
-def _encode_hull(part: ConvexPart) -> tuple[str, bytes]:
-    """Return a name, which depends on the vertices only, and a mesh file in MuJoCo's format MSH of a hull."""
-    # Numbers of vertices, normals, texture coordinates and faces.
-    content = np.array([len(part.vertices), 0, 0, 0], "<i4").tobytes() + part.vertices.astype("<f4").tobytes()
-    return f"{hashlib.blake2b(content, digest_size=16).hexdigest()}.msh", content
 
 
 def set_inertia(body: "mujoco.MjsBody", link: UrdfLink, parts: list[ConvexPart]) -> None:

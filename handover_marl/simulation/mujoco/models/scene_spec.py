@@ -174,10 +174,10 @@ class SceneModelBuilder:
         count = len(objects) if self._padding is None else self._padding.objects
         for number in range(len(objects), count):
             self._add_object_body(number, _ABSENT_LINK, [_ABSENT_HULL])
-        self.hand_links = self._add_hand(hand)
+        self.add_hand(hand)
         hands = [format_hand_name(number) for number in range(len(self.hand_links))]
         names = [format_object_name(number) for number in range(count)]
-        add_contact_sensors(self.spec, ROBOT_BASE, TABLE, names, hands)
+        add_contact_sensors(self.spec, ROBOT_BASE, names, TABLE, hands)
 
     def add_robot(self, urdf: Path) -> None:
         """Add the robot to the model.
@@ -269,12 +269,17 @@ class SceneModelBuilder:
         actuator.forcelimited, actuator.forcerange = True, [-motor.force, motor.force]
         return actuator
 
-    def _add_hand(self, urdf: Path) -> list[int]:
+    def add_hand(self, urdf: Path) -> None:
+        """Add the human hand to the model.
+
+        Raises:
+            SimulationError, DataFormatError: The model or a mesh cannot be read.
+        """
         parts_by_link = load_link_parts(urdf, read_tree(urdf))
         for number, parts in enumerate(parts_by_link.values()):
             body = self.spec.worldbody.add_body(name=format_hand_name(number), mocap=True)
             self._add_parts(body, parts, CollisionGroup.HAND, self._config.hand.friction)
-        return list(parts_by_link)
+        self.hand_links = list(parts_by_link)
 
     def _add_parts(
         self,

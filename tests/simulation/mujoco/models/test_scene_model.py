@@ -1,5 +1,6 @@
 """Tests of scene models in MuJoCo, which have Bullet's masses, link poses, joint limits and collision masks."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,25 +11,23 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from handover_marl.config import PANDA_DOF, PandaConfig, PhysicsConfig
-from handover_marl.datasets.dataset import SceneAssets
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import HandoverError, SimulationError
+from handover_marl.errors import HandoverError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.model_files.urdf import read_urdf_links
-from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
+from handover_marl.geometry.panda import LOWER_LIMITS, PANDA_CAMERA, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
+from handover_marl.simulation.mujoco.models.scene_spec import _NEVER_COLLIDING, ModelPadding, SceneModelBuilder
 from tests.geometry.test_unreadable_models import write_model
 from tests.unreadable import UNREADABLE, refuses_within, replace_by
 
 CONFIG = PhysicsConfig()
 ASSETS = SyntheticDataset().load_scene(209).assets
-RNG = np.random.default_rng(3)
+CAMERA_PANDA = SyntheticDataset(robot=PANDA_CAMERA).panda_urdf
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +38,6 @@ def client() -> BulletClient:
 @pytest.fixture(scope="module")
 def scene() -> SceneModel:
     return load_scene_model(ASSETS, CONFIG)
-
-
-def bodies_of(scene: SceneModel, urdf: Path) -> list[int]:
-    return [scene.model.body(joint.link).id for joint in read_tree(urdf).joints]
 
 
 def test_all_jacobians_are_dense() -> None:
@@ -56,93 +51,83 @@ def test_all_jacobians_are_dense() -> None:
     assert [mujoco.mj_isSparse(model) for model in models] == [0] * len(models)
 
 
-def test_masses_and_inertias_equal_bullets(client: BulletClient, scene: SceneModel) -> None:
-    panda = PandaBody(client, ASSETS.panda, CONFIG.panda)
-    for link, body in enumerate(bodies_of(scene, ASSETS.panda)):
-        info = client.getDynamicsInfo(panda.id, link)
-        assert scene.model.body_mass[body] == pytest.approx(info[0])
-        np.testing.assert_allclose(scene.model.body_ipos[body], info[3], atol=1e-12)
-        np.testing.assert_allclose(np.sort(scene.model.body_inertia[body]), np.sort(info[2]), rtol=1e-5, atol=1e-12)
-    for body, urdf in zip(scene.objects, ASSETS.objects, strict=True):
-        found = load_urdf(client, urdf, useFixedBase=True)
-        info = client.getDynamicsInfo(found, client.getNumJoints(found) - 1)
-        assert scene.model.body_mass[body] == pytest.approx(info[0])
-        np.testing.assert_allclose(np.sort(scene.model.body_inertia[body]), np.sort(info[2]), rtol=1e-5)
-
-
-def test_link_poses_equal_bullets(client: BulletClient, scene: SceneModel) -> None:
-    panda = PandaBody(client, ASSETS.panda, CONFIG.panda)
-    data = mujoco.MjData(scene.model)
-    bodies = bodies_of(scene, ASSETS.panda)
+@pytest.mark.parametrize("robot", ["synthetic", "real"])
+def test_bodies_equal_bullets(client: BulletClient, robot: str, request: pytest.FixtureRequest) -> None:
+    """Masses and inertias of robot and objects, and the robot's link poses at random joints, are Bullet's."""
+    panda = ASSETS.panda
+    if robot == "real":
+        folder: Path = request.getfixturevalue("real_data")
+        panda = folder / "assets" / "franka_panda" / "panda_gripper_hand_camera.urdf"
+    scene, loaded = load_scene_model(replace(ASSETS, panda=panda), CONFIG), PandaBody(client, panda, CONFIG.panda)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    bodies = [model.body(joint.link).id for joint in read_tree(panda).joints]
+    objects = [load_urdf(client, urdf, useFixedBase=True) for urdf in ASSETS.objects]
+    links = [(body, loaded.id, link) for link, body in enumerate(bodies)]
+    links += [
+        (body, own, client.getNumJoints(own) - 1) for body, own in zip(scene.objects.tolist(), objects, strict=True)
+    ]
+    for body, own, link in links:
+        mass, _, inertia, center, *_ = client.getDynamicsInfo(own, link)
+        assert model.body_mass[body] == pytest.approx(mass)
+        np.testing.assert_allclose(model.body_ipos[body], center, atol=1e-12)
+        np.testing.assert_allclose(np.sort(model.body_inertia[body]), np.sort(inertia), rtol=1e-5, atol=1e-12)
+    rng = np.random.default_rng(3)
     for _ in range(5):
-        joints = RNG.uniform(LOWER_LIMITS, UPPER_LIMITS)
-        panda.reset_joints(joints.tolist())
+        joints = rng.uniform(LOWER_LIMITS, UPPER_LIMITS)
+        loaded.reset_joints(joints.tolist())
         data.qpos[scene.robot_qpos] = joints
-        mujoco.mj_kinematics(scene.model, data)
-        poses = panda.read_link_poses(range(len(bodies))).astype(np.float64)
+        mujoco.mj_kinematics(model, data)
+        poses = loaded.read_link_poses(range(len(bodies))).astype(np.float64)
         np.testing.assert_allclose(data.xpos[bodies], poses[:, :3], atol=1e-6)
         turns = np.abs((np.roll(data.xquat[bodies], -1, axis=1) * poses[:, 3:]).sum(axis=1))
         np.testing.assert_allclose(turns, 1.0, atol=1e-6)
 
 
-def test_joint_limits_equal_the_urdfs(scene: SceneModel) -> None:
-    limits = [link.limits for link in read_urdf_links(ASSETS.panda, read_tree(ASSETS.panda))[:-1]]
-    moving = np.array([limit for limit in limits if limit is not None])
-    assert len(moving) == PANDA_DOF
-    np.testing.assert_allclose(scene.model.jnt_range[:PANDA_DOF], moving)
-    assert scene.model.jnt_limited[:PANDA_DOF].all()
-    assert not scene.model.jnt_limited[PANDA_DOF:].any(), "objects have no limits"
-
-
-def meet(model: "mujoco.MjModel", first: int, second: int) -> bool:
-    """Return whether the masks of two bodies let them collide."""
-    types, affinities = model.body_contype, model.body_conaffinity
-    return bool(types[first] & affinities[second] or types[second] & affinities[first])
-
-
 def test_collision_masks(scene: SceneModel) -> None:
     model = scene.model
+    types, affinities = model.body_contype, model.body_conaffinity
+
+    def meet(first: int, second: int) -> bool:
+        return bool(types[first] & affinities[second] or types[second] & affinities[first])
+
     robot, table = model.body("panda_leftfinger").id, model.body("table").id
     target, other = scene.objects[:2].tolist()
-    hand = [body for body in range(model.nbody) if model.body_mocapid[body] >= scene.hand.start]
-    hand = [body for body in hand if model.body_contype[body] == CollisionGroup.HAND]
+    hand = np.flatnonzero((model.body_mocapid >= scene.hand.start) & (types == CollisionGroup.HAND)).tolist()
     assert len(hand) == len(scene.hand_links) == 16
-    for body in (table, target, other, *hand, 0, robot):
-        assert meet(model, robot, body)
-    for body in (table, other, *hand, 0):
-        assert not meet(model, target, body), "a held object collides with the robot only"
-    for body in (table, target, 0, hand[1]):
-        assert not meet(model, hand[0], body)
+    assert all(meet(robot, body) for body in (table, target, other, *hand, 0, robot))
+    assert not any(meet(target, body) for body in (table, other, *hand, 0)), "a held object meets the robot only"
+    assert not any(meet(hand[0], body) for body in (table, target, 0, hand[1]))
 
 
-def test_both_pandas(client: BulletClient, real_data: Path) -> None:
-    folder = real_data / "assets"
-    for name in ("panda_gripper.urdf", "panda_gripper_hand_camera.urdf"):
-        urdf = folder / "franka_panda" / name
-        assets = SceneAssets(ASSETS.table, urdf, ASSETS.objects, ASSETS.hand)
-        scene = load_scene_model(assets, CONFIG)
-        panda = PandaBody(client, urdf, PandaConfig())
-        for link, body in enumerate(bodies_of(scene, urdf)):
-            info = client.getDynamicsInfo(panda.id, link)
-            assert scene.model.body_mass[body] == pytest.approx(info[0])
-            np.testing.assert_allclose(np.sort(scene.model.body_inertia[body]), np.sort(info[2]), rtol=1e-5, atol=1e-12)
+def test_excluded_pairs_of_links_stay_apart_in_sampled_poses() -> None:
+    builder = SceneModelBuilder(CONFIG)
+    builder.add_robot(CAMERA_PANDA)
+    model = builder.spec.compile()
+    assert (model.body_geomnum <= 1).all(), "what is measured here is one geom a body"
+    data, rng = mujoco.MjData(model), np.random.default_rng(7)
+    bodies = [body for body in range(1, model.nbody) if model.body_geomnum[body]]
+    gaps = dict.fromkeys(itertools.combinations(bodies, 2), np.inf)
+    low, high = model.jnt_range.T
+    for _ in range(400):
+        data.qpos[:] = rng.uniform(low - 0.02, high + 0.02)
+        mujoco.mj_kinematics(model, data)
+        for pair in gaps:
+            geoms = (int(model.body_geomadr[body]) for body in pair)
+            gaps[pair] = min(gaps[pair], mujoco.mj_geomDistance(model, data, *geoms, 1.0, None))
+    by_name = {tuple(model.body(body).name for body in pair): gap for pair, gap in gaps.items()}
+    assert min(by_name[pair] for pair in _NEVER_COLLIDING) > 0.01
+    assert any(gap < 0.0 for gap in by_name.values()), "some links do collide"
+    scene = load_scene_model(replace(ASSETS, panda=CAMERA_PANDA), CONFIG).model
+    excluded = {(scene.body(sign >> 16).name, scene.body(sign & 0xFFFF).name) for sign in scene.exclude_signature}
+    assert {*_NEVER_COLLIDING} < excluded
 
 
-def test_models_that_cannot_be_read(tmp_path: Path) -> None:
-    broken = tmp_path / "object.urdf"
-    assets = SceneAssets(ASSETS.table, ASSETS.panda, (broken,), ASSETS.hand)
-    with pytest.raises(SimulationError, match=r"object\.urdf"):
-        load_scene_model(assets, CONFIG)
-    broken.write_text("<robot/>")
-    with pytest.raises(SimulationError, match=r"object\.urdf"):
-        load_scene_model(assets, CONFIG)
-
-
-@pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("file", ["body.urdf", "body.obj", "body.stl"])
-def test_unreadable_files_of_a_model(file: str, kind: str, tmp_path: Path) -> None:
-    urdf = write_model(tmp_path, "body.stl" if file == "body.stl" else "body.obj")
-    tree = read_tree(urdf)
-    replace_by(kind, tmp_path / file)
-    with refuses_within(5.0, HandoverError, kind):
-        load_link_parts(urdf, tree)
+def test_unreadable_files_of_a_model(file: str, tmp_path: Path) -> None:
+    for kind in UNREADABLE:
+        (folder := tmp_path / kind).mkdir()
+        urdf = write_model(folder, "body.stl" if file == "body.stl" else "body.obj")
+        tree = read_tree(urdf)
+        replace_by(kind, folder / file)
+        with refuses_within(5.0, HandoverError, kind):
+            load_link_parts(urdf, tree)
