@@ -1,6 +1,6 @@
 """Validations of the grasps of the library's objects, and of the objects in a data folder.
 
-Grasps are validated with both variants of the robot. An object takes about 20 core minutes. Results in the user's cache
+Grasps are validated with both variants of the robot. An object takes about 20 core minutes for each robot. Results in the user's cache
 folder are reused.
 """
 
@@ -13,7 +13,7 @@ from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.grasp_validation import get_validation_record, get_validation_record_path
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
@@ -34,7 +34,6 @@ def build_grasp_validations(
     """
     records = {} if data_dir else dict(load_validation_records(out))
     folders = (None, data_dir) if data_dir else (None,)
-    # The second robot comes last and reuses results of the first.
     tasks = [(folder, robot, name) for folder in folders for robot in ROBOTS for name in CLASS_NAMES.values()]
     for _, found in map_with_progress(lambda: _validate_object, tasks, "objects", PoolConfig(workers), progress=True):
         if found is not None:
@@ -46,7 +45,7 @@ def _validate_object(task: ValidationTask) -> tuple[str, ValidationRecord] | Non
     """Return the name and the record of an object's validation, or None if it has no grasps."""
     data_dir, robot, name = task
     data = open_dataset("dexycb" if data_dir else "synthetic", data_dir, robot)
-    known = GraspLibrary(data.load_grasps).get_hand_poses_in_object(name)
+    known = load_hand_poses(data.load_grasps, name)
     if known is None:
         return None
     given = (data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())

@@ -286,7 +286,7 @@ class GraspTracker:
         grasps[:, :3] -= self.object_pose[:3]
         costs = extra - COST_SCALE * np.log(quality[order])
         if self.use_all and len(grasps):
-            tilts = [make_offset_pose(tilt, 0.0, 0.0, PAD_DISTANCE) for tilt in _TILTS]
+            tilts = [make_offset_pose(tilt) for tilt in _TILTS]
             grasps = np.concatenate([grasps, *(compose(grasps, tilt) for tilt in tilts)])
             costs = np.concatenate([costs, np.tile(costs + _TILT_COST, len(tilts))])
         return grasps, costs

@@ -35,10 +35,7 @@ def check_table(arrays: ArrayFactory) -> None:
         assert not array[~is_grasp].any()
 
 
-def test_arrays_grow_with_the_classes() -> None:
+def test_tables_grow_with_the_classes() -> None:
     check_table(NUMPY_ARRAYS)
-
-
-def test_tensors_grow_with_the_classes() -> None:
     with make_device_tensors() as arrays:
         check_table(arrays)

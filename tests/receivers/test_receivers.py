@@ -10,8 +10,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.policies import registry
-from handover_marl.receivers import WAITING_JOINTS, Receiver
-from tests.fake_layout import FakeScene, write_scene
+from handover_marl.receivers import WAITING_JOINTS
 
 
 def test_unknown_names(fake_data: Path) -> None:
@@ -41,22 +40,14 @@ def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: 
         receivers.make("mine", SyntheticDataset())
 
 
-def play(
-    dataset: OfficialDataset, name: str, until: int, scene_id: int = 9
-) -> tuple[Episode, list[np.ndarray], Receiver]:
-    policy = receivers.make(name, dataset)
-    episode = Episode("exact")
-    episode.reset(dataset.load_scene(scene_id))
+def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
+    dataset, actions = OfficialDataset(fake_data), []
+    policy, episode = receivers.make("yang2021", dataset), Episode("exact")
+    episode.reset(dataset.load_scene(9))
     policy.reset()
-    actions = []
-    while episode.steps < until and not episode.status:
+    while episode.steps < 3001 and not episode.status:
         actions.append(policy.act(episode.observe()))
         episode.advance(actions[-1], round(policy.hold_time * 1000))
-    return episode, actions, policy
-
-
-def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
-    episode, actions, policy = play(OfficialDataset(fake_data), "yang2021", 3001)
     np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
     assert all(action.shape == (9,) and action.dtype == np.float32 for action in actions)
     target = episode.observe()["object_poses"][0, :3]
@@ -69,16 +60,6 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
     np.testing.assert_allclose(policy.planned_goal[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
 
 
-@pytest.mark.slow
-def test_yang_holds_still_without_grasps(own_data: Path) -> None:
-    write_scene(own_data, FakeScene(75))
-    (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()
-    episode, actions, _ = play(OfficialDataset(own_data), "yang2021", 3300, scene_id=75)
-    seen = episode.observe()["robot_joint_position"]
-    assert np.abs(seen[:7] - np.float32(WAITING_JOINTS[:7])).max() < 0.02
-    assert np.abs(actions[-1][:7] - seen[:7]).max() < 0.01
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -88,15 +69,7 @@ def test_yang_holds_still_without_grasps(own_data: Path) -> None:
         ("yang2021:context=3", "has no option 'context'"),
         ("reactive:config=3", "config must be a ReactiveConfig, got 3"),
         ("reactive:min_lift=-1", "min_lift of ReactiveConfig must be a finite number of at least 0, got -1"),
-        ("reactive:near_period=0", "near_period of ReactiveConfig must be a finite number from 0.001 to 60, got 0"),
-        ("reactive:n_obstacle_spheres=0", "n_obstacle_spheres of ReactiveConfig must be an integer of at least 1"),
         ("reactive:selection_max_candidates=0", "max_candidates of GraspSelectorConfig must be an integer of at least"),
-        ("reactive:approach_close_speed=-0.1", "close_speed of ApproachConfig must be a finite number of at least 0"),
-        ("reactive:retreat_progress_ratio=2", "progress_ratio of RetreatConfig must be a finite number from 0 to 1"),
-        ("reactive:offsets_max_grasps=-1", "max_grasps of GraspOffsets must be an integer of at least 1, got -1"),
-        ("reactive:preparation_max_slip=-1", "max_slip of GraspPreparationConfig must be a finite number of at least"),
-        ("reactive:separation_slack=-1", "slack of SeparationConfig must be a finite number of at least 0, got -1"),
-        ("reactive:prediction_attraction=2", "attraction of HandoverPosePredictorConfig must be a finite number from"),
         ("reactive:servo_speed_scale=0", "speed_scale of ServoConfig must be a finite number from 1e-06 to 1, got 0"),
     ],
 )
