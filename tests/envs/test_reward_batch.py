@@ -5,14 +5,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import combine_rewards
-from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights
+from handover_marl.envs.rewards import SHAPED, TERMS, TermWeights
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.vector.reward_batch import RewardBatch
 from handover_marl.episode.observations import Observation
@@ -30,7 +27,6 @@ class FakeEpisodes:
 
     def __init__(self, arrays: ArrayFactory) -> None:
         self.arrays = arrays
-        self.read_rows: list[list[int]] = []
 
     def observe(self, seed: int, time: float) -> None:
         """Draw the states of all episodes: near the object and the goal, with and without contacts."""
@@ -49,7 +45,6 @@ class FakeEpisodes:
         self.numbers = make(np.arange(COUNT))
 
     def are_grasped(self, rows: AnyArray) -> AnyArray:
-        self.read_rows.append(rows.tolist())
         return self.arrays.asarray(self._grasped)[rows]
 
     def read_contacts(self, row: int) -> Contacts:
@@ -101,25 +96,8 @@ def compare(rewards: Any, seed: int, steps: int = 4) -> dict[str, dict[str, np.n
                     np.testing.assert_allclose(to_numpy(infos[1][key]), values, rtol=0, atol=1e-6)
                 totals = [to_numpy(batch.totals[agent]) for batch in batches]
                 np.testing.assert_allclose(totals[1], totals[0], rtol=0, atol=1e-6)
-                assert {key for key in infos[0] if key.startswith("reward/")} == set(
-                    batches[1].make_infos(agent, tensors.arange(2), False)
-                )
         everywhere = np.arange(COUNT)
-        found = {agent: batches[0].make_infos(agent, everywhere, True) for agent in AGENTS}
-        if rewards == SPARSE:
-            assert not episodes[1].read_rows, "contacts were read in vain"
-        return found
-
-
-weights = st.dictionaries(st.sampled_from(list(TERMS)), st.floats(-3.0, 3.0), max_size=6)
-all_weights = st.builds(TermWeights, weights, weights, st.floats(0.0, 1.0))
-
-
-@pytest.mark.slow
-@given(weights=all_weights | st.sampled_from([SPARSE, SHAPED]), seed=st.integers(0, 10_000))
-@settings(max_examples=25)
-def test_terms_of_tensors_equal_those_of_arrays(weights: TermWeights, seed: int) -> None:
-    compare(weights, seed)
+        return {agent: batches[0].make_infos(agent, everywhere, True) for agent in AGENTS}
 
 
 def test_every_term_is_compared() -> None:
@@ -146,10 +124,7 @@ def reward_motion(transition: Transition) -> dict[str, dict[str, float]]:
     }
 
 
-@pytest.mark.parametrize(
-    "rewards", [reward_motion, combine_rewards((0.5, SHAPED), reward_motion)], ids=["function", "combination"]
-)
-def test_other_rewards_of_tensors_get_numpy_arrays(rewards: Any) -> None:
-    for infos in compare(rewards, 3, 12).values():
+def test_functions_get_numpy_arrays() -> None:
+    for infos in compare(combine_rewards((0.5, SHAPED), reward_motion), 3, 12).values():
         assert all(np.isfinite(values).all() for values in infos.values())
         assert np.ptp(infos["return"]) > 0.0
