@@ -1,7 +1,7 @@
 """Validations of the grasps of the library's objects, and of the objects in a data folder.
 
-Grasps are validated with both variants of the robot. An object takes about 20 core minutes for each robot. Results in the user's cache
-folder are reused.
+Grasps are validated with both variants of the robot. An object takes about 20 core minutes for each robot. Results in
+the user's cache folder are reused.
 """
 
 from pathlib import Path

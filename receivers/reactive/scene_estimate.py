@@ -119,7 +119,7 @@ class SceneEstimate(ABC):
 
     @property
     def are_fingers_closed(self) -> bool:
-        """Whether there is no room for an object between the fingers."""
+        """Whether the fingers are closed so far that no object is between them."""
         return float(self.fingers.max()) < _EMPTY_FINGER_POSITION
 
     @property

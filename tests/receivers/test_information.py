@@ -33,7 +33,7 @@ CLOUDS = ("object_points", "object_cloud", "hand_points", "hand_cloud", "other_p
 #: used: `omg` reads its own joints in the retreat only, `reactive` the release before its own.
 SCENE, STEPS = 39, {"omg": 9000, "omg_hand_aware": 9000, "gaddpg": 3500, "vision": 3600}
 #: Step of the first observation that is kept, of receivers that decide often.
-FIRST = {"reactive": 2800, "vision": 2800}
+FIRST = {"reactive": 2000, "vision": 2400}
 
 
 def shift(key: str, by: float, rows: slice = slice(None)) -> Callable[[Observation], None]:
