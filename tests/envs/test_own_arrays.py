@@ -12,7 +12,7 @@ from tests.envs.test_handover_env import START
 
 pytestmark = pytest.mark.slow
 
-STEPS = 45
+STEPS = 32
 
 
 class ScribblingGiver(CooperativeGiver):

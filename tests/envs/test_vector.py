@@ -31,7 +31,9 @@ def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> tuple[dict[str, 
 
 
 def test_processes_of_gymnasium_repeat_from_their_seed() -> None:
-    first, again = (rollout(gymnasium.make_vec(NAME, 2, vectorization_mode="async", **OPTIONS)) for _ in range(2))
+    first, again = (
+        rollout(gymnasium.make_vec(NAME, 2, vectorization_mode=mode, **OPTIONS)) for mode in ("async", "sync")
+    )
     for key, value in first[0].items():
         np.testing.assert_array_equal(value, again[0][key])
     np.testing.assert_array_equal(first[1], again[1])
