@@ -13,7 +13,6 @@ from handover_marl.envs.vector.policy_batches import PopulationBatch, make_polic
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
-from handover_marl.givers.array_giver import GiverBatch
 from handover_marl.policies.batch import HostPolicyBatch, PolicyBatch
 from handover_marl.policies.policy import Giver
 from handover_marl.policies.reference import parse_policy
@@ -87,10 +86,6 @@ def test_policies_without_code_for_tensors_act_on_the_host(agent: str, policy: A
     arrays, tensors = compare(agent, policy)
     assert type(tensors) is HostPolicyBatch
     assert type(arrays) is not HostPolicyBatch
-
-
-def test_givers_with_code_for_tensors_act_on_the_device() -> None:
-    assert [type(batch) for batch in compare("giver", "noisy")] == [GiverBatch, GiverBatch]
 
 
 def test_members_of_a_population_act_on_tensors(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Tests of reward terms: their formulas, with constructed states, and their weights."""
 
 import itertools
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handover_marl.config import OFFICIAL_CONFIG
-from handover_marl.envs.rewards import SHAPED, SPARSE, StepData, TermWeights, WeightedRewardSource
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, StepData, TermWeights, WeightedRewardSource
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory, is_tensor, to_numpy
+from tests.learning.array_encodings import COUNT, draw_observation
+from tests.tensors import make_device_tensors
 
 RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
 GOAL = OFFICIAL_CONFIG.protocol.goal_center
@@ -179,6 +182,44 @@ def test_clearance_is_measured_from_the_gripper() -> None:
     # The gripper's y axis is the world's x axis.
     turned = situation(wrist=(0.154, 0.0, 1.02), turn=(0.0, 0.0, -np.sqrt(0.5), np.sqrt(0.5)))
     assert value("clearance", situation(), turned) == pytest.approx(-0.05 * 0.1, abs=1e-5)
+
+
+def draw_step_data(seed: int, arrays: ArrayFactory) -> StepData:
+    """Draw a step of many episodes: near the object and the goal, with and without hands and contacts."""
+    rng, state = np.random.default_rng(seed), draw_observation(seed)
+    state["time"][:] = 0.1 * seed
+    state["hand_keypoints"] = state["gripper_pose"][:, None, :3] + rng.normal(0.0, 0.1, (COUNT, 16, 3))
+    state |= {name: rng.random(COUNT) for name in ("object_force", "hand_force")}
+    state["grasped"] = rng.random(COUNT) < 0.5
+    status = rng.choice([0, 0, 0, 1, 2, 4, 6, 8, 10], COUNT)
+    return StepData(
+        arrays.asarray(status), lambda _: {key: arrays.asarray(values) for key, values in state.items()}, list
+    )
+
+
+def test_terms_of_tensors_equal_those_of_arrays() -> None:
+    weights = TermWeights(dict.fromkeys(TERMS, 1.0))
+    with make_device_tensors() as tensors:
+        results: list[dict[str, list[np.ndarray]]] = []
+        for arrays in (NUMPY_ARRAYS, tensors):
+            source, found = WeightedRewardSource(weights, GOAL, COUNT, arrays), defaultdict(list)
+            source.start(arrays.arange(COUNT), draw_step_data(0, arrays))
+            for step in range(1, 6):
+                rows = arrays.asarray(np.random.default_rng(step).permutation(COUNT)[: COUNT - step])
+                data = draw_step_data(step, arrays)
+                chosen = StepData(
+                    data.status[rows],
+                    lambda _, data=data, rows=rows: {key: own[rows] for key, own in data.read_state(True).items()},
+                    list,
+                )
+                for name, values in source.compute(rows, chosen)["receiver"].items():
+                    assert is_tensor(values) == (arrays is tensors)
+                    found[name].append(to_numpy(values))
+            results.append(found)
+    for name in TERMS:
+        own, other = (np.concatenate(found[name]) for found in results)
+        assert np.ptp(own) > 0.0, name
+        np.testing.assert_allclose(other, own, rtol=0, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize(

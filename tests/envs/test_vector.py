@@ -1,8 +1,6 @@
 """Tests of environments in several processes, as training libraries run them."""
 
-import copy
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -54,9 +52,8 @@ def test_images_are_rendered_only_in_the_mode_for_images() -> None:
     assert [image.shape for image in images] == [(48, 64, 3)] * 2
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, pickle.dumps])
-def test_vector_environments_cannot_be_copied(copied: Callable[[object], object]) -> None:
+def test_vector_environments_cannot_be_copied() -> None:
     envs = handover_marl.vector_env(2, **OPTIONS)
     with pytest.raises(OptionError, match="make another one"):
-        copied(envs)
+        pickle.dumps(envs)
     envs.close()

@@ -1,3 +1,6 @@
+"""Tests of names and options of receivers, and of a batch of `yang2021`."""
+
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
@@ -10,7 +13,8 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.policies import registry
-from handover_marl.receivers import WAITING_JOINTS
+from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 
 
 def test_unknown_names(fake_data: Path) -> None:
@@ -40,26 +44,6 @@ def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: 
         receivers.make("mine", SyntheticDataset())
 
 
-def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
-    dataset, actions = OfficialDataset(fake_data), []
-    policy, episode = receivers.make("yang2021", dataset), Episode("exact")
-    episode.reset(dataset.load_scene(9))
-    policy.reset()
-    while episode.steps < 3001 and not episode.status:
-        actions.append(policy.act(episode.observe()))
-        episode.advance(actions[-1], round(policy.hold_time * 1000))
-    np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
-    assert all(action.shape == (9,) and action.dtype == np.float32 for action in actions)
-    target = episode.observe()["object_poses"][0, :3]
-    episode.world._loaded_workcell.panda.reset_joints(actions[-1].tolist())
-    # All grasps come from the robot's side, 0.1 m before the object; standoffs are 0.2 m farther.
-    np.testing.assert_allclose(episode.observe()["gripper_pose"][:3], target - [0.0, 0.3, 0.0], atol=2e-3)
-    np.testing.assert_allclose(actions[-1][7:], 0.04, rtol=1e-6)
-    assert policy.hold_time == 0.1
-    assert policy.planned_goal is not None
-    np.testing.assert_allclose(policy.planned_goal[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
-
-
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -76,3 +60,28 @@ def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> Non
 def test_wrong_settings(name: str, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         receivers.make(name, SyntheticDataset())
+
+
+def test_a_batch_with_an_object_without_grasps() -> None:
+    """The robot of a row whose object has no grasps stays where it is, and those of the other rows move."""
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
+    data, episode = SyntheticDataset(), Episode("mujoco")
+    scene = data.load_scene(14)
+    episode.reset(scene)
+    state = episode.observe()
+    episode.close()
+    missing = data.object_names[int(state["object_classes"][0]) + 1]
+    context = replace(
+        make_policy_context(data), grasps=lambda name: None if name == missing else data.load_grasps(name)
+    )
+    batch = Yang2021Batch(Yang2021Receiver(context, wait=0.0), 3)
+    found = {key: np.stack([values] * 3) for key, values in state.items()}
+    found["object_classes"][1, 0] += 1
+    for row in range(3):
+        batch.reset(row, None, scene.info.object_names)
+    actions, _ = batch.act(
+        np.arange(3), lambda rows: {key: values[rows] for key, values in found.items()}, np.zeros(3, int)
+    )
+    np.testing.assert_array_equal(actions[1, :7], state["robot_joint_position"][:7])
+    np.testing.assert_array_equal(actions[0], actions[2])
+    assert np.abs(actions[0, :7] - state["robot_joint_position"][:7]).max() > 0.1
