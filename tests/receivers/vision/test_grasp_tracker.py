@@ -81,6 +81,6 @@ def test_registration_of_a_sphere() -> None:
     ball = RNG.normal(size=(3000, 3))
     ball *= 0.05 / np.linalg.norm(ball, axis=1, keepdims=True)
     translation = np.array([0.008, -0.006, 0.004])
-    found, share = Keyframe(ball).register(ball[::7] + translation, max_distance=0.03)
+    found, share = Keyframe(ball).register(ball[::7] + translation)
     assert share == 1.0
     np.testing.assert_allclose(found, translation, atol=0.003)
