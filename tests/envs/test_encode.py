@@ -1,13 +1,10 @@
 """Tests of encoded environments: the checks of Gymnasium, PettingZoo and Stable-Baselines3, seeds and errors."""
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
@@ -25,43 +22,6 @@ def encoded(agent: str, partner: str, actions: str | None = None, **options: Any
 
 def single(agent: str, partner: str, actions: str | None = None, **options: Any) -> SingleAgentEnv:
     return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions, api="gymnasium")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("agent", "partner", "actions"),
-    [("receiver", "cooperative", "cartesian_delta"), ("giver", "hold", "deviation")],
-)
-def test_gymnasium_and_stable_baselines_accept_it(agent: str, partner: str, actions: str) -> None:
-    env = single(agent, partner, actions, max_cycles=5)
-    check_env(env, skip_render_check=True)
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
-    sb3.check_env(env, warn=False)
-    env.close()
-
-
-def rollout(seed: int, episodes: int) -> list[np.ndarray]:
-    env = single("receiver", "noisy", control_period=0.2, max_cycles=6)
-    rng = np.random.default_rng(0)
-    way = []
-    for episode in range(episodes):
-        seen, _ = env.reset(seed=seed if episode == 0 else None)
-        way.append(seen)
-        over = False
-        while not over:
-            seen, reward, ended, timed_out, _ = env.step(rng.uniform(-1, 1, 7).astype(np.float32))
-            way.append(np.append(seen, reward))
-            over = ended or timed_out
-    env.close()
-    return way
-
-
-@pytest.mark.slow
-def test_rollouts_repeat_from_their_seed() -> None:
-    first = rollout(3, 2)
-    for one, other in zip(first, rollout(3, 2), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert not np.array_equal(first[1], rollout(4, 1)[1])
 
 
 @pytest.mark.slow
@@ -144,35 +104,3 @@ def test_malformed_outputs_leave_the_world_alone(actions: Any) -> None:
         env.step(actions)
     np.testing.assert_array_equal(before, env.state())
     assert env.step({"receiver": np.zeros(7)})[4]["receiver"]["steps"] == 100
-
-
-def test_copies_go_their_own_way() -> None:
-    env = encoded("receiver", "noisy", "joint_delta")
-    copy = pickle.loads(pickle.dumps(env))
-    assert copy.scheme_names == {"receiver": "joint_delta"}
-    ends = []
-    for one in (env, copy):
-        one.reset(seed=3)
-        for _ in range(3):
-            seen = one.step({"receiver": np.full(8, 0.1, np.float32)})[0]
-        ends.append(seen["receiver"])
-        one.close()
-    np.testing.assert_array_equal(*ends)
-
-
-@pytest.mark.slow
-def test_both_agents() -> None:
-    env = encode(parallel_env(**SYNTHETIC, max_cycles=6), {"receiver": "grasp"})
-    parallel_api_test(env, num_cycles=8)
-    parallel_seed_test(lambda: encode(parallel_env(**SYNTHETIC, max_cycles=6)), num_cycles=3)
-    env.reset(seed=0)
-    zeros = {agent: np.zeros(env.action_space(agent).shape, np.float32) for agent in env.possible_agents}
-    steps = 0
-    while env.agents:
-        *_, ended, timed_out, _ = env.step(zeros)
-        steps += 1
-    assert steps == 6
-    assert all(timed_out.values())
-    assert not any(ended.values())
-    with pytest.raises(ResetNeededError):
-        env.step(zeros)

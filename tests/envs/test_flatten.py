@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
-from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
 from handover_marl.envs.wrappers.wrapper import FlattenedEnv
@@ -19,13 +17,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 def flattened(**options: Any) -> FlattenedEnv:
     return handover_marl.flatten(handover_marl.parallel_env(**SYNTHETIC, **options))
-
-
-@pytest.mark.slow
-def test_pettingzoo_accepts_it() -> None:
-    parallel_api_test(flattened(), num_cycles=8)
-    parallel_seed_test(flattened, num_cycles=3)
-    api_test(parallel_to_aec(flattened()), num_cycles=8)
 
 
 def test_vectors_hold_all_that_dictionaries_show() -> None:

@@ -1,13 +1,10 @@
 """Tests of wrappers made for PettingZoo, inside and outside of this library's wrappers and in vector environments."""
 
-import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 import handover_marl
@@ -42,28 +39,6 @@ class Cost(BaseParallelWrapper):
 
 def make() -> HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "wrap",
-    [
-        lambda env: handover_marl.flatten(Cost(env)),
-        lambda env: handover_marl.encode(Cost(handover_marl.freeze(Cost(env), "receiver", "replay"))),
-        lambda env: handover_marl.encode(EpisodeReturns(Cost(env))),
-    ],
-    ids=["flatten", "twice", "returns"],
-)
-def test_wrappers_of_any_origin_can_be_mixed(wrap: Callable[[Any], Any]) -> None:
-    env = wrap(make())
-    parallel_api_test(env, num_cycles=8)
-    env.reset(seed=0)
-    actions = {agent: env.action_space(agent).sample() for agent in env.agents}
-    _, rewards, *_ = env.step(actions)
-    assert set(rewards.values()) <= {-1.0, -2.0}
-    copy = pickle.loads(pickle.dumps(env))
-    assert copy.possible_agents == env.possible_agents
-    env.close()
 
 
 def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:

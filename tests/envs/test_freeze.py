@@ -1,12 +1,9 @@
-import pickle
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import parallel_api_test
 
 import handover_marl
 from handover_marl.envs.constructors import parallel_env
@@ -74,18 +71,6 @@ def test_the_partners_action_is_not_taken_from_outside(fake_data: Path, agent: s
     assert_equal(env.step({agent: own}), untouched.step({agent: own}))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["Receiver", "Giver"])
-def test_the_view_passes_the_checks_of_other_libraries(fake_data: Path, name: str) -> None:
-    options = {"setup": "s0", "data_dir": fake_data, "physics": "fast", "max_cycles": 5}
-    parallel_api_test(frozen(fake_data, name.lower(), physics="fast", max_cycles=5), num_cycles=8)
-    env = gymnasium.make(f"HandoverMARL/{name}-v0", **options)
-    check_env(env.unwrapped, skip_render_check=True)
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
-    sb3.check_env(env, warn=False)
-    env.close()
-
-
 def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     envs = gymnasium.make_vec("HandoverMARL/Receiver-v0", 2, vectorization_mode="sync", data_dir=fake_data)
     envs.reset(seed=[1, 2])
@@ -132,43 +117,6 @@ def test_order_and_malformed_actions(fake_data: Path) -> None:
         env.step({"receiver": START})
 
 
-Transition = tuple[Any, ...]
-
-
-def episodes(env: FrozenPartnerEnv, action: np.ndarray, seed: int, count: int = 3) -> list[list[Transition]]:
-    """Simulate whole episodes, of which only the first has a seed, and return the results of resets and steps."""
-    way: list[list[Transition]] = []
-    for number in range(count):
-        steps: list[Transition] = [env.reset(seed=seed if number == 0 else None)]
-        while env.agents:
-            steps.append(env.step({env.live_agent: action}))
-        way.append(steps)
-    env.close()
-    return way
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("agent", "partner", "cycles"),
-    # The hand appears after a while.
-    [("receiver", "noisy", 12), ("giver", "random", 3)],
-)
-def test_episodes_repeat_from_the_first_seed(agent: str, partner: str, cycles: int) -> None:
-    """The first seed determines all episodes; with a single scene, they differ in the partner's random numbers."""
-    options = SYNTHETIC | {"scenes": [9], "max_cycles": cycles, "rewards": "shaped"}
-    action = {"receiver": START, "giver": REPLAY}[agent]
-    first, again, other = (
-        episodes(freeze(parallel_env(**options), agent, partner), action, seed) for seed in (5, 5, 6)
-    )
-    assert_equal(first, again)
-    for steps in first:
-        assert len(steps) == cycles + 1
-    ends = [steps[-1][0][agent] for steps in (*first, *other)]
-    for number, end in enumerate(ends):
-        for before in ends[:number]:
-            assert any(not np.array_equal(end[key], before[key]) for key in end), "each has a seed of its own"
-
-
 class Counting(Giver):
     """Giver that fails after 0.05 s if it is asked to."""
 
@@ -193,10 +141,3 @@ def test_failing_partners_are_reported() -> None:
     env.step({"receiver": START})
     with pytest.raises(PolicyError, match=r"policy 'counting' failed \(after 100 steps\): ZeroDivisionError: nought"):
         env.step({"receiver": START})
-
-
-def test_copies_keep_their_partner() -> None:
-    env = freeze(parallel_env(**SYNTHETIC, max_cycles=3), "receiver", Counting)
-    copy = pickle.loads(pickle.dumps(env))
-    assert copy.env is not env.env
-    assert_equal(episodes(env, START, 2, 1), episodes(copy, START, 2, 1))

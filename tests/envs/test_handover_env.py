@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pettingzoo
 import pytest
-from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
 import handover_marl
 from handover_marl import parallel_env
@@ -65,14 +64,6 @@ def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "handover_marl.datasets.official.OfficialDataset.list_scenes", lambda self, setup, split: splits[setup, split]
     )
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("only_known_scenes")
-def test_pettingzoo_accepts_it(fake_data: Path) -> None:
-    parallel_api_test(make(fake_data, max_cycles=8), num_cycles=20)
-    api_test(handover_marl.env(data_dir=fake_data, max_cycles=4), num_cycles=20)
-    parallel_seed_test(lambda: make(fake_data), num_cycles=3)
 
 
 @pytest.mark.usefixtures("only_known_scenes")

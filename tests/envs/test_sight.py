@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import parallel_api_test
 
 import handover_marl
 from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError
@@ -68,15 +66,6 @@ def test_what_is_seen_is_in_the_space(data: str) -> None:
     assert env.observation_space("receiver").contains(observations["receiver"])
     assert env.step({"giver": np.zeros(8, dtype=np.float32), "receiver": START})[1]["receiver"] == 0.0
     env.close()
-
-
-@pytest.mark.slow
-def test_the_checkers_are_content() -> None:
-    parallel_api_test(make(obs_mode="state+pointcloud", max_cycles=3), num_cycles=5)
-    env = handover_marl.freeze(make(obs_mode="state+rgbd", max_cycles=3), api="gymnasium")
-    check_env(env, skip_render_check=True)
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
-    sb3.check_env(env, warn=False)
 
 
 @pytest.mark.slow
