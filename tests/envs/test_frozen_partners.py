@@ -6,7 +6,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from pettingzoo.utils.conversions import parallel_to_aec
 
 import handover_marl
 from handover_marl import receivers
@@ -158,17 +157,12 @@ def list_decisions(seed: int, scene: int, steps: int) -> dict[int | None, list[i
     return {giver_seed: asked[:-1]}
 
 
-@pytest.mark.parametrize("api", ["parallel", "aec", "gymnasium"])
-def test_partners_keep_their_own_period(api: str) -> None:
-    env: Any = handover_marl.freeze(make_env(), "receiver", Irregular)
+def test_partners_keep_their_own_period() -> None:
+    env = SingleAgentEnv(handover_marl.freeze(make_env(), "receiver", Irregular))
     Irregular.decisions.clear()
-    if api == "aec":
-        env = parallel_to_aec(env)
-    elif api == "gymnasium":
-        env = SingleAgentEnv(env)
     env.reset(seed=SEED, options={"scene_id": 9})
     for _ in range(4):
-        env.step(START if api in ("aec", "gymnasium") else {"receiver": START})
+        env.step(START)
     assert Irregular.decisions == list_decisions(SEED, 9, 400)
     env.close()
 

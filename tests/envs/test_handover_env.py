@@ -1,4 +1,3 @@
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -40,23 +39,6 @@ def both(receiver: Any, giver: Any = REPLAY) -> dict[str, Any]:
     return {"giver": giver, "receiver": receiver}
 
 
-def rollout(env: HandoverEnv, n_steps: int, seed: int = 3, scene_id: int = 9) -> list[dict[str, np.ndarray]]:
-    observations, _ = env.reset(seed=seed, options={"scene_id": scene_id})
-    rng = np.random.default_rng(seed)
-    seen = [observations["receiver"]]
-    while env.agents and len(seen) <= n_steps:
-        action = START + rng.uniform(-0.3, 0.3, 9).astype(np.float32)
-        seen.append(env.step(both(action))[0]["receiver"])
-    return seen
-
-
-def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.ndarray]]) -> None:
-    assert len(first) == len(second)
-    for one, other in zip(first, second, strict=True):
-        for key, value in one.items():
-            np.testing.assert_array_equal(value, other[key], err_msg=key)
-
-
 @pytest.fixture
 def only_known_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Restrict the scenes of a split to those in the small data set, because the API tests draw scenes at random."""
@@ -92,22 +74,6 @@ def test_scenes_and_start_positions_are_drawn_by_seed(fake_data: Path) -> None:
     assert np.abs(np.array([joints for _, joints in first]) - START).max() <= 0.1 + 1e-6
 
 
-@pytest.mark.slow
-def test_whole_rollouts_repeat_also_in_copies_and_after_other_scenes(fake_data: Path) -> None:
-    env = make(fake_data)
-    first = rollout(env, 12)
-    copy = pickle.loads(pickle.dumps(env))
-    assert_same(first, rollout(copy, 12))
-    copy.close()
-    del copy
-    rollout(env, 3, scene_id=14)
-    env.close()
-    env.close()
-    with pytest.raises(ResetNeededError):
-        env.state()
-    assert_same(first, rollout(env, 12))
-
-
 def test_control_period_only_groups_steps(fake_data: Path) -> None:
     coarse, fine = make(fake_data), make(fake_data, control_period=0.001)
     for env in (coarse, fine):
@@ -116,7 +82,8 @@ def test_control_period_only_groups_steps(fake_data: Path) -> None:
         one = coarse.step(both(START))[0]["receiver"]
         for _ in range(100):
             other = fine.step(both(START))[0]["receiver"]
-        assert_same([one], [other])
+        for key, value in one.items():
+            np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
 def test_observations_are_in_their_spaces_and_not_shared(fake_data: Path) -> None:
@@ -143,16 +110,6 @@ def test_the_hand_comes_and_goes(fake_data: Path) -> None:
     # The recording has a hand in frames 50 to 350; the hand disappears one frame after the last of them.
     assert present == [False] * 4 + [True] * 31 + [False] * 5
     assert abs(float(seen["time"][0]) - 0.4) < 1e-6
-
-
-def test_keypoints_are_wrist_and_joint_origins(fake_data: Path) -> None:
-    env = make(fake_data, control_period=0.06)
-    env.reset(options={"scene_id": 9})
-    seen = env.step(both(START))[0]["giver"]
-    np.testing.assert_allclose(seen["hand_keypoints"][0], seen["hand_dof_position"][:3], atol=1e-3)
-    knuckles = seen["hand_keypoints"][1::3] - seen["hand_keypoints"][0]
-    np.testing.assert_allclose(knuckles[:, 0], -0.06, atol=2e-3)
-    np.testing.assert_allclose(np.diff(knuckles[:, 2]), -0.02, atol=2e-3)
 
 
 @pytest.mark.slow
@@ -239,6 +196,8 @@ def test_after_a_failed_reset_there_is_no_episode(own_data: Path) -> None:
     with pytest.raises(SimulationError, match="004_sugar_box"):
         env.reset(options={"scene_id": 14})
     assert env.agents == []
+    env.close()
+    env.close()
     for call in (lambda: env.step(both(START)), env.state):
         with pytest.raises(ResetNeededError):
             call()

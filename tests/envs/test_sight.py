@@ -1,8 +1,6 @@
 """Tests of environments whose receiver observes point clouds or images of the wrist camera."""
 
-import copy
 import importlib.util
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -96,17 +94,6 @@ def test_episodes_draw_noise_of_their_own() -> None:
     env.close()
 
 
-def test_scenes_are_drawn_as_without_sight() -> None:
-    drawn = []
-    for options in ({}, {"obs_mode": "state+pointcloud"}):
-        env = make(scenes=None, max_cycles=1, **options)
-        drawn.append(
-            [env.reset(seed=5)[1]["giver"]["scene_id"], *(env.reset()[1]["giver"]["scene_id"] for _ in range(2))]
-        )
-        env.close()
-    assert drawn[0] == drawn[1]
-
-
 def test_a_look_is_the_view_of_the_moment() -> None:
     env = make(obs_mode="state+rgbd", **TEST)
     with pytest.raises(ResetNeededError):
@@ -135,15 +122,6 @@ def test_the_geometry_is_a_choice() -> None:
     depth = clouds["pinhole"][:, 2] - np.float32(0.036)
     np.testing.assert_allclose(apart[:, 0], depth / 112.0, atol=1e-6)
     np.testing.assert_allclose(apart[:, 1:], 0.0, atol=1e-6)
-
-
-def test_copies_see_alike() -> None:
-    env = make(obs_mode="pointcloud", robot="panda_camera", renderer="bullet", camera_model="pinhole")
-    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
-        assert other.observation_space("receiver") == env.observation_space("receiver")
-        assert_same([env.reset(seed=1)[0]["receiver"]], [other.reset(seed=1)[0]["receiver"]])
-        other.close()
-    env.close()
 
 
 class Looker(Receiver):
