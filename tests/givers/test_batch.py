@@ -70,6 +70,8 @@ def test_batches_act_as_single_givers(name: str) -> None:
             observation = {key: np.stack([one[key] for one in observations]) for key in observations[0]}
             for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14) else []:
                 starts[row] = 100 * decision
+                # A new giver remembers nothing of the episode before.
+                singles[row] = givers.make(name)
                 singles[row].reset(10 * decision + row)
                 for batch in batches:
                     assert batch is not None
