@@ -1,7 +1,6 @@
 """Tests of user-defined rewards: their transitions, checks and reports of their terms, and combinations."""
 
 import dataclasses
-import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -195,13 +194,6 @@ def test_failures_are_named_in_the_first_reset(make: Make) -> None:
         make(combine_rewards(approach, approach)).reset(seed=0)
 
 
-def test_numbers_of_any_kind_are_terms(make: Make) -> None:
-    for value in (True, np.int64(1), np.array(1.0)):
-        result = rollout(make(returning({"receiver": {"near": value}})), 1)[-1]
-        assert type(result[1]["receiver"]) is type(terms_of(result[-1], "receiver")["near"]) is float
-        assert result[1]["receiver"] == 1.0
-
-
 def test_values_of_rewards() -> None:
     assert resolve_rewards("sparse") is SPARSE
     assert resolve_rewards(f"{MODULE}:approach") is approach
@@ -225,25 +217,15 @@ def test_discounts_reach_the_shaping_terms() -> None:
 
 
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
-    plain = rollout(make("shaped"), 12)
-    combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 12)
-    own = rollout(make(approach), 12)
+    plain = rollout(make("shaped"), 5)
+    combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 5)
+    own = rollout(make(approach), 5)
     for one, both, mine in zip(plain, combined, own, strict=True):
         expected = terms_of(one[-1], "receiver") | {"approach": 0.5 * terms_of(mine[-1], "receiver")["approach"]}
         assert terms_of(both[-1], "receiver") == expected
     assert terms_of(combined[-1][-1], "giver") == terms_of(plain[-1][-1], "giver") | {"time": -0.1}
     assert combined[-1][1]["receiver"] == pytest.approx(plain[-1][1]["receiver"] + 0.5 * own[-1][1]["receiver"])
     assert any(result[1]["receiver"] != 0.0 for result in own[1:])
-
-
-def test_copies_and_wrappers_have_the_rewards(make: Make) -> None:
-    copy = pickle.loads(pickle.dumps(make(approach)))
-    assert copy.config.rewards is approach
-    alone = handover_marl.freeze(make(approach), "receiver", "replay")
-    encoded = handover_marl.encode(alone, api="gymnasium")
-    encoded.reset(seed=0)
-    _, reward, _, _, info = encoded.step(encoded.action_space.sample())
-    assert reward == info["reward/approach"] != 0.0
 
 
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])

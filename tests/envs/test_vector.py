@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.config import CameraConfig
 from handover_marl.errors import OptionError
 
 # The name includes the module, so that worker processes import it, whatever their start method.
@@ -36,20 +35,6 @@ def test_processes_of_gymnasium_repeat_from_their_seed() -> None:
         np.testing.assert_array_equal(value, again[0][key])
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0]["object_poses"][0], first[0]["object_poses"][1]), "seeds 5 and 6 differ"
-
-
-def test_images_are_rendered_only_in_the_mode_for_images() -> None:
-    options: dict[str, Any] = {**OPTIONS, "camera": CameraConfig(width=64, height=48)}
-    without = handover_marl.vector_env(2, **options)
-    without.reset(seed=0)
-    assert without.render() is None
-    without.close()
-    envs = handover_marl.vector_env(2, render_mode="rgb_array", **options)
-    envs.reset(seed=0)
-    images = envs.render()
-    envs.close()
-    assert images is not None
-    assert [image.shape for image in images] == [(48, 64, 3)] * 2
 
 
 def test_vector_environments_cannot_be_copied() -> None:

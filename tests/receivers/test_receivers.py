@@ -1,7 +1,6 @@
 """Tests of names and options of receivers, and of a batch of `yang2021`."""
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.policies import registry
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Batch, Yang2021Receiver
 
@@ -26,22 +24,6 @@ def test_unknown_names(fake_data: Path) -> None:
             receivers.make(name, OfficialDataset(fake_data))
     with pytest.raises(OptionError, match="giver must be a name, a class or an instance of a policy, got 3"):
         givers.make(3)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("no_such_module:Thing", "cannot be imported"),
-        ("handover_marl.receivers.baselines:Nothing", "cannot be imported"),
-        ("pathlib:Path", "must be a subclass"),
-    ],
-)
-def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: str, message: str) -> None:
-    point = EntryPoint("mine", value, registry.GROUPS["receiver"])
-    monkeypatch.setattr(registry, "entry_points", EntryPoints([point]).select)
-    assert receivers.list_available() == ("mine",)
-    with pytest.raises(OptionError, match=f"'mine'.*{message}"):
-        receivers.make("mine", SyntheticDataset())
 
 
 @pytest.mark.parametrize(
