@@ -52,8 +52,6 @@ class EncodedEnv(ParallelWrapper):
         schemes: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
 
     Attributes:
-        feature_names: Name of the features, by agent.
-        scheme_names: Name of the action scheme, by agent.
         choices: Features and action scheme as they were given, by agent.
     """
 
@@ -80,16 +78,14 @@ class EncodedEnv(ParallelWrapper):
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
         self._features = {agent: make_features(agent, choice, context) for agent, choice in chosen_features.items()}
         self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
-        self.feature_names = {agent: made.name for agent, made in self._features.items()}
-        self.scheme_names = {agent: made.name for agent, made in self._schemes.items()}
         self._output_spaces = {
             agent: spaces.Box(-1.0, 1.0, (made.size,), np.float32) for agent, made in self._schemes.items()
         }
         for agent, outputs in self._output_spaces.items():
             # Libraries that save spaces with a policy save the encoding with them.
             outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
-            names = {"agent": agent, "features": self.feature_names[agent], "actions": self.scheme_names[agent]}
-            outputs.encoding = names  # type: ignore[attr-defined]
+            names = {"features": self._features[agent].name, "actions": self._schemes[agent].name}
+            outputs.encoding = {"agent": agent, **names}  # type: ignore[attr-defined]
         self._observations: dict[str, Observation] = {}
 
     def observation_space(self, agent: str) -> spaces.Box:
