@@ -2,8 +2,11 @@
 
 import copy
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
+
+import numpy as np
 
 from handover_marl.config import CheckedConfig
 from handover_marl.episode.loop import steps_from_hold_time
@@ -25,8 +28,8 @@ class NoConfig(CheckedConfig):
 class ArrayGiver(Giver):
     """Base class of givers whose state is in arrays (n, ...), one row for each episode; a giver by itself has one.
 
-    Subclasses define `decide`, and `allocate` and `start` if they keep a state. Actions do not depend on the other
-    episodes that act at the same time. Arrays are NumPy arrays or PyTorch tensors.
+    Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it. Actions do
+    not depend on the other episodes that act at the same time. Arrays are NumPy arrays or PyTorch tensors.
 
     Args:
         context: Robot and task.
@@ -36,29 +39,38 @@ class ArrayGiver(Giver):
         OptionError: An option is unknown, or its value is out of range.
 
     Attributes:
-        config: Configuration, of the class of `default_config`.
+        config: Configuration; that of the class is the default.
+        state: Arrays (n, ...) of the episodes' state by name.
+        rngs: Random generator of each episode.
+        arrays: Creator of the arrays.
     """
 
-    #: Configuration without options.
-    default_config: ClassVar[Any] = NoConfig()
-    config: Any
+    config: Any = NoConfig()
+    #: Numbers, truth values or vectors (k,) with which the state of each episode starts, by name.
+    initial_state: ClassVar[Mapping[str, float | tuple[float, ...]]] = {}
 
     def __init__(self, context: PolicyContext | None = None, **options: float) -> None:
         super().__init__(context)
-        names = [field.name for field in fields(self.default_config)]
+        names = [field.name for field in fields(self.config)]
         unknown = [name for name in options if name not in names]
         if unknown:
             known = f"valid options: {', '.join(names)}" if names else "it takes no options"
             raise OptionError(f"giver {self.name!r} has no option {unknown[0]!r}; {known}")
-        self.config = replace(self.default_config, **options) if options else self.default_config
-        self._arrays = NUMPY_ARRAYS
+        self.config = replace(self.config, **options)
         self.allocate(1, NUMPY_ARRAYS)
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
+        """Create the state of n episodes."""
+        self.arrays, self.rngs = arrays, [np.random.default_rng(0)] * count
+        self.state: dict[str, AnyArray] = {}
+        for name, value in self.initial_state.items():
+            self.state[name] = arrays.asarray(np.full((count, *np.shape(value)), value))
 
     def start(self, row: int, seed: int | None) -> None:
         """Start the episode of a row with a seed of its random numbers."""
+        self.rngs[row] = np.random.default_rng(seed)
+        for name, value in self.initial_state.items():
+            self.state[name][row] = self.arrays.asarray(value)
 
     @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
@@ -80,7 +92,6 @@ class ArrayGiver(Giver):
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":
         """Return a giver with the same options for n episodes, whose arrays are made by `arrays`."""
         giver = copy.copy(self)
-        giver._arrays = arrays
         giver.allocate(count, arrays)
         return giver
 
@@ -93,11 +104,11 @@ class ArrayGiver(Giver):
         release: float | AnyArray = 0.0,
     ) -> Actions:
         """Make actions (r, 8) of their components; see `handover_marl.policies.batch.make_giver_actions`."""
-        return make_giver_actions(len(rows), rate, displacement, rotation, release, self._arrays)
+        return make_giver_actions(len(rows), rate, displacement, rotation, release, self.arrays)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
         """Make actions (r, 8) that pause the recording where a flag (r,) is set, and follow it elsewhere."""
-        return self.make_actions(rows, rate=self._arrays.xp.where(is_paused, _PAUSE, 0.0))
+        return self.make_actions(rows, rate=self.arrays.xp.where(is_paused, _PAUSE, 0.0))
 
 
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -105,56 +105,59 @@ class CooperativeGiver(ArrayGiver):
     near_distance = 0.25
     arrival_tolerance = 0.01
     grasp_time = 0.2
-    default_config = CooperativeConfig()
-    config: CooperativeConfig
+    config: CooperativeConfig = CooperativeConfig()
+    initial_state: ClassVar = {
+        "displacement": (0.0, 0.0, 0.0),
+        "rotation": (0.0, 0.0, 0.0),
+        "withdrawal": (0.0, 0.0, 0.0),
+        "is_fixed": False,
+        "is_withdrawn": False,
+        "grasped_since": math.nan,
+    }
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._displacement, self._rotation, self._withdrawn = (arrays.zeros((count, 3)) for _ in range(3))
-        self._is_fixed, self._is_withdrawn = (arrays.zeros(count, "bool") for _ in range(2))
+        """Create the state of n episodes."""
+        super().allocate(count, arrays)
         self._pose_variation = HandoverPoseVariation(count, arrays)
-        self._grasped_since = arrays.full(count, math.nan)
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode without deviation from the recording."""
-        self._displacement[row] = self._rotation[row] = 0.0
-        self._is_fixed[row] = self._is_withdrawn[row] = False
-        self._grasped_since[row] = math.nan
+        super().start(row, seed)
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
-        xp = self._arrays.xp
+        xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0
         near = compute_gripper_object_distances(observation) < self.near_distance
-        chooses = xp.nonzero(~released & present & ~self._is_fixed[rows])[0]
+        chooses = xp.nonzero(~released & present & ~state["is_fixed"][rows])[0]
         if len(chooses):
             self._choose_poses(rows[chooses], {key: value[chooses] for key, value in observation.items()})
-        self._is_fixed[rows] |= ~released & (near | self._has_arrived(observation))
-        waiting = xp.nonzero(~released & self._is_fixed[rows])[0]
+        state["is_fixed"][rows] |= ~released & (near | self._has_arrived(observation))
+        waiting = xp.nonzero(~released & state["is_fixed"][rows])[0]
         if len(waiting):
             self._pose_variation.update(rows[waiting], {key: value[waiting] for key, value in observation.items()})
         scale = self._pose_variation.scale[rows, None]
-        displacement = scale * self._displacement[rows]
-        self._withdraw(rows, released & ~self._is_withdrawn[rows], displacement, observation)
+        displacement = scale * state["displacement"][rows]
+        self._withdraw(rows, released & ~state["is_withdrawn"][rows], displacement, observation)
         return self.make_actions(
             rows,
             xp.where(released, 0.0, self.config.rate),
-            displacement=xp.where(released[:, None], self._withdrawn[rows], displacement),
-            rotation=scale * self._rotation[rows],
+            displacement=xp.where(released[:, None], state["withdrawal"][rows], displacement),
+            rotation=scale * state["rotation"][rows],
             release=~released & self._are_grasped(rows, ~released, near, observation),
         )
 
     def _has_arrived(self, observation: Observation) -> Flags:
         """Return whether each recorded hand has stopped at its handover pose."""
-        xp, wrist = self._arrays.xp, observation["replay_wrist_poses"][..., :3]
+        xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
         """Choose the deviations from the recorded poses half a second ahead."""
-        xp, config = self._arrays.xp, self.config
+        xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
         item = widen(observation["replay_object_poses"][:, -1, :3])
@@ -166,11 +169,11 @@ class CooperativeGiver(ArrayGiver):
         target = item + direction / distance.clip(1e-6)[:, None] * length[:, None]
         # The rotation moves the object about the wrist; the displacement compensates for it.
         moved = rotate_points(quaternions_from_rotation_vectors(rotation), item - wrist)
-        self._displacement[rows], self._rotation[rows] = target - moved - wrist, rotation
+        self.state["displacement"][rows], self.state["rotation"][rows] = target - moved - wrist, rotation
 
     def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
         """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
-        xp = self._arrays.xp
+        xp = self.arrays.xp
         axes = xp.linalg.cross(arms, directions)
         size = compute_lengths(axes)
         angle = xp.atan2(size, compute_dot_products(arms, directions)).clip(max=self.config.max_rotation)
@@ -179,20 +182,21 @@ class CooperativeGiver(ArrayGiver):
 
     def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
         """Return whether fingers have rested on each object for long enough."""
-        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
         resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
-        since = self._grasped_since[rows]
+        since = self.state["grasped_since"][rows]
         since = xp.where(held, xp.where(resting, xp.where(xp.isnan(since), now, since), math.nan), since)
-        self._grasped_since[rows] = since
+        self.state["grasped_since"][rows] = since
         return resting & (now - since >= self.grasp_time)
 
     def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
         """Set the displacement of the hands that begin to withdraw."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
-        self._withdrawn[rows] = self._arrays.xp.where(begins[:, None], withdrawal, self._withdrawn[rows])
-        self._is_withdrawn[rows] |= begins
+        withdrawn = self.state["withdrawal"]
+        withdrawn[rows] = self.arrays.xp.where(begins[:, None], withdrawal, withdrawn[rows])
+        self.state["is_withdrawn"][rows] |= begins
 
 
 @dataclass(frozen=True)
@@ -213,8 +217,7 @@ class StopWhenNearGiver(ArrayGiver):
     """
 
     name = "stop_when_near"
-    default_config = StopWhenNearConfig()
-    config: StopWhenNearConfig
+    config: StopWhenNearConfig = StopWhenNearConfig()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
@@ -242,32 +245,23 @@ class WithdrawingGiver(ArrayGiver):
     """Giver that withdraws the hand while the gripper approaches fast, as a stress test."""
 
     name = "withdrawing"
-    default_config = WithdrawingConfig()
-    config: WithdrawingConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._last_distance, self._until = arrays.full(count, math.nan), arrays.full(count, -1.0)
-        self._displacement = arrays.zeros((count, 3))
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without deviation from the recording."""
-        self._last_distance[row], self._until[row], self._displacement[row] = math.nan, -1.0, 0.0
+    config: WithdrawingConfig = WithdrawingConfig()
+    initial_state: ClassVar = {"last_distance": math.nan, "until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
-        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
+        xp, config, state, now = self.arrays.xp, self.config, self.state, widen(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = widen(compute_lengths(away))
-        speed = (self._last_distance[rows] - distance) / self.control_period
-        self._last_distance[rows] = distance
+        speed = (state["last_distance"][rows] - distance) / self.control_period
+        state["last_distance"][rows] = distance
         # Before the second decision the speed is nan, which is not above the limit.
         is_present = observation["hand_present"][:, 0] != 0.0
         withdraws = is_present & (distance < config.max_distance) & (speed > config.max_speed)
-        until = xp.where(withdraws, now + config.return_after, self._until[rows])
+        until = xp.where(withdraws, now + config.return_after, state["until"][rows])
         withdrawal = config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
-        displacement = xp.where(withdraws[:, None], withdrawal, self._displacement[rows])
-        self._until[rows], self._displacement[rows] = until, displacement
+        displacement = xp.where(withdraws[:, None], withdrawal, state["displacement"][rows])
+        state["until"][rows], state["displacement"][rows] = until, displacement
         return self.make_actions(rows, displacement=xp.where((now < until)[:, None], displacement, 0.0))
 
 
@@ -294,24 +288,20 @@ class EarlyReleaseGiver(ArrayGiver):
 
     name = "early_release"
     control_period = 0.02
-    default_config = EarlyReleaseConfig()
-    config: EarlyReleaseConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._delay, self._near_since = arrays.zeros(count), arrays.full(count, math.nan)
+    config: EarlyReleaseConfig = EarlyReleaseConfig()
+    initial_state: ClassVar = {"delay": 0.0, "near_since": math.nan}
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random delay."""
-        self._delay[row] = self.config.max_delay * np.random.default_rng(seed).random()
-        self._near_since[row] = math.nan
+        super().start(row, seed)
+        self.state["delay"][row] = self.config.max_delay * self.rngs[row].random()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
-        xp, now = self._arrays.xp, widen(observation["time"][:, 0])
+        xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
         distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])
         is_near = (distance < self.config.distance) & (observation["holding"][:, 0] != 0.0)
-        since = self._near_since[rows]
-        since = self._near_since[rows] = xp.where(xp.isnan(since) & is_near, now, since)
-        return self.make_actions(rows, release=now - since >= self._delay[rows])
+        since = self.state["near_since"][rows]
+        since = self.state["near_since"][rows] = xp.where(xp.isnan(since) & is_near, now, since)
+        return self.make_actions(rows, release=now - since >= self.state["delay"][rows])

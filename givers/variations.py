@@ -6,15 +6,15 @@ import json
 import math
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import CheckedConfig, bounded, check_order
+from handover_marl.config import CheckedConfig, bounded
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import AnyIndices, ArrayFactory, to_numpy, widen
+from handover_marl.geometry.arrays import AnyIndices, to_numpy, widen
 from handover_marl.geometry.poses import compute_lengths
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.givers.array_giver import ArrayGiver
@@ -53,39 +53,30 @@ class HesitantConfig(CheckedConfig):
         longest_pause: Largest duration of a pause (s).
     """
 
+    ordered_fields: ClassVar = (("shortest_pause", "longest_pause"),)
+
     pauses_per_second: float = bounded(0.6, 0.0, 5.0)
     shortest_pause: float = bounded(0.3, 0.0, _MAX_TIME)
     longest_pause: float = bounded(1.0, 0.0, _MAX_TIME)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_order(self, "shortest_pause", "longest_pause")
 
 
 class HesitantGiver(ArrayGiver):
     """Giver that pauses the recorded motion at random times."""
 
     name = "hesitant"
-    default_config = HesitantConfig()
-    config: HesitantConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes, on the host like the random numbers."""
-        self._until, self._rngs = np.zeros(count), [np.random.default_rng(0)] * count
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without a pause; the seed determines the times of later pauses."""
-        self._rngs[row], self._until[row] = np.random.default_rng(seed), 0.0
+    config: HesitantConfig = HesitantConfig()
+    initial_state: ClassVar = {"until": -1.0}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that pause, or replay at the recorded speed."""
-        config, numbers = self.config, to_numpy(rows)
+        config, until = self.config, to_numpy(self.state["until"][rows])
         now = to_numpy(observation["time"][:, 0]).astype(np.float64)
-        for row, time in zip(numbers.tolist(), now.tolist(), strict=True):
-            rng = self._rngs[row]
-            if time >= self._until[row] and rng.random() < config.pauses_per_second * self.control_period:
-                self._until[row] = time + rng.uniform(config.shortest_pause, config.longest_pause)
-        return self.make_pauses(rows, self._arrays.asarray(now < self._until[numbers]))
+        for place, row in enumerate(rows.tolist()):
+            rng = self.rngs[row]
+            if now[place] >= until[place] and rng.random() < config.pauses_per_second * self.control_period:
+                until[place] = now[place] + rng.uniform(config.shortest_pause, config.longest_pause)
+        self.state["until"][rows] = self.arrays.asarray(until)
+        return self.make_pauses(rows, self.arrays.asarray(now < until))
 
 
 @dataclass(frozen=True)
@@ -97,32 +88,27 @@ class HurriedConfig(CheckedConfig):
         max_rate: Largest playback rate minus 1.
     """
 
+    ordered_fields: ClassVar = (("min_rate", "max_rate"),)
+
     min_rate: float = bounded(0.4, -0.8, 1.0)
     max_rate: float = bounded(1.0, -0.8, 1.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_order(self, "min_rate", "max_rate")
 
 
 class HurriedGiver(ArrayGiver):
     """Giver that replays the recorded motion faster, or slower, at a random speed per episode."""
 
     name = "hurried"
-    default_config = HurriedConfig()
-    config: HurriedConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._rate = arrays.zeros(count)
+    config: HurriedConfig = HurriedConfig()
+    initial_state: ClassVar = {"rate": 0.0}
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random playback speed."""
-        self._rate[row] = np.random.default_rng(seed).uniform(self.config.min_rate, self.config.max_rate)
+        super().start(row, seed)
+        self.state["rate"][row] = self.rngs[row].uniform(self.config.min_rate, self.config.max_rate)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
-        return self.make_actions(rows, rate=self._rate[rows])
+        return self.make_actions(rows, rate=self.state["rate"][rows])
 
 
 @dataclass(frozen=True)
@@ -146,23 +132,20 @@ class DisplacedGiver(ArrayGiver):
     """
 
     name = "displaced"
-    default_config = DisplacedConfig()
-    config: DisplacedConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._displacement, self._rotation = arrays.zeros((count, 3)), arrays.zeros((count, 3))
+    config: DisplacedConfig = DisplacedConfig()
+    initial_state: ClassVar = {"displacement": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0)}
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode with a random deviation."""
-        rng = np.random.default_rng(seed)
+        super().start(row, seed)
+        rng = self.rngs[row]
         radius = self.config.distance * rng.random() ** (1.0 / 3.0)
-        self._displacement[row] = self._arrays.asarray(radius * _draw_direction(rng))
-        self._rotation[row] = self._arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
+        self.state["displacement"][row] = self.arrays.asarray(radius * _draw_direction(rng))
+        self.state["rotation"][row] = self.arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the deviations of these episodes."""
-        return self.make_actions(rows, displacement=self._displacement[rows], rotation=self._rotation[rows])
+        return self.make_actions(rows, **{name: values[rows] for name, values in self.state.items()})
 
 
 def _draw_direction(rng: np.random.Generator) -> npt.NDArray[np.float64]:
@@ -194,25 +177,17 @@ class NoisyGiver(ArrayGiver):
     """
 
     name = "noisy"
-    default_config = NoisyConfig()
-    config: NoisyConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._rngs, self._deviation = [np.random.default_rng(0)] * count, arrays.zeros((count, 7))
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without deviation."""
-        self._rngs[row], self._deviation[row] = np.random.default_rng(seed), 0.0
+    config: NoisyConfig = NoisyConfig()
+    initial_state: ClassVar = {"deviation": (0.0,) * 7}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the next random deviations from the recordings."""
-        config = self.config
+        config, deviations = self.config, self.state["deviation"]
         scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
         decay = float(np.exp(-self.control_period / config.time_constant))
-        noise = np.array([self._rngs[row].standard_normal(7) for row in rows.tolist()])
-        steps = self._arrays.asarray(np.sqrt(1.0 - decay**2) * scale * noise)
-        deviation = self._deviation[rows] = decay * self._deviation[rows] + steps
+        noise = np.array([self.rngs[row].standard_normal(7) for row in rows.tolist()])
+        steps = self.arrays.asarray(np.sqrt(1.0 - decay**2) * scale * noise)
+        deviation = deviations[rows] = decay * deviations[rows] + steps
         return self.make_actions(rows, deviation[:, 0], deviation[:, 1:4], deviation[:, 4:])
 
 
@@ -243,25 +218,21 @@ class TiredGiver(ArrayGiver):
     name = "tired"
     # Samples of a period of the fastest tremor: six.
     control_period = 0.02
-    default_config = TiredConfig()
-    config: TiredConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes."""
-        self._phases, self._holding_since = arrays.zeros((count, 3)), arrays.full(count, math.nan)
+    config: TiredConfig = TiredConfig()
+    initial_state: ClassVar = {"phases": (0.0, 0.0, 0.0), "holding_since": math.nan}
 
     def start(self, row: int, seed: int | None) -> None:
         """Start an episode with random phases of the tremor."""
-        phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 3)
-        self._phases[row], self._holding_since[row] = self._arrays.asarray(phases), math.nan
+        super().start(row, seed)
+        self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the present displacements of the hands."""
-        xp, config, now = self._arrays.xp, self.config, widen(observation["time"][:, 0])
-        since, holds = self._holding_since[rows], observation["holding"][:, 0] != 0.0
-        since = self._holding_since[rows] = xp.where(xp.isnan(since) & holds, now, since)
+        xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
+        since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
+        since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
         held = xp.where(xp.isnan(since), 0.0, now - since)
-        angles = 2.0 * math.pi * config.frequency * now[:, None] + self._phases[rows]
+        angles = 2.0 * math.pi * config.frequency * now[:, None] + self.state["phases"][rows]
         displacement = config.amplitude * xp.sin(angles)
         displacement[:, 2] -= (config.sinking * held).clip(max=config.max_sinking)
         return self.make_actions(rows, displacement=displacement)
@@ -278,14 +249,12 @@ class InterruptingConfig(CheckedConfig):
         longest: Largest duration of an interruption (s).
     """
 
+    ordered_fields: ClassVar = (("shortest", "longest"),)
+
     interruptions_per_second: float = bounded(0.6, 0.0, 5.0)
     withdrawal: float = bounded(0.15, 0.0, 0.3)
     shortest: float = bounded(0.5, 0.0, _MAX_TIME)
     longest: float = bounded(1.5, 0.0, _MAX_TIME)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_order(self, "shortest", "longest")
 
 
 class InterruptingGiver(ArrayGiver):
@@ -297,32 +266,26 @@ class InterruptingGiver(ArrayGiver):
     """
 
     name = "interrupting"
-    default_config = InterruptingConfig()
-    config: InterruptingConfig
-
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes; times are on the host like the random numbers."""
-        self._until, self._rngs = np.full(count, -1.0), [np.random.default_rng(0)] * count
-        self._displacement = arrays.zeros((count, 3))
-
-    def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without deviation; the seed determines the times of the interruptions."""
-        self._rngs[row], self._until[row], self._displacement[row] = np.random.default_rng(seed), -1.0, 0.0
+    config: InterruptingConfig = InterruptingConfig()
+    initial_state: ClassVar = {"until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
-        config, numbers = self.config, to_numpy(rows)
+        config, until = self.config, to_numpy(self.state["until"][rows])
         now, holding, released = (to_numpy(observation[key][:, 0]) for key in ("time", "holding", "released"))
         offsets = widen(observation["object_poses"][:, 0, :3] - observation["gripper_pose"][:, :3])
         away = offsets / compute_lengths(offsets).clip(1e-6)[:, None]
-        for place, row in enumerate(numbers.tolist()):
-            rng, time = self._rngs[row], float(now[place])
-            may_start = time >= self._until[row] and holding[place] and not released[place]
+        for place, row in enumerate(rows.tolist()):
+            rng, time = self.rngs[row], float(now[place])
+            may_start = time >= until[place] and holding[place] and not released[place]
             if may_start and rng.random() < config.interruptions_per_second * self.control_period:
-                self._until[row] = time + rng.uniform(config.shortest, config.longest)
-                self._displacement[row] = config.withdrawal * away[place]
-        is_away = self._arrays.asarray(now < self._until[numbers])[:, None]
-        return self.make_actions(rows, displacement=self._arrays.xp.where(is_away, self._displacement[rows], 0.0))
+                until[place] = time + rng.uniform(config.shortest, config.longest)
+                self.state["displacement"][row] = config.withdrawal * away[place]
+        self.state["until"][rows] = self.arrays.asarray(until)
+        is_away = self.arrays.asarray(now < until)[:, None]
+        return self.make_actions(
+            rows, displacement=self.arrays.xp.where(is_away, self.state["displacement"][rows], 0.0)
+        )
 
 
 @dataclass(frozen=True)
@@ -351,8 +314,8 @@ class RecordingSpreadGiver(ArrayGiver):
     """
 
     name = "recording_spread"
-    default_config = RecordingSpreadConfig()
-    config: RecordingSpreadConfig
+    config: RecordingSpreadConfig = RecordingSpreadConfig()
+    initial_state: ClassVar = {"draws": (0.0,) * 7}
 
     def __init__(self, context: PolicyContext | None = None, **options: float) -> None:
         super().__init__(context, **options)
@@ -363,26 +326,23 @@ class RecordingSpreadGiver(ArrayGiver):
         """Hash of the table of standard deviations."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
-    def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the arrays of n episodes: random deviations, in standard deviations."""
-        self._draws = np.zeros((count, 7))
-
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with random deviations."""
-        self._draws[row] = np.random.default_rng(seed).standard_normal(7)
+        """Start an episode with random deviations, in standard deviations."""
+        super().start(row, seed)
+        self.state["draws"][row] = self.arrays.asarray(self.rngs[row].standard_normal(7))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
         """Return the actions (r, 8) with the deviations of these episodes."""
-        config, draws, spread = self.config, self._draws[to_numpy(rows)], _read_spread()
+        config, draws, spread = self.config, self.state["draws"][rows], _read_spread()
         names = [self._object_names.get(int(number)) for number in to_numpy(observation["object_classes"][:, 0])]
         found = [spread.get(name or _ALL_OBJECTS, spread[_ALL_OBJECTS]) for name in names]
         pace, displacement, rotation = (
-            np.array([row[key] for row in found]) for key in ("log_pace", "displacement", "rotation")
+            self.arrays.asarray([row[key] for row in found]) for key in ("log_pace", "displacement", "rotation")
         )
-        rate = np.clip(np.exp(config.pace * pace * draws[:, 6]) - 1.0, _MIN_RATE, _MAX_RATE)
+        rate = (self.arrays.xp.exp(config.pace * pace * draws[:, 6]) - 1.0).clip(_MIN_RATE, _MAX_RATE)
         shifts = config.displacement * displacement * draws[:, :3]
         turns = config.rotation * rotation * draws[:, 3:6]
-        return self.make_actions(rows, *map(self._arrays.asarray, (rate, shifts, turns)))
+        return self.make_actions(rows, rate, shifts, turns)
 
 
 @functools.cache

@@ -46,6 +46,8 @@ class CheckedConfig:
     default_limits: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
     #: Names of fields that are tuples of any length, of numbers or of tuples of numbers, which may be negative.
     any_length: ClassVar[frozenset[str]] = frozenset()
+    #: Pairs of names of fields, of which the first must not be larger than the second.
+    ordered_fields: ClassVar[tuple[tuple[str, str], ...]] = ()
 
     def __post_init__(self) -> None:
         for part in fields(self):  # type: ignore[arg-type]
@@ -62,6 +64,10 @@ class CheckedConfig:
                 object.__setattr__(self, part.name, _check_tuple(name, value, len(default), self._get_limits(part)))
             else:
                 _check_number(name, value, isinstance(default, int), self._get_limits(part))
+        for low, high in self.ordered_fields:
+            first, second = getattr(self, low), getattr(self, high)
+            if first > second:
+                raise OptionError(f"{low} of {type(self).__name__} must be at most {high}, got {first} and {second}")
 
     def _get_limits(self, part: Field[Any]) -> tuple[float, float]:
         limits: tuple[float, float] = part.metadata.get("limits", self.default_limits)
@@ -81,22 +87,6 @@ def check_config(name: str, value: object, config_class: type) -> None:
     """
     if not isinstance(value, config_class):
         raise OptionError(f"{name} must be a {config_class.__name__}, got {value!r}")
-
-
-def check_order(owner: CheckedConfig, low: str, high: str) -> None:
-    """Check that one field of a configuration is not larger than another one.
-
-    Args:
-        owner: Configuration.
-        low: Name of the smaller field.
-        high: Name of the larger field.
-
-    Raises:
-        OptionError: The order is reversed.
-    """
-    first, second = getattr(owner, low), getattr(owner, high)
-    if first > second:
-        raise OptionError(f"{low} of {type(owner).__name__} must be at most {high}, got {first} and {second}")
 
 
 def _check_tuple(name: str, value: Any, size: int, limits: tuple[float, float]) -> tuple[float, ...]:

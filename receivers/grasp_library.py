@@ -3,7 +3,8 @@
 Poses are poses of the Panda's hand link: position (m) and quaternion xyzw.
 """
 
-from collections.abc import Callable, Mapping
+import functools
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -11,46 +12,24 @@ import numpy.typing as npt
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, to_numpy
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND
 from handover_marl.geometry.poses import compose, poses_from_matrices
-from handover_marl.geometry.ycb import CLASS_NAMES
 
 Array = npt.NDArray[np.float64]
 
 
-class GraspLibrary:
-    """Collection of the known grasps of all object classes, each read on first use.
+@functools.lru_cache(maxsize=1024)
+def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
+    """Return the gripper poses (n, 7) in the frame of an object class, or None without any; cached.
 
-    Args:
-        grasps: Function from a class name to gripper poses (n, 4, 4) in the object's frame (m), or
-            None for a class without grasps.
-        object_names: Class name of each class number in observations.
+    The function `grasps` is that of `PolicyContext`.
     """
+    matrices = grasps(object_name)
+    return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
 
-    def __init__(
-        self,
-        grasps: Callable[[str], npt.NDArray[np.float64] | None],
-        object_names: Mapping[int, str] = CLASS_NAMES,
-    ) -> None:
-        self._grasps, self._object_names = grasps, object_names
-        self._grippers: dict[str, Array | None] = {}
 
-    def load_grippers(self, object_class: int) -> tuple[Array] | None:
-        """Return the gripper poses (n, 7) in the frame of the object class with a number, for a `GraspTable`."""
-        grippers = self.get_gripper_poses(self._object_names[object_class])
-        return None if grippers is None else (grippers,)
-
-    def get_hand_poses_in_object(self, object_name: str) -> Array | None:
-        """Return poses (n, 7) of the hand link at an object class's grasps, or None without any."""
-        grippers = self.get_gripper_poses(object_name)
-        return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
-
-    def get_gripper_poses(self, object_name: str) -> Array | None:
-        """Return the gripper poses (n, 7) in the frame of an object class, or None."""
-        if object_name not in self._grippers:
-            matrices = self._grasps(object_name)
-            self._grippers[object_name] = None
-            if matrices is not None and len(matrices) > 0:
-                self._grippers[object_name] = poses_from_matrices(matrices)
-        return self._grippers[object_name]
+def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
+    """Return poses (n, 7) of the hand link at an object class's grasps, or None; see `load_gripper_poses`."""
+    grippers = load_gripper_poses(grasps, object_name)
+    return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
 
 class GraspTable:

@@ -26,7 +26,7 @@ from handover_marl.planning.ik_solvers import make_ik_solver
 from handover_marl.planning.planner import OBJECT_PADDING, Plan, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceiver
 
 Array = npt.NDArray[np.float64]
@@ -84,7 +84,6 @@ class OmgReceiver(PhasedReceiver):
         require_modules(f"receiver {self.name!r}", "planning", *_REQUIRED_MODULES)
         self.config = config or self.default_config
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
-        self._library = GraspLibrary(context.grasps)
         self._planner: Planner | None = None
         self._ik_solver: IkSolver | None = None
         self.has_planned = False
@@ -141,7 +140,7 @@ class OmgReceiver(PhasedReceiver):
 
     def _make_plan(self, observation: Observation) -> Plan | None:
         name = self.context.object_names[int(observation["object_classes"][0])]
-        grasps = self._library.get_hand_poses_in_object(name)
+        grasps = load_hand_poses(self.context.grasps, name)
         if grasps is None:
             _log.warning("%s: no grasps of %r are known; staying at the start pose", self.name, name)
             return None

@@ -35,7 +35,7 @@ from handover_marl.policies.policy import (
     override_options,
     require_reset,
 )
-from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
+from handover_marl.receivers.grasp_library import GraspTable, load_gripper_poses
 
 Array = npt.NDArray[np.float64]
 Actions = npt.NDArray[np.float32]
@@ -123,8 +123,7 @@ class Yang2021Receiver(Receiver):
         if wait is not None:
             self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None
-        self._library = GraspLibrary(context.grasps, context.object_names)
-        self._table = GraspTable(self._library.load_grippers)
+        self._table = GraspTable(self._load_grippers)
         self._allocate(1)
 
     def copy_for(self, count: int) -> "Yang2021Receiver":
@@ -142,7 +141,11 @@ class Yang2021Receiver(Receiver):
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Read the grasps of the object that is handed over."""
-        self._library.get_gripper_poses(object_names[0])
+        load_gripper_poses(self.context.grasps, object_names[0])
+
+    def _load_grippers(self, object_class: int) -> tuple[Array] | None:
+        grippers = load_gripper_poses(self.context.grasps, self.context.object_names[object_class])
+        return None if grippers is None else (grippers,)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""

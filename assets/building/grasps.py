@@ -46,7 +46,7 @@ from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.grasp_validation import get_validation_record, get_validation_record_path
 from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 from handover_marl.simulation.engines import make_grasp_validator
@@ -209,7 +209,7 @@ def _validate_object(task: tuple[Path | None, str, str]) -> tuple[str, Validatio
     """Return the name and the record of an object's validation, or None if it has no grasps."""
     data_dir, robot, name = task
     data = open_dataset("dexycb" if data_dir else "synthetic", data_dir, robot)
-    known = GraspLibrary(data.load_grasps).get_hand_poses_in_object(name)
+    known = load_hand_poses(data.load_grasps, name)
     if known is None:
         return None
     given = (data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())

@@ -1,6 +1,5 @@
 """Names of the environment's agents, and checks of arguments of `reset` and `step`."""
 
-import operator
 import os
 import sys
 import warnings
@@ -80,13 +79,9 @@ def check_scene_option(options: Any, scene_ids: Sequence[int], split_name: str) 
     scene_id = options.get("scene_id")
     if scene_id is None:
         return None
-    try:
-        chosen = operator.index(scene_id)
-    except TypeError:
-        chosen = -1
-    if chosen not in scene_ids:
+    if not isinstance(scene_id, (int, np.integer)) or scene_id not in scene_ids:
         raise SceneError(
             f"scene_id must be one of the {len(scene_ids)} scenes of {split_name}, {scene_ids[0]} to "
             f"{scene_ids[-1]}, got {scene_id!r}; env.scene_ids lists them"
         )
-    return chosen
+    return int(scene_id)

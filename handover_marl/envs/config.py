@@ -1,8 +1,11 @@
 """Configuration of the two-agent handover environment."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.arguments import check_positive_integer
@@ -94,10 +97,8 @@ def make_env_config(config: EnvConfig | None, fields: Mapping[str, Any]) -> EnvC
 
 
 def _count_physics_steps(control_period: float) -> int:
-    try:
-        steps = 0 if isinstance(control_period, bool) else round(control_period / TIME_STEP)
-    except (TypeError, ValueError, OverflowError):
-        steps = 0
+    is_number = isinstance(control_period, (int, float, np.floating)) and not isinstance(control_period, bool)
+    steps = round(control_period / TIME_STEP) if is_number and math.isfinite(control_period) else 0
     if not 1 <= steps <= _LONGEST_PERIOD or abs(steps * TIME_STEP - control_period) > 1e-9:
         raise OptionError(
             f"control_period must be a whole number of milliseconds, in seconds, got {control_period!r}; "

@@ -2,22 +2,29 @@
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.envs.rewards import REWARDS, Terms, TermWeights, WeightedTerms, is_finite_number
+from handover_marl.envs.rewards import (
+    REWARDS,
+    ArrayTerms,
+    RewardSource,
+    StepData,
+    TermNames,
+    TermWeights,
+    WeightedRewardSource,
+    is_finite_number,
+)
 from handover_marl.envs.transition import Transition
-from handover_marl.episode.observations import add_episode_axis
 from handover_marl.errors import HandoverError, OptionError, RewardError, check_name
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyIndices, ArrayFactory
 from handover_marl.policies.registry import import_reference
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-Position: TypeAlias = tuple[float, ...]
 #: Function from a transition to the reward terms by agent and name.
 CustomReward: TypeAlias = Callable[[Transition], Mapping[str, Mapping[str, float]]]
 
@@ -107,65 +114,33 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
     return rewards
 
 
-class RewardSource(Protocol):
-    """Reward terms of both agents, computed from transitions."""
+def make_reward_source(
+    rewards: RewardLike, goal: tuple[float, ...], count: int = 1, arrays: ArrayFactory = NUMPY_ARRAYS
+) -> RewardSource:
+    """Make the source of the reward terms of n episodes.
 
-    def start(self, transition: Transition) -> dict[str, Terms]:
-        """Start an episode with a transition in which nothing moves; return the terms, all 0, by agent."""
-
-    def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the reward terms of a control step, by agent."""
-
-
-def make_reward_source(rewards: RewardLike, goal: Position) -> RewardSource:
-    """Make the source of reward terms for one environment.
-
-    Each environment gets a deep copy of a reward object, so that environments do not share its attributes.
+    Each episode gets a deep copy of a reward object, so that episodes do not share its attributes.
 
     Args:
         rewards: Any value that `rewards` accepts.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
     """
     found = resolve_rewards(rewards)
     if isinstance(found, CombinedRewards):
-        return SummedRewardSource([(weight, make_reward_source(part, goal)) for weight, part in found.parts])
+        return SummedRewardSource(
+            [(weight, make_reward_source(part, goal, count, arrays)) for weight, part in found.parts]
+        )
     if isinstance(found, TermWeights):
-        return WeightedRewardSource(found, goal)
-    return CustomRewardSource(found() if isinstance(found, type) else copy.deepcopy(found))
+        return WeightedRewardSource(found, goal, count, arrays)
+    return CustomRewardSource(
+        [found() if isinstance(found, type) else copy.deepcopy(found) for _ in range(count)], arrays
+    )
 
 
-class WeightedRewardSource:
-    """Source of weighted reward terms of the library.
-
-    Args:
-        weights: Weights of the terms.
-        goal: (3,) position to which the gripper must bring the object, world frame (m).
-    """
-
-    def __init__(self, weights: TermWeights, goal: Position) -> None:
-        self._terms = WeightedTerms(weights, goal, 1, NUMPY_ARRAYS)
-
-    def start(self, transition: Transition) -> dict[str, Terms]:
-        """Start an episode; return the terms, all 0, by agent."""
-        self._terms.start(ONLY_ROW, _read_state(transition))
-        return {agent: dict.fromkeys(weights, 0.0) for agent, weights in self._terms.weights.items()}
-
-    def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the weighted terms of a control step by agent."""
-        terms = self._terms.compute(ONLY_ROW, np.array([int(transition.status)]), _read_state(transition))
-        return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in terms.items()}
-
-
-def _read_state(transition: Transition) -> dict[str, Any]:
-    """Return the state after a control step as arrays (1, ...), see `WeightedTerms`."""
-    contacts = transition.contacts
-    forces = {"object_force": contacts.robot_object_force, "hand_force": contacts.robot_hand_force}
-    values = {"grasped": contacts.both_fingers_touch, **forces}
-    return {**add_episode_axis(transition.next_state), **{key: np.array([value]) for key, value in values.items()}}
-
-
-class SummedRewardSource:
-    """Source of the weighted terms of several rewards; terms of one agent must have different names.
+class SummedRewardSource(RewardSource):
+    """Weighted terms of several rewards; terms of one agent must have different names.
 
     Args:
         parts: Pairs of weight and source of terms.
@@ -174,86 +149,92 @@ class SummedRewardSource:
     def __init__(self, parts: list[tuple[float, RewardSource]]) -> None:
         self._parts = parts
 
-    def start(self, transition: Transition) -> dict[str, Terms]:
-        """Start an episode; return the terms, all 0, by agent.
+    def start(self, rows: AnyIndices, step: StepData) -> TermNames:
+        """Start episodes; see `RewardSource.start`.
 
         Raises:
             RewardError: Two parts have a term of the same name.
         """
-        terms: dict[str, Terms] = {agent: {} for agent in AGENTS}
+        names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
         for _, part in self._parts:
-            for agent, own in part.start(transition).items():
-                repeated = sorted(terms[agent].keys() & own.keys())
-                if repeated:
-                    raise RewardError(
-                        f"reward terms must have different names, got {repeated[0]!r} of the {agent} twice; rename one"
-                    )
-                terms[agent] |= own
-        return terms
+            for agent, own in part.start(rows, step).items():
+                for name in own:
+                    if name in names[agent]:
+                        raise RewardError(
+                            f"reward terms must have different names, got {name!r} of the {agent} twice; rename one"
+                        )
+                    names[agent].append(name)
+        return names
 
-    def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the weighted terms of a control step by agent."""
-        terms: dict[str, Terms] = {agent: {} for agent in AGENTS}
+    def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
+        """Return the values of the terms; see `RewardSource.compute`."""
+        terms: dict[str, ArrayTerms] = {agent: {} for agent in AGENTS}
         for weight, part in self._parts:
-            for agent, own in part.compute(transition).items():
-                terms[agent].update({name: weight * value for name, value in own.items()})
+            for agent, own in part.compute(rows, step).items():
+                terms[agent] |= {name: weight * value for name, value in own.items()}
         return terms
 
 
-class CustomRewardSource:
-    """Source of the terms of a user-defined reward function; checks the names and values of the terms.
+class CustomRewardSource(RewardSource):
+    """Terms of a user-defined reward function; checks the names and values of the terms.
 
     Args:
-        function: Function of a transition; its method `reset(transition)`, if it has one, is called at
-            the start of an episode.
+        functions: Function of a transition for each episode; its method `reset(transition)`, if it has one, is called
+            at the start of an episode.
+        arrays: Creator of the arrays.
     """
 
-    def __init__(self, function: CustomReward) -> None:
-        self._function = function
-        self._name = str(getattr(function, "__qualname__", None) or type(function).__qualname__)
-        self._start: dict[str, Terms] = {}
+    def __init__(self, functions: Sequence[CustomReward], arrays: ArrayFactory) -> None:
+        self._functions, self._arrays = functions, arrays
+        self._name = str(getattr(functions[0], "__qualname__", None) or type(functions[0]).__qualname__)
+        self._names: dict[str, list[str]] = {}
 
-    def start(self, transition: Transition) -> dict[str, Terms]:
-        """Start an episode; return the terms, all 0, by agent.
+    def start(self, rows: AnyIndices, step: StepData) -> TermNames:
+        """Start episodes; see `RewardSource.start`.
 
         Raises:
             RewardError: The function fails or returns something else than terms by agent.
         """
-        reset = getattr(self._function, "reset", None)
-        if callable(reset):
-            self._run(reset, transition)
-        if not self._start:
-            declared = getattr(self._function, "terms", None)
-            # A copy, so that this call leaves nothing in the function's memory.
-            found = self._run(copy.deepcopy(self._function), transition) if declared is None else declared
-            self._check_agents(found)
-            self._start = {agent: dict.fromkeys(found.get(agent, ()), 0.0) for agent in AGENTS}
-        return {agent: dict(terms) for agent, terms in self._start.items()}
+        for row, transition in zip(rows.tolist(), step.read_transitions(), strict=True):
+            function = self._functions[row]
+            reset = getattr(function, "reset", None)
+            if callable(reset):
+                self._run(reset, transition)
+            if not self._names:
+                declared = getattr(function, "terms", None)
+                # A copy, so that this call leaves nothing in the function's memory.
+                found = self._run(copy.deepcopy(function), transition) if declared is None else declared
+                self._check_agents(found)
+                self._names = {agent: list(found.get(agent, ())) for agent in AGENTS}
+        return self._names
 
-    def compute(self, transition: Transition) -> dict[str, Terms]:
-        """Return the checked terms of a control step by agent; terms that are not returned are 0.
+    def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
+        """Return the values of the terms, 0 for those that are not returned; see `RewardSource.compute`.
 
         Raises:
             RewardError: The function fails, or a term is of an unknown agent, has an unknown name, or is
                 no finite number.
         """
-        found = self._run(self._function, transition)
-        self._check_agents(found)
-        terms = {agent: dict(own) for agent, own in self._start.items()}
-        for agent, own in found.items():
-            for name, value in own.items():
-                where = f"term {name!r} of the {agent} in reward {self._name!r}"
-                if name not in terms[agent]:
-                    raise RewardError(
-                        f"{where} must be one of {', '.join(terms[agent]) or 'none'}, the terms of the first call; "
-                        "return it in every step, or declare it with @declare_terms"
-                    )
-                if np.ndim(value) or not isinstance(value, (int, float, np.number, np.bool_, np.ndarray)):
-                    raise RewardError(f"{where} must be a single number, got {value!r}; convert it with float()")
-                if not math.isfinite(value):
-                    raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
-                terms[agent][name] = float(value)
-        return terms
+        values = {agent: {name: np.zeros(len(rows)) for name in names} for agent, names in self._names.items()}
+        for number, (row, transition) in enumerate(zip(rows.tolist(), step.read_transitions(), strict=True)):
+            found = self._run(self._functions[row], transition)
+            self._check_agents(found)
+            for agent, own in found.items():
+                for name, value in own.items():
+                    where = f"term {name!r} of the {agent} in reward {self._name!r}"
+                    if name not in values[agent]:
+                        raise RewardError(
+                            f"{where} must be one of {', '.join(values[agent]) or 'none'}, the terms of the first "
+                            "call; return it in every step, or declare it with @declare_terms"
+                        )
+                    if np.ndim(value) or not isinstance(value, (int, float, np.number, np.bool_, np.ndarray)):
+                        raise RewardError(f"{where} must be a single number, got {value!r}; convert it with float()")
+                    if not math.isfinite(value):
+                        raise RewardError(f"{where} must be finite, got {value!r}; check divisions and empty hands")
+                    values[agent][name][number] = value
+        return {
+            agent: {name: self._arrays.asarray(value) for name, value in own.items()} for agent, own in values.items()
+        }
 
     def _run(self, function: Callable[[Transition], Any], transition: Transition) -> Any:
         try:

@@ -16,13 +16,14 @@ from handover_marl.datasets.splits import choose_scenes
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER, check_actions, check_scene_option, has_display
 from handover_marl.envs.config import RENDER_MODES, EnvConfig, make_env_config
 from handover_marl.envs.custom_rewards import make_reward_source
-from handover_marl.envs.rewards import Terms
-from handover_marl.envs.transition import TransitionRecorder
+from handover_marl.envs.rewards import StepData
+from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeAgent, EpisodePolicy
 from handover_marl.episode.observations import (
     Observation,
+    add_episode_axis,
     giver_observation_space,
     receiver_observation_space,
     select_receiver_observation,
@@ -32,6 +33,7 @@ from handover_marl.episode.referee import RELEASE_REASONS, EpisodeStatus
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import ResetNeededError
 from handover_marl.execution.options import forward_signature
+from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.policies.policy import Action, PolicyContext, make_policy_context
 
 Info = dict[str, float]
@@ -185,9 +187,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._cycles = 0
         observations = self._observe()
         infos = self._make_infos()
-        terms = self._rewards.start(self._recorder.start(observations, infos))
+        transition = self._recorder.start(observations, infos)
+        names = self._rewards.start(ONLY_ROW, _make_step_data(transition))
         self.agents = list(AGENTS)
-        return observations, _add_terms(infos, terms)
+        return observations, _add_terms(infos, {agent: dict.fromkeys(own, 0.0) for agent, own in names.items()})
 
     def step(self, actions: dict[str, Any]) -> StepResult:
         """Let both agents act for one control period, or until the episode ends.
@@ -229,7 +232,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             terminated=terminated,
             truncated=truncated,
         )
-        terms = self._rewards.compute(transition)
+        found = self._rewards.compute(ONLY_ROW, _make_step_data(transition))
+        terms = {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in found.items()}
         if not (terminated or truncated):
             self.agents = list(AGENTS)
         return (
@@ -351,7 +355,19 @@ def spawn_camera_seed(rng: np.random.Generator) -> int:
     return int(seeds[0].generate_state(1)[0])
 
 
-def _add_terms(infos: dict[str, Info], terms: dict[str, Terms]) -> dict[str, Info]:
+def _make_step_data(transition: Transition) -> StepData:
+    """Return the data of a control step of the only episode, for its rewards."""
+
+    def read_state(needs_forces: bool) -> dict[str, npt.NDArray[Any]]:
+        contacts = transition.contacts
+        forces = {"object_force": contacts.robot_object_force, "hand_force": contacts.robot_hand_force}
+        values = {"grasped": contacts.both_fingers_touch, **forces}
+        return add_episode_axis({**transition.next_state, **{key: np.array(value) for key, value in values.items()}})
+
+    return StepData(np.array([int(transition.status)]), read_state, lambda: [transition])
+
+
+def _add_terms(infos: dict[str, Info], terms: dict[str, dict[str, float]]) -> dict[str, Info]:
     return {
         agent: {**infos[agent], **{f"reward/{name}": value for name, value in terms[agent].items()}} for agent in AGENTS
     }

@@ -33,11 +33,13 @@ shaping term over an episode depends only on the first state, so that shaping do
 
 import functools
 import math
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from handover_marl.envs.arguments import AGENTS
+from handover_marl.envs.transition import Transition
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.arrays import (
@@ -53,9 +55,10 @@ from handover_marl.geometry.panda import FINGERTIPS
 from handover_marl.geometry.poses import compute_lengths, inverse_transform_points, transform_points
 from handover_marl.planning.clearance import GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES
 
-Terms = dict[str, float]
 #: Values (r,) of terms by name.
 ArrayTerms: TypeAlias = dict[str, AnyArray]
+#: Names of terms by agent.
+TermNames: TypeAlias = Mapping[str, Iterable[str]]
 
 #: Distance beyond which the term `clearance` is 0 (m).
 CLEARANCE_MARGIN = 0.1
@@ -75,7 +78,7 @@ class Steps:
 
     Attributes:
         states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
-        state: Whole state after the step, see `WeightedTerms`.
+        state: Whole state after the step, see `StepData`.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         gamma: Discount factor of the shaping terms.
@@ -240,52 +243,68 @@ SHAPED = TermWeights(
 REWARDS = {"sparse": SPARSE, "shaped": SHAPED}
 
 
-class WeightedTerms:
-    """Weighted reward terms of both agents in n episodes, on arrays with the episode as first axis.
+@dataclass(frozen=True, eq=False)
+class StepData:
+    """Data of r episodes after a control step, read only if a reward depends on them.
 
-    The argument `state` of methods has arrays (r, ...): the giver's observation, and `grasped` (r,), whether both
-    fingers of the robot touch the object, `object_force` and `hand_force` (r,), the forces of the robot on both (N).
+    Attributes:
+        status: Bits (r,) of `EpisodeStatus`.
+        read_state: Function from whether forces are needed to arrays (r, ...): the giver's observation, `grasped` (r,),
+            whether both fingers of the robot touch the object, and `object_force` and `hand_force` (r,), the forces of
+            the robot on both (N).
+        read_transitions: Function that returns the r transitions.
+    """
+
+    status: AnyArray
+    read_state: Callable[[bool], Mapping[str, AnyArray]]
+    read_transitions: Callable[[], Sequence[Transition]]
+
+
+class RewardSource(ABC):
+    """Reward terms of both agents in n episodes, as arrays with the episode as first axis."""
+
+    @abstractmethod
+    def start(self, rows: AnyIndices, step: StepData) -> TermNames:
+        """Start episodes `rows` (r,), in whose transitions nothing moves; return the names of the terms."""
+
+    @abstractmethod
+    def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
+        """Return the values (r,) of the terms of a control step of episodes `rows` (r,), by agent and name."""
+
+
+class WeightedRewardSource(RewardSource):
+    """Weighted terms of the library.
 
     Args:
         weights: Weights of the terms.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         count: Number n of episodes.
         arrays: Creator of the arrays.
-
-    Attributes:
-        weights: Weights by agent and name.
-        needs_state: Whether a term depends on the state; if not, `state` may be empty.
-        needs_forces: Whether a term depends on forces; if not, `state` may lack them.
     """
 
     def __init__(self, weights: TermWeights, goal: tuple[float, ...], count: int, arrays: ArrayFactory) -> None:
-        self.weights: dict[str, Mapping[str, float]] = {agent: getattr(weights, agent) for agent in AGENTS}
-        self._names = {name for own in self.weights.values() for name in own}
-        self.needs_state, self.needs_forces = bool(self._names - _OUTCOMES), bool(self._names & _FORCES)
+        self._weights: dict[str, Mapping[str, float]] = {agent: getattr(weights, agent) for agent in AGENTS}
+        self._names = {name for own in self._weights.values() for name in own}
+        self._needs_state, self._needs_forces = bool(self._names - _OUTCOMES), bool(self._names & _FORCES)
         self._xp, self._goal, self._gamma = arrays.xp, arrays.asarray(goal, "float64"), weights.gamma
         self._states = arrays.full((count, _COUNT, _SIZE), math.nan)
 
-    def start(self, rows: AnyIndices, state: Mapping[str, AnyArray]) -> None:
-        """Start episodes `rows` (r,) in a state."""
-        if self.needs_state:
+    def start(self, rows: AnyIndices, step: StepData) -> TermNames:
+        """Start episodes; see `RewardSource.start`."""
+        if self._needs_state:
             self._states[rows] = math.nan
-            self._states[rows, -1] = self._summarize(state)
+            self._states[rows, -1] = self._summarize(step.read_state(self._needs_forces))
+        return self._weights
 
-    def compute(self, rows: AnyIndices, status: AnyArray, state: Mapping[str, AnyArray]) -> dict[str, ArrayTerms]:
-        """Return the weighted terms of a control step by agent, and store the states after it.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            status: Bits (r,) of `EpisodeStatus` after the step.
-            state: State after the step.
-        """
-        states = self._states[rows]
-        if self.needs_state:
+    def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
+        """Return the values of the terms; see `RewardSource.compute`."""
+        states, state = self._states[rows], step.read_state(self._needs_forces) if self._needs_state else {}
+        if self._needs_state:
             states = self._xp.concat([states[:, 1:], self._summarize(state)[:, None]], axis=1)
             self._states[rows] = states
-        steps = Steps(states, state, status, self._goal, self._gamma)
+        steps = Steps(states, state, step.status, self._goal, self._gamma)
         values = {name: TERMS[name](steps) for name in self._names}
-        return {agent: {name: own[name] * values[name] for name in own} for agent, own in self.weights.items()}
+        return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
         """Return the stored part (r, 19) of a state, float64."""

@@ -89,10 +89,10 @@ class TransitionRecorder:
             observations: First observations by agent.
             infos: First infos by agent.
         """
-        start = self._last = copy_read_only(observations)
+        start = self._last = {agent: copy_read_only(own) for agent, own in observations.items()}
         self._step = 0
         joints = start[RECEIVER]["robot_joint_position"].astype(np.float32)
-        actions = copy_read_only({"": {GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints}})[""]
+        actions = copy_read_only({GIVER: np.zeros(8, dtype=np.float32), RECEIVER: joints})
         return Transition(start, start, actions, infos, self._control_period)
 
     def record(
@@ -106,19 +106,15 @@ class TransitionRecorder:
             outcome: Fields `infos`, `contacts`, `status`, `terminated` and `truncated` of the
                 transition.
         """
-        before, after = self._last, copy_read_only(observations)
+        before, after = self._last, {agent: copy_read_only(own) for agent, own in observations.items()}
         duration = float(after[GIVER]["time"][0]) - float(before[GIVER]["time"][0])
         step, self._last, self._step = self._step, after, self._step + 1
-        return Transition(
-            before, after, copy_read_only({"": actions})[""], duration=round(duration, 3), step=step, **outcome
-        )
+        return Transition(before, after, copy_read_only(actions), duration=round(duration, 3), step=step, **outcome)
 
 
-def copy_read_only(observations: Mapping[str, Mapping[str, npt.NDArray[Any]]]) -> dict[str, dict[str, Any]]:
-    """Return read-only copies of all arrays of a mapping by agent and key."""
-    copies: dict[str, dict[str, Any]] = {}
-    for agent, arrays in observations.items():
-        own = copies[agent] = {key: value.copy() for key, value in arrays.items()}
-        for value in own.values():
-            value.setflags(write=False)
+def copy_read_only(arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Return read-only copies of arrays by key."""
+    copies = {key: value.copy() for key, value in arrays.items()}
+    for value in copies.values():
+        value.setflags(write=False)
     return copies

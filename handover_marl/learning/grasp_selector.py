@@ -13,7 +13,7 @@ from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, ArrayFactory, 
 from handover_marl.geometry.panda import HALF_TURN
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, rotate_points
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary, GraspTable
+from handover_marl.receivers.grasp_library import GraspTable, load_hand_poses
 
 Array = npt.NDArray[np.float64]
 
@@ -170,7 +170,7 @@ def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
 @functools.lru_cache(maxsize=1024)
 def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
     """Return hand link poses (n, 7) and z axes (n, 3) of a class's grasps and their half turns, in its frame."""
-    poses = GraspLibrary(context.grasps).get_hand_poses_in_object(context.object_names[object_class])
+    poses = load_hand_poses(context.grasps, context.object_names[object_class])
     if poses is None:
         return None
     poses = np.concatenate([poses, compose(poses, np.array(HALF_TURN))])

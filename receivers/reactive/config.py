@@ -9,7 +9,7 @@ from handover_marl.errors import OptionError
 from handover_marl.planning.arm_control import ServoConfig
 from handover_marl.planning.collision_avoidance import SeparationConfig
 from handover_marl.planning.handover_prediction import HandoverPosePredictorConfig
-from handover_marl.receivers.reactive.grasps import GraspOffsets, GraspPreparationConfig, make_quick_preparation_config
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
 
 #: Limits of control periods (s).
 PERIODS = (0.001, 60.0)
@@ -59,7 +59,6 @@ class ApproachConfig(CheckedConfig):
         close_speed: Maximum speed of the object at which the fingers close (m/s), relative to the
             gripper if the object is held almost still in the air.
         close_period: Control period while the fingers close (s).
-        empty_finger_position: Finger position below which the fingers hold nothing (m).
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
@@ -72,7 +71,6 @@ class ApproachConfig(CheckedConfig):
     max_held_still_speed: float = 0.6
     close_speed: float = 0.08
     close_period: float = bounded(0.01, *PERIODS)
-    empty_finger_position: float = 0.0015
 
 
 @dataclass(frozen=True)
@@ -80,23 +78,14 @@ class RetreatConfig(CheckedConfig):
     """Configuration of the retreat with the object to the goal.
 
     Attributes:
-        backout_distance: Length of the straight path out of the person's hand, on which the motion
-            blends into the one to the goal (m).
         speed: Maximum speed of the gripper on the straight path (m/s).
         acceleration: Acceleration of the gripper on the straight path (m/s^2).
-        goal_radius: Maximum distance of the hand's final position from the goal (m).
-        desired_clearance: Desired clearance to the person's hand on the path to the goal (m).
-        progress_ratio: Ratio of the remaining joint distance to its last value below which the arm makes progress.
     """
 
     default_limits: ClassVar[tuple[float, float]] = (0.0, math.inf)
 
-    backout_distance: float = 0.05
     speed: float = 0.8
     acceleration: float = 6.0
-    goal_radius: float = 0.12
-    desired_clearance: float = 0.02
-    progress_ratio: float = bounded(0.95, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -109,15 +98,10 @@ class ReactiveConfig(CheckedConfig):
         min_lift: Distance from its first position at which an object counts as handed over (m).
         n_surface_spheres: Number of spheres that approximate an object.
         surface_radius: Radius of the spheres that approximate an object (m).
-        n_obstacle_spheres: Number of spheres that approximate another object.
-        obstacle_radius: Radius of the spheres that approximate another object (m).
         n_surface_points: Number of random points on an object's surface from which finger contacts
             are computed, in addition to the vertices of the mesh.
         selection: Configuration of grasp selection.
-        offsets: Offsets of additional copies of grasps.
         preparation: Configuration of tilted copies and of the validation of known grasps.
-        quick_preparation: Configuration used instead for objects without a stored validation in data
-            sets with very many objects.
         approach: Configuration of the approach and of closing the fingers.
         retreat: Configuration of the retreat to the goal.
         separation: Minimum clearances to the person, the object and the table.
@@ -132,13 +116,9 @@ class ReactiveConfig(CheckedConfig):
     min_lift: float = 0.04
     n_surface_spheres: int = bounded(200, 1)
     surface_radius: float = 0.01
-    n_obstacle_spheres: int = bounded(80, 1)
-    obstacle_radius: float = 0.015
     n_surface_points: int = 5000
     selection: GraspSelectorConfig = GraspSelectorConfig()
-    offsets: GraspOffsets = field(default_factory=GraspOffsets)
     preparation: GraspPreparationConfig = field(default_factory=GraspPreparationConfig)
-    quick_preparation: GraspPreparationConfig = field(default_factory=make_quick_preparation_config)
     approach: ApproachConfig = ApproachConfig()
     retreat: RetreatConfig = RetreatConfig()
     separation: SeparationConfig = field(default_factory=SeparationConfig)

@@ -146,8 +146,7 @@ class HandoverController:
             )
             return self._carry(self._retreat)
         since = scene.time - self._phase_start
-        is_empty = float(scene.fingers.max()) < config.empty_finger_position
-        if since > _CLOSE_TIMEOUT or (since > _EMPTY_DELAY and is_empty):
+        if since > _CLOSE_TIMEOUT or (since > _EMPTY_DELAY and scene.are_fingers_closed):
             return self._start_backing_out()
         # Follows the person's hand rather than the object, which the fingers push.
         period = config.close_period

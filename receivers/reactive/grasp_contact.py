@@ -14,10 +14,10 @@ from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.planning.clearance import Spheres, compute_flange_clearances, sample_surface_spheres
 from handover_marl.policies.policy import PolicyContext
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
 from handover_marl.receivers.reactive.grasp_validation import has_validation_record, validate_grasps
-from handover_marl.receivers.reactive.grasps import ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasps import QUICK_PREPARATION, ValidatedGrasps, perturb_grasps
 
 Array = npt.NDArray[np.float64]
 
@@ -29,6 +29,8 @@ _TIP_Z, _HALF_WIDTH, _ROOT_Z, _OPEN_Y = 0.1126, 0.0105, 0.058, 0.041
 _UNSTABLE_COST, _FINGERTIP_COST, _DESIRED_PAD_MARGIN = 5.0, 4.0, 0.008
 # Minimum distance of an offset grasp's contacts from the tip and edges of a finger pad (m).
 _MIN_OFFSET_PAD_MARGIN = 0.004
+# Number of the spheres that approximate an object besides the grasped one, and their radius (m).
+_N_OBSTACLE_SPHERES, OBSTACLE_RADIUS = 80, 0.015
 # Depth behind the first contact up to which surface points are touched by a soft pad (m).
 _PAD_SOFTNESS = 0.0015
 
@@ -63,14 +65,14 @@ def load_graspable_object(
     Raises:
         SimulationError: A model cannot be loaded.
     """
-    urdf, known = context.object_urdf(object_name), GraspLibrary(context.grasps).get_hand_poses_in_object(object_name)
+    urdf, known = context.object_urdf(object_name), load_hand_poses(context.grasps, object_name)
     grasps = (
         ValidatedGrasps(np.zeros((0, 7)), np.zeros(0)) if known is None else ValidatedGrasps(known, np.ones(len(known)))
     )
     if known is not None and validated:
         preparation = config.preparation
         if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, preparation):
-            preparation = config.quick_preparation
+            preparation = QUICK_PREPARATION
         grasps = validate_grasps(urdf, context.panda_urdf, known, preparation)
     vertices, faces = read_collision_mesh(urdf)
     surface = sample_surface_spheres(vertices, faces, config.n_surface_spheres, config.surface_radius)
@@ -81,21 +83,21 @@ def load_graspable_object(
 
 
 @functools.lru_cache(maxsize=64)
-def load_obstacle(context: PolicyContext, object_name: str, config: ReactiveConfig) -> Spheres:
+def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
     """Load few spheres at the surface of an object class, in its own frame; cached.
 
     Raises:
         SimulationError: The model cannot be loaded.
     """
     vertices, faces = read_collision_mesh(context.object_urdf(object_name))
-    return sample_surface_spheres(vertices, faces, config.n_obstacle_spheres, config.obstacle_radius)
+    return sample_surface_spheres(vertices, faces, _N_OBSTACLE_SPHERES, OBSTACLE_RADIUS)
 
 
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
     """Return offset copies of an object's grasps beside a person's hand in its frame, and their pad margins (n,)."""
-    offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff, config.offsets)
+    offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)
     kept = margins > _MIN_OFFSET_PAD_MARGIN
     return offset.select(kept), margins[kept]

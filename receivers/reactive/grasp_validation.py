@@ -23,9 +23,11 @@ from handover_marl.execution.files import wait_for_lock
 from handover_marl.execution.reading import read_plain_file
 from handover_marl.geometry.array_cache import get_cache_path, load_cached_arrays, save_cached_arrays
 from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES
-from handover_marl.geometry.panda import GRIPPER_FROM_HAND
+from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.receivers.reactive.grasps import (
+    MIN_DISTANCE,
+    ROTATION_WEIGHT,
     GraspPreparationConfig,
     ValidatedGrasps,
     advance_grasp,
@@ -34,7 +36,6 @@ from handover_marl.receivers.reactive.grasps import (
     tilt_grasps,
 )
 from handover_marl.simulation.engines import make_grasp_validator
-from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
 if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
@@ -43,7 +44,9 @@ Array = npt.NDArray[np.float64]
 
 # Increased whenever the same files lead to other grasps.
 _VERSION = 3
-_KIND, _DESCRIPTION = "grasp_validations", "record of validated grasps"
+_DESCRIPTION = "record of validated grasps"
+# Distance beyond an advance in which the open gripper must not collide with the object (m).
+_MIN_ADVANCE_CLEARANCE = 0.004
 _HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
 
 _log = logging.getLogger(__name__)
@@ -75,21 +78,18 @@ def get_validation_record(
     shipped = load_validation_record(path.stem)
     if shipped is not None:
         return shipped
-    cached = _load_record(path, known, config)
-    if cached is not None:
-        return cached
-    shaken_path = _record_path(object_urdf, _shaking_key(config), known)
+    name = object_urdf.parent.name
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
     # Workers that start at once need the same record: one makes it, and the others read its file.
-    with _lock_record(shaken_path, object_urdf):
-        cached = _load_record(path, known, config)
+    with wait_for_lock(
+        path.with_suffix(".lock"), lambda: _log.warning("waiting for the process that validates the grasps of %s", name)
+    ):
+        cached = load_cached_arrays(path, ("record",), _DESCRIPTION)
         if cached is not None:
-            return cached
-        _log.warning("validating the grasps of %s, once; this takes a minute or two", object_urdf.parent.name)
-        shaken = _load_record(shaken_path, known, config)
-        if shaken is None:
-            shaken = _shake_grasps(object_urdf, known, config)
-            save_cached_arrays(shaken_path, {"record": shaken}, _DESCRIPTION)
-        record = _release_grasps(object_urdf, panda_urdf, shaken, known, config)
+            return cached["record"]
+        _log.warning("validating the grasps of %s, once; this takes a minute or two", name)
+        record = _simulate_grasps(object_urdf, panda_urdf, known, config)
         save_cached_arrays(path, {"record": record}, _DESCRIPTION)
         return record
 
@@ -107,96 +107,50 @@ def get_validation_record_path(
     # The fingers of another robot have another mass and friction; the folder of its meshes has no
     # influence on the outcome.
     robot = re.sub(rb'filename="[^"]*/', b'filename="', read_plain_file(panda_urdf, MAX_URDF_BYTES))
-    return _record_path(object_urdf, _preparation_key(config), known, robot)
-
-
-def _validation_key(config: GraspValidationConfig) -> str:
-    """Return the text by which records identify a validation; shipped records depend on it."""
-    return (
-        f"TrialConfig(close_time={config.close_time}, shake_time={config.shake_time}, "
-        f"acceleration={config.acceleration}, max_shift={config.max_translation}, "
-        f"max_turn={config.max_rotation}, backoffs={config.standoff_distances})"
-    )
-
-
-def _preparation_key(config: GraspPreparationConfig) -> str:
-    """Return the text by which records identify a configuration; shipped records depend on it."""
-    return (
-        f"GraspTrials(tilts={config.tilts}, pads={config.pad_distance}, apart={config.min_distance}, "
-        f"arm={config.rotation_weight}, most={config.max_copies}, aside={config.lateral_offsets}, "
-        f"deeper={config.advances}, spare={config.min_advance_clearance}, "
-        f"held_time={config.held_time}, free_time={config.free_time}, slip={config.max_slip}, "
-        f"around={config.release_offsets}, trial={_validation_key(config.validation)})"
-    )
-
-
-def _shaking_key(config: GraspPreparationConfig) -> str:
-    """Return the text that identifies the first half of a validation, which any robot shares."""
-    return (
-        f"{config.tilts} {config.pad_distance} {config.min_distance} {config.rotation_weight} "
-        f"{config.max_copies} {config.lateral_offsets} {_validation_key(config.validation)}"
-    )
-
-
-def _record_path(object_urdf: Path, key: str, known: Array, *more: bytes) -> Path:
+    key = f"{_VERSION} {_make_preparation_key(config)}".encode()
     rounded = np.round(known, 6).astype(np.float32).tobytes()
-    return get_cache_path(_KIND, object_urdf, f"{_VERSION} {key}".encode(), rounded, *more)
+    return get_cache_path("grasp_validations", object_urdf, key, rounded, robot)
 
 
-def _lock_record(path: Path, object_urdf: Path) -> contextlib.AbstractContextManager[None]:
-    """Return the lock of a cache file that is about to be made, for a `with` statement."""
-    with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    name = object_urdf.parent.name
-    return wait_for_lock(
-        path.with_suffix(".lock"), lambda: _log.warning("waiting for the process that validates the grasps of %s", name)
+def _make_preparation_key(config: GraspPreparationConfig) -> str:
+    """Return the text by which records identify a configuration; shipped records depend on it."""
+    conditions = config.validation
+    return (
+        f"GraspTrials(tilts={config.tilts}, pads={PAD_DISTANCE}, apart={MIN_DISTANCE}, "
+        f"arm={ROTATION_WEIGHT}, most={config.max_copies}, aside={config.lateral_offsets}, "
+        f"deeper={config.advances}, spare={_MIN_ADVANCE_CLEARANCE}, "
+        f"held_time={config.held_time}, free_time={config.free_time}, slip={config.max_slip}, "
+        f"around={config.release_offsets}, trial=TrialConfig(close_time={conditions.close_time}, "
+        f"shake_time={conditions.shake_time}, acceleration={conditions.acceleration}, "
+        f"max_shift={conditions.max_translation}, max_turn={conditions.max_rotation}, "
+        f"backoffs={conditions.standoff_distances}))"
     )
 
 
-def _load_record(path: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord | None:
-    """Return the record of a cache file; None if there is no valid one."""
-    cached = load_cached_arrays(path, ("record",), _DESCRIPTION)
-    if cached is None:
-        return None
-    try:
-        grasps_from_record(cached["record"], known, config)
-        return cached["record"].astype(np.int16)
-    except (ValueError, TypeError):
-        _log.warning("%s: no valid %s; making it again", path, _DESCRIPTION)
-        return None
-
-
-def _shake_grasps(object_urdf: Path, known: Array, config: GraspPreparationConfig) -> ValidationRecord:
-    """Simulate which grasps and copies are stable; the last two columns of the record stay 0."""
+def _simulate_grasps(
+    object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
+) -> ValidationRecord:
+    """Simulate which grasps and copies are stable, how deep each can go and whether it keeps the object on release."""
     validator = make_grasp_validator(object_urdf, config.validation)
-    rows = [(-1, _count_stable(validator, pose, config), 0, 0) for pose in known]
+    rows = [[-1, _count_stable(validator, pose, config), 0, 0] for pose in known]
     poses = known
     for number, pose in enumerate(tilt_grasps(known, config)):
         if len(poses) == len(known) + config.max_copies:
             break
-        is_known = (compute_grasp_distances(pose, poses, config.rotation_weight) < config.min_distance).any()
+        is_known = (compute_grasp_distances(pose, poses) < MIN_DISTANCE).any()
         if is_known or not validator.is_collision_free(_gripper_matrix(pose)):
             continue
         n_stable = _count_stable(validator, pose, config)
         if n_stable:
             poses = np.concatenate([poses, pose[None]])
-            rows.append((number, n_stable, 0, 0))
-    record: ValidationRecord = np.array(rows, dtype=np.int16).reshape(-1, 4)
-    return record
-
-
-def _release_grasps(
-    object_urdf: Path, panda_urdf: Path, shaken: ValidationRecord, known: Array, config: GraspPreparationConfig
-) -> ValidationRecord:
-    """Simulate how deep each grasp can go and whether it keeps the object on release."""
-    record: ValidationRecord = shaken.copy()
-    poses = grasps_from_record(shaken, known, config).poses
+            rows.append([number, n_stable, 0, 0])
     validator = make_grasp_validator(object_urdf, config.validation, panda_urdf)
-    for row, pose in zip(record, poses, strict=True):
+    for row, pose in zip(rows, poses, strict=True):
         row[2] = _find_advance(validator, pose, config)
         if row[1]:
             deepest = advance_grasp(pose, config.advances[row[2] - 1]) if row[2] else pose
             row[3] = _count_kept(validator, deepest, config)
+    record: ValidationRecord = np.array(rows, dtype=np.int16)
     return record
 
 
@@ -211,7 +165,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
     """Return the index from 1 of the first advance without collision, 0 if all collide."""
     for number, distance in enumerate(config.advances, start=1):
-        deeper = advance_grasp(pose, distance + config.min_advance_clearance)
+        deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):
             return number
     return 0

@@ -53,7 +53,7 @@ class ReactiveReceiver(ControllerReceiver):
         for name in object_names[:1]:
             load_graspable_object(self.context, name, self.config)
         for name in object_names[1:]:
-            load_obstacle(self.context, name, self.config)
+            load_obstacle(self.context, name)
 
     def reset(self, seed: int | None = None) -> None:
         """Start an episode; the receiver is deterministic."""
@@ -61,7 +61,7 @@ class ReactiveReceiver(ControllerReceiver):
         self._scene = PoseSceneEstimate(
             self.arm,
             self.config,
-            lambda name: load_obstacle(self.context, name, self.config),
+            lambda name: load_obstacle(self.context, name),
             self.context.object_names,
         )
         self.start_episode(self._scene)

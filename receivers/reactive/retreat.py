@@ -29,13 +29,19 @@ _ROTATION_SHARES = (0.0, 0.25, 0.5, 1.0)
 _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
 # The same for other objects, which may be narrow.
 _OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
+# Length of the straight path out of the person's hand, on which the motion blends into the one to the goal, and maximum
+# distance of the hand's final position from the goal (m).
+_BACKOUT_DISTANCE, _GOAL_RADIUS = 0.05, 0.12
+#: Desired clearance to the person's hand on the path to the goal (m).
+DESIRED_CLEARANCE = 0.02
 # Gain (1/s) and weight (m/rad) of rotations on the straight path out of the hand, and maximum time on it (s).
 _ROTATION_GAIN, _ROTATION_WEIGHT, _BACKOUT_TIMEOUT = 2.0, 0.1, 0.4
 # Number of final configurations whose paths are checked, and minimum joint difference between a newly selected one and
 # all previous ones (rad).
 _MAX_PATH_CHECKS, _MIN_JOINT_DIFFERENCE = 40, 0.5
-# Time without progress after which another final configuration is selected (s), and joint error of one that is reached.
-_STALL_TIMEOUT, _JOINT_TOLERANCE = 0.6, 0.05
+# Time without progress after which another final configuration is selected (s), joint error of one that is reached
+# (rad), and share of its last value below which the remaining joint error counts as progress.
+_STALL_TIMEOUT, _JOINT_TOLERANCE, _PROGRESS_RATIO = 0.6, 0.05, 0.95
 # Radii of column, upper arm and forearm, the lines between base, shoulder, elbow and wrist (m).
 _LINK_RADII = np.array([0.1, 0.09, 0.075])
 _SPHERES_PER_LINK = 6
@@ -88,7 +94,7 @@ class RetreatController:
         config, period = self._config, self._servo.period
         self._started_at = time if self._started_at is None else self._started_at
         distance = float((gripper_pose[:3] - self._start[:3]) @ self._back)
-        progress = max(distance / config.backout_distance, (time - self._started_at) / _BACKOUT_TIMEOUT)
+        progress = max(distance / _BACKOUT_DISTANCE, (time - self._started_at) / _BACKOUT_TIMEOUT)
         self._blend = float(np.clip(progress, self._blend, 1.0))
         self._speed = min(config.speed, self._speed + config.acceleration * period)
         to_end = self._servo.limit_speed(self._servo.compute_goal_velocity(joints, self._end))
@@ -100,7 +106,7 @@ class RetreatController:
         return np.asarray((1.0 - self._blend) * out + self._blend * to_end)
 
     def _is_stalled(self, time: float, remaining: float) -> bool:
-        if remaining < self._config.progress_ratio * self._remaining or remaining < _JOINT_TOLERANCE:
+        if remaining < _PROGRESS_RATIO * self._remaining or remaining < _JOINT_TOLERANCE:
             self._remaining, self._remaining_at = remaining, time
         return time - self._remaining_at > _STALL_TIMEOUT
 
@@ -121,7 +127,7 @@ class RetreatController:
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
-        positions = self._goal + self._config.goal_radius * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])
+        positions = self._goal + _GOAL_RADIUS * np.concatenate([np.zeros((1, 3)), _DIRECTIONS])
         poses = np.array([[*position, *rotation] for position in positions for rotation in rotations])
         seeds = np.concatenate([joints[None], IK_SEEDS])
         all_poses, all_seeds = np.tile(poses, (len(seeds), 1)), np.repeat(seeds, len(poses), axis=0)
@@ -139,7 +145,7 @@ class RetreatController:
             return True
         hands = self._arm.compute_hand_poses(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
         clearances = compute_grasp_clearances(hands, self._person)
-        return bool(clearances[1:].min() > min(float(clearances[0]), self._config.desired_clearance))
+        return bool(clearances[1:].min() > min(float(clearances[0]), DESIRED_CLEARANCE))
 
     def _is_clear_of_obstacles(self, joints: Array, goal: Array) -> bool:
         """Return whether arm and held object keep clear of the other objects on the straight path."""

@@ -31,7 +31,8 @@ _NEAR_DISTANCE, _NEAR_SPEED = 0.3, 0.1
 _SETTLE_TIME, _STILL_TIME, _STILL_START, _NO_HAND_START = 0.2, 0.6, 1.5, 3.0
 # Distance of the nearest keypoint of a hand that is beside the object, and of objects from the base within reach (m).
 _HAND_DISTANCE, _OBSTACLE_REACH = 0.15, 1.1
-_MIN_OPENING = 1e-4  # m
+# Smallest opening of which a share is closed, and finger position below which the fingers hold nothing (m).
+_MIN_OPENING, _EMPTY_FINGER_POSITION = 1e-4, 0.0015
 
 
 class SceneEstimate(ABC):
@@ -115,6 +116,11 @@ class SceneEstimate(ABC):
     def is_lost(self) -> bool:
         """Whether the object has been out of sight for too long and must be searched for."""
         return False
+
+    @property
+    def are_fingers_closed(self) -> bool:
+        """Whether the fingers are closed so far that no object is between them."""
+        return float(self.fingers.max()) < _EMPTY_FINGER_POSITION
 
     @property
     def has_empty_fingers(self) -> bool:

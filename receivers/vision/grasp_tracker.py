@@ -97,16 +97,12 @@ class PointMap:
 class PositionFilter:
     """Filter of an object's position and velocity in the world (g-h filter).
 
-    Args:
-        velocity_decay: Share of the velocity that is lost at each update without a measurement.
-
     Attributes:
         position: (3,) estimated position (m), None before the first measurement.
         velocity: (3,) estimated velocity (m/s).
     """
 
-    def __init__(self, velocity_decay: float) -> None:
-        self._velocity_decay = velocity_decay
+    def __init__(self) -> None:
         self.position: Array | None = None
         self.velocity = np.zeros(3)
         self._time = 0.0
@@ -135,7 +131,7 @@ class PositionFilter:
     def coast(self, time: float) -> None:
         """Advance the estimate to a time (s) without a measurement; the velocity decays."""
         if self.position is not None and time > self._time:
-            self.velocity = (1.0 - self._velocity_decay) * self.velocity
+            self.velocity = (1.0 - _VELOCITY_DECAY) * self.velocity
             self.position = self.position + (time - self._time) * self.velocity
             self._time = time
 
@@ -154,16 +150,16 @@ class Keyframe:
         offsets = self._points[neighbors] - self._points[neighbors].mean(axis=1, keepdims=True)
         self._normals: Array = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
-    def register(self, points: Array, max_distance: float) -> tuple[Array, float]:
+    def register(self, points: Array) -> tuple[Array, float]:
         """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of matches.
 
         Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the surface does
-        not constrain, such as along a plane, are zero. Matches are at most `max_distance` apart (m).
+        not constrain, such as along a plane, are zero.
         """
         translation, share = np.zeros(3), 0.0
         sampled = points[:: max(1, len(points) // _N_MATCHED)]
         for _ in range(_N_ITERATIONS):
-            distances, nearest = self._tree.query(sampled - translation, distance_upper_bound=max_distance)
+            distances, nearest = self._tree.query(sampled - translation, distance_upper_bound=_MAX_MATCH_DISTANCE)
             is_matched = np.isfinite(distances)
             share = float(is_matched.mean())
             if is_matched.sum() < _MIN_MATCHES:
@@ -211,7 +207,7 @@ class GraspTracker:
 
     def _restart(self) -> None:
         """Forget the object's motion, the points and the selected grasp."""
-        self.position = PositionFilter(_VELOCITY_DECAY)
+        self.position = PositionFilter()
         self._object_map = PointMap(_VOXEL_SIZE, _OBJECT_MEMORY)
         self._hand_map = PointMap(_VOXEL_SIZE, _HAND_MEMORY)
         self.selected = None
@@ -286,7 +282,7 @@ class GraspTracker:
         grasps[:, :3] -= self.object_pose[:3]
         costs = extra - COST_SCALE * np.log(quality[order])
         if self.use_all and len(grasps):
-            tilts = [make_offset_pose(tilt, 0.0, 0.0, PAD_DISTANCE) for tilt in _TILTS]
+            tilts = [make_offset_pose(tilt) for tilt in _TILTS]
             grasps = np.concatenate([grasps, *(compose(grasps, tilt) for tilt in tilts)])
             costs = np.concatenate([costs, np.tile(costs + _TILT_COST, len(tilts))])
         return grasps, costs
@@ -319,7 +315,7 @@ class GraspTracker:
             self._keyframe = None
         elif self._keyframe is not None:
             predicted = self.position.predict(time)
-            translation, share = self._keyframe.register(cloud - predicted, _MAX_MATCH_DISTANCE)
+            translation, share = self._keyframe.register(cloud - predicted)
             error = float(np.linalg.norm(predicted + translation - center))
             has_strayed = error > _MAX_CENTER_ERROR and gains is not _FINAL_GAINS
             if share < _MIN_MATCHED_SHARE or has_strayed:

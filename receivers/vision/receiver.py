@@ -17,7 +17,7 @@ from handover_marl.execution.options import require_modules
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
 from handover_marl.receivers.reactive.config import ReactiveConfig, apply_risk
 from handover_marl.receivers.reactive.controller import ControllerReceiver
-from handover_marl.receivers.vision.grasp_predictor import GraspPredictor, load_grasp_predictor
+from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor
 from handover_marl.receivers.vision.grasp_tracker import GraspTracker
 from handover_marl.receivers.vision.scene_estimate import PointCloudSceneEstimate
 
@@ -33,7 +33,6 @@ class VisionReceiver(ControllerReceiver):
         risk: Trade-off between success rate (0) and speed (1).
         weights: Weight file of a grasp network; default: the file that ships for the setup, that of s0
             for setups of other data.
-        grasp_predictor: Function that predicts grasps, used instead of a weight file.
 
     Raises:
         OptionError: `wait` or `risk` is out of range, or PyTorch is missing.
@@ -46,15 +45,17 @@ class VisionReceiver(ControllerReceiver):
     obs_mode = SCENE_POINTCLOUD
 
     def __init__(
-        self,
-        context: PolicyContext,
-        wait: float = 0.0,
-        risk: float = 0.5,
-        weights: str | None = None,
-        grasp_predictor: GraspPredictor | None = None,
+        self, context: PolicyContext, wait: float = 0.0, risk: float = 0.5, weights: str | None = None
     ) -> None:
         super().__init__(context, wait, apply_risk(make_vision_reactive_config(), risk))
-        self._predictor, self._weights_hash = _make_predictor(weights, grasp_predictor, context.setup)
+        require_modules("receiver 'vision'", "train", "torch")
+        if weights == "":
+            raise OptionError(
+                "weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones"
+            )
+        self._predictor, self._weights_hash = load_grasp_predictor(
+            _find_shipped_weights(context.setup) if weights is None else weights
+        )
         self._label = self.name if weights is None else f"{self.name}@{self._weights_hash}"
         self._scene: PointCloudSceneEstimate | None = None
 
@@ -98,19 +99,7 @@ class VisionReceiver(ControllerReceiver):
         tracker.use_all = has_no_grasp and is_settled
 
 
-def _make_predictor(weights: str | None, predictor: GraspPredictor | None, setup: str) -> tuple[GraspPredictor, str]:
-    """Return the grasp predictor, and the hash of its weights if it has any."""
-    if predictor is not None:
-        if weights is not None:
-            raise OptionError("receiver 'vision' takes either weights or a grasp_predictor, not both")
-        return predictor, ""
-    require_modules("receiver 'vision'", "train", "torch")
-    if weights == "":
-        raise OptionError("weights of receiver 'vision' must name a file, got ''; leave it out for the shipped ones")
-    return load_grasp_predictor(_shipped_weights(setup) if weights is None else weights)
-
-
-def _shipped_weights(setup: str) -> Path:
+def _find_shipped_weights(setup: str) -> Path:
     # Setups of other data than the official ones have no weights of their own.
     path = find_vision_weights(setup if setup in SETUPS else SETUPS[0])
     if not path.is_file():

@@ -9,6 +9,7 @@ from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import OBSTACLE_RADIUS
 from handover_marl.receivers.reactive.scene_estimate import SceneEstimate
 from handover_marl.receivers.vision.grasp_tracker import LOST_TIMEOUT, GraspTracker, PointMap
 
@@ -102,8 +103,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         if moved > _FINGER_REST_DISTANCE or self.has_empty_fingers:
             self._moved_at = self.time
         is_late = self.time - closing_since > _RELEASE_TIMEOUT
-        is_holding = float(self.fingers.max()) > self.config.approach.empty_finger_position
-        return (is_late and is_holding) or self.time - self._moved_at > _RELEASE_DELAY
+        return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
         """Keep the estimate of an object at rest for longer if paths lead around other objects."""
@@ -115,7 +115,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         """Add visible points (n, 3) of the other objects, which do not move, in the hand link's frame (m)."""
         self._obstacle_map.update(self.time, transform_points(self.gripper_pose, points), forget=False)
         centers = self._obstacle_map.points
-        self.set_obstacles(Spheres(centers, np.full(len(centers), self.config.obstacle_radius)))
+        self.set_obstacles(Spheres(centers, np.full(len(centers), OBSTACLE_RADIUS)))
 
     @property
     def is_lost(self) -> bool:
@@ -128,7 +128,7 @@ class PointCloudSceneEstimate(SceneEstimate):
 
         The person may have kept the object, or the fingers may have lost it.
         """
-        return float(self.fingers.max()) < self.config.approach.empty_finger_position
+        return self.are_fingers_closed
 
     @property
     def is_offered(self) -> bool:

@@ -1,7 +1,6 @@
 """Tests of user-defined rewards: their transitions, checks and reports of their terms, and combinations."""
 
 import dataclasses
-import pickle
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -63,13 +62,7 @@ def returning(result: Any) -> Any:
     """Return a reward that gives well-formed terms at the start of an episode and `result` after every step."""
 
     class Mine:
-        calls = 0
-
-        def reset(self, transition: Transition) -> None:
-            self.calls = 0
-
         def __call__(self, transition: Transition) -> Any:
-            self.calls += 1
             return result if transition.next_state["time"][0] > 0 else {"receiver": {"near": 0.0}, "giver": {}}
 
     return Mine()
@@ -106,19 +99,7 @@ def test_a_transition_describes_the_step(make: Make) -> None:
 
 
 def test_transitions_cannot_be_changed(make: Make) -> None:
-    def write(transition: Transition) -> dict[str, dict[str, float]]:
-        for arrays in (*transition.observations.values(), *transition.next_observations.values(), transition.actions):
-            for value in arrays.values():
-                with pytest.raises(ValueError, match="read-only"):
-                    value[0] = 1.0
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            transition.duration = 1.0  # type: ignore[misc]
-        return {}
-
-    rollout(make(write), 1)
-
-
-def test_an_agent_that_writes_into_its_observation_changes_no_transition(make: Make) -> None:
+    """Neither the reward nor an agent that writes into its observation can change a transition."""
     kept: list[Transition] = []
     env = make(lambda transition: kept.append(transition) or {})  # type: ignore[func-returns-value]
     observations, _ = env.reset(seed=0)
@@ -127,8 +108,12 @@ def test_an_agent_that_writes_into_its_observation_changes_no_transition(make: M
         for value in arrays.values():
             value[:] = 7.0
     env.step(actions())
-    np.testing.assert_array_equal(kept[-1].observations["receiver"]["gripper_pose"], expected)
-    np.testing.assert_array_equal(kept[-1].state["gripper_pose"], expected)
+    transition = kept[-1]
+    np.testing.assert_array_equal(transition.state["gripper_pose"], expected)
+    for arrays in (*transition.observations.values(), *transition.next_observations.values(), transition.actions):
+        for value in arrays.values():
+            with pytest.raises(ValueError, match="read-only"):
+                value[0] = 1.0
 
 
 def test_contacts_and_outcome_reach_the_reward(make: Make) -> None:
@@ -180,7 +165,6 @@ def test_memory_belongs_to_one_environment_and_one_episode(make: Make) -> None:
         assert first.step(actions())[1]["giver"] == 1.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("result", "message"),
     [
@@ -188,10 +172,7 @@ def test_memory_belongs_to_one_environment_and_one_episode(make: Make) -> None:
         ({"robot": {"near": 0.0}}, "must be a dict for giver and receiver, got {'robot'"),
         ({"receiver": 1.0}, "must be a dict for giver and receiver, got {'receiver': 1.0}"),
         ({"receiver": {"far": 0.0}}, "term 'far' of the receiver in reward '.*Mine' must be one of near"),
-        ({"giver": {"far": 0.0}}, "term 'far' of the giver in reward '.*Mine' must be one of none"),
-        ({"receiver": {"near": float("nan")}}, "term 'near' of the receiver .* must be finite, got nan"),
         ({"receiver": {"near": np.float32("inf")}}, "term 'near' of the receiver .* must be finite, got .*inf"),
-        ({"receiver": {"near": "1"}}, "term 'near' of the receiver .* must be a single number, got '1'"),
         ({"receiver": {"near": np.zeros(1)}}, "term 'near' of the receiver .* must be a single number, got array"),
     ],
 )
@@ -204,26 +185,13 @@ def test_wrong_terms_are_named(make: Make, result: Any, message: str) -> None:
         env.step(actions())
 
 
-@pytest.mark.parametrize("value", [1, True, np.float32(1.0), np.int64(1), np.array(1.0), np.bool_(True)])
-def test_numbers_of_any_kind_are_terms(make: Make, value: Any) -> None:
-    result = rollout(make(returning({"receiver": {"near": value}})), 1)[-1]
-    assert result[1]["receiver"] == 1.0
-    assert type(result[1]["receiver"]) is float
-    assert type(terms_of(result[-1], "receiver")["near"]) is float
-
-
-@pytest.mark.parametrize("first", [{"robot": {}}, ["receiver"], {"receiver": 3.0}, {"giver": "calm"}])
-def test_wrong_terms_are_reported_in_the_first_reset(make: Make, first: Any) -> None:
-    env = make(lambda transition: first)
+def test_failures_are_named_in_the_first_reset(make: Make) -> None:
     with pytest.raises(RewardError, match="must be a dict for giver and receiver, got"):
-        env.reset(seed=0)
-    with pytest.raises(ResetNeededError):
-        env.step(actions())
-
-
-def test_failures_are_named(make: Make) -> None:
+        make(lambda transition: {"giver": "calm"}).reset(seed=0)
     with pytest.raises(RewardError, match=r"reward '.*<lambda>' failed \(KeyError: 'nothing'\)"):
         make(lambda transition: transition.state["nothing"]).reset(seed=0)
+    with pytest.raises(RewardError, match="must have different names, got 'approach' of the receiver twice"):
+        make(combine_rewards(approach, approach)).reset(seed=0)
 
 
 def test_values_of_rewards() -> None:
@@ -249,9 +217,9 @@ def test_discounts_reach_the_shaping_terms() -> None:
 
 
 def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> None:
-    plain = rollout(make("shaped"), 12)
-    combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 12)
-    own = rollout(make(approach), 12)
+    plain = rollout(make("shaped"), 5)
+    combined = rollout(make(combine_rewards("shaped", (0.5, approach), TermWeights(giver={"time": -1.0}))), 5)
+    own = rollout(make(approach), 5)
     for one, both, mine in zip(plain, combined, own, strict=True):
         expected = terms_of(one[-1], "receiver") | {"approach": 0.5 * terms_of(mine[-1], "receiver")["approach"]}
         assert terms_of(both[-1], "receiver") == expected
@@ -260,37 +228,12 @@ def test_shaped_rewards_in_a_combination_are_the_shaped_rewards(make: Make) -> N
     assert any(result[1]["receiver"] != 0.0 for result in own[1:])
 
 
-def test_terms_of_a_combination_must_differ(make: Make) -> None:
-    with pytest.raises(RewardError, match="must have different names, got 'approach' of the receiver twice"):
-        make(combine_rewards(approach, approach)).reset(seed=0)
-
-
-def test_every_constructor_accepts_own_rewards(make: Make) -> None:
-    env = handover_marl.env(dataset="synthetic", physics="fast", rewards=approach)
-    env.reset(seed=0)
-    assert "reward/approach" in env.infos["receiver"]
-    env.close()
-    copy = pickle.loads(pickle.dumps(make(approach)))
-    assert copy.config.rewards is approach
-    alone = handover_marl.freeze(make(approach), "receiver", "replay")
-    encoded = handover_marl.encode(alone, api="gymnasium")
-    encoded.reset(seed=0)
-    _, reward, _, _, info = encoded.step(encoded.action_space.sample())
-    assert reward == info["reward/approach"] != 0.0
-
-
 @pytest.mark.parametrize("physics", ["fast", "mujoco"])
-@pytest.mark.parametrize(
-    "rewards",
-    [
-        combine_rewards(approach, Counter(), TermWeights({"gripper_jerk": -1.0})),
-        TermWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0)),
-    ],
-    ids=["combination", "terms"],
-)
-def test_vector_environments_have_the_rewards_of_single_ones(physics: str, rewards: Any, make: Make) -> None:
+def test_vector_environments_have_the_rewards_of_single_ones(physics: str, make: Make) -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
-    options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4, "rewards": rewards}
+    options: dict[str, Any] = {"physics": physics, "dataset": "synthetic", "max_cycles": 4}
+    weights = TermWeights(dict.fromkeys(TERMS, 0.5), dict.fromkeys(TERMS, -1.0))
+    options["rewards"] = combine_rewards(approach, Counter(), (0.5, weights))
     envs = handover_marl.vector_env(2, None, threads=1, **options)
     envs.reset(seed=5)
     still = {"giver": np.full((2, 8), 0.05, np.float32), "receiver": np.tile(START + np.float32(0.1), (2, 1))}

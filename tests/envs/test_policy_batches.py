@@ -11,9 +11,8 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.vector.policy_batches import PopulationBatch, make_policy_batch
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
-from handover_marl.policies.batch import ArrayPolicyBatch, HostPolicyBatch, PolicyBatch
+from handover_marl.policies.batch import HostPolicyBatch, PolicyBatch
 from handover_marl.policies.policy import Giver
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import write_population
@@ -37,15 +36,6 @@ class CountingGiver(Giver):
         action = np.zeros(8, dtype=np.float32)
         action[1:4] = 0.01 * self.count, 0.001 * (self.seed or 0), 0.01 * observation["time"][0]
         return action
-
-
-class InfiniteGiver(CountingGiver):
-    """Giver with a wrong action."""
-
-    name = "infinite"
-
-    def act(self, observation: Observation) -> np.ndarray:
-        return super().act(observation) + np.float32(np.inf)
 
 
 def make_batch(agent: str, policy: Any, arrays: ArrayFactory) -> PolicyBatch:
@@ -88,22 +78,8 @@ def test_policies_without_code_for_tensors_act_on_the_host(agent: str, policy: A
     assert type(arrays) is not HostPolicyBatch
 
 
-def test_givers_with_code_for_tensors_act_on_the_device() -> None:
-    assert [type(batch) for batch in compare("giver", "noisy")] == [ArrayPolicyBatch, ArrayPolicyBatch]
-
-
 def test_members_of_a_population_act_on_tensors(tmp_path: Path) -> None:
     path = os.fspath(write_population(tmp_path))
     for batch in compare("giver", ("population", {"population": path, "partners": "all"})):
         assert type(batch) is PopulationBatch
         assert len(np.unique(batch._numbers)) > 1
-
-
-def test_actions_on_the_host_are_checked() -> None:
-    with make_device_tensors() as tensors:
-        batch = make_batch("giver", InfiniteGiver, tensors)
-        for row in range(COUNT):
-            batch.reset(row, None, ("025_mug",))
-        rows = tensors.arange(COUNT)
-        with pytest.raises(ActionError, match="finite"):
-            batch.act(rows, make_observe_function(draw_observation(0), tensors), 0 * rows)

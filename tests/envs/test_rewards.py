@@ -1,6 +1,7 @@
 """Tests of reward terms: their formulas, with constructed states, and their weights."""
 
 import itertools
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -8,17 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import handover_marl
-from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
-from handover_marl.envs import handover_env, rewards
-from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, TermWeights, WeightedTerms
+from handover_marl.config import OFFICIAL_CONFIG
+from handover_marl.envs.rewards import SHAPED, SPARSE, TERMS, StepData, TermWeights, WeightedRewardSource
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory, is_tensor, to_numpy
+from tests.learning.array_encodings import COUNT, draw_observation
+from tests.tensors import make_device_tensors
 
 RUNNING, SUCCESS = EpisodeStatus.RUNNING, EpisodeStatus.SUCCESS
 GOAL = OFFICIAL_CONFIG.protocol.goal_center
-ROW = np.array([0])
 SHAPING = ("distance", "grasp", "goal")
 State = dict[str, np.ndarray]
 points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
@@ -65,14 +65,14 @@ class Rewards:
     """Weighted terms of one episode, as numbers; times of states count in steps of 0.1 s unless they are given."""
 
     def __init__(self, weights: TermWeights, start: State, goal: tuple[float, ...] = GOAL) -> None:
-        self._terms, self._steps = WeightedTerms(weights, goal, 1, NUMPY_ARRAYS), 0
-        self._terms.start(ROW, start)
+        self._source, self._steps = WeightedRewardSource(weights, goal, 1, NUMPY_ARRAYS), 0
+        self._source.start(ONLY_ROW, StepData(np.zeros(1, dtype=int), lambda _: start, list))
 
     def compute(self, now: State, status: EpisodeStatus = RUNNING, duration: float = 0.1) -> dict[str, Any]:
         self._steps += 1
         if now:
             now = {**now, "time": np.array([[0.1 * (self._steps - 1) + duration]])}
-        found = self._terms.compute(ROW, np.array([int(status)]), now)
+        found = self._source.compute(ONLY_ROW, StepData(np.array([int(status)]), lambda _: now, list))
         return {agent: {name: float(value[0]) for name, value in own.items()} for agent, own in found.items()}
 
 
@@ -129,19 +129,6 @@ def test_approaching_grasping_and_carrying_are_rewarded() -> None:
     assert grasped["goal"] > 0
 
 
-def test_the_goal_is_that_of_the_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
-    here, elsewhere = (0.1, 0.2, 1.3), (0.1, 0.2, 0.3)
-    there = situation(gripper=here, grasped=True)
-    near, far = (Rewards(SHAPED, situation(), goal).compute(there)["receiver"]["goal"] for goal in (here, elsewhere))
-    assert near == pytest.approx(0.5 * SHAPED.gamma)
-    assert near - far == pytest.approx(0.5 * SHAPED.gamma * 1.0)
-    goals = []
-    monkeypatch.setattr(handover_env, "make_reward_source", lambda rewards, goal: goals.append(goal))
-    config = WorldConfig(protocol=ProtocolConfig(goal_center=here))
-    handover_marl.parallel_env(dataset="synthetic", physics="fast", rewards="shaped", world_config=config)
-    assert goals == [here]
-
-
 def test_costs_of_the_giver() -> None:
     later = situation(deviation=(0.05, 0, 0, 0.3, 0, 0))
     values, weights = terms(SHAPED, situation(offered=True), later)["giver"], SHAPED.giver
@@ -150,8 +137,8 @@ def test_costs_of_the_giver() -> None:
     assert values["waiting"] == pytest.approx(weights["waiting"] * 0.1)
 
 
-@given(points, points)
-def test_paths_are_distances(first: Any, second: Any) -> None:
+def test_paths_are_distances() -> None:
+    first, second = (0.1, -0.4, 0.8), (-0.3, 0.2, 1.0)
     distance = float(np.linalg.norm(np.subtract(first, second)))
     assert value("gripper_path", situation(gripper=first), situation(gripper=second)) == pytest.approx(distance)
     found = value("hand_path", situation(wrist=first), situation(wrist=second))
@@ -197,36 +184,54 @@ def test_clearance_is_measured_from_the_gripper() -> None:
     assert value("clearance", situation(), turned) == pytest.approx(-0.05 * 0.1, abs=1e-5)
 
 
-def test_wrong_weights_are_named() -> None:
-    with pytest.raises(UnknownNameError, match="reward term 'speed'; valid: success, contact"):
-        TermWeights(receiver={"speed": 1.0})
-    for wrong in (float("nan"), "1", None, True):
-        with pytest.raises(OptionError, match="weight of term 'time' of the giver must be a finite number"):
-            TermWeights(giver={"time": wrong})  # type: ignore[dict-item]
-    with pytest.raises(OptionError, match="receiver of TermWeights must be a dict"):
-        TermWeights(receiver=3.0)  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="gamma of TermWeights must be a number from 0 to 1"):
-        TermWeights(gamma=1.5)
+def draw_step_data(seed: int, arrays: ArrayFactory) -> StepData:
+    """Draw a step of many episodes: near the object and the goal, with and without hands and contacts."""
+    rng, state = np.random.default_rng(seed), draw_observation(seed)
+    state["time"][:] = 0.1 * seed
+    state["hand_keypoints"] = state["gripper_pose"][:, None, :3] + rng.normal(0.0, 0.1, (COUNT, 16, 3))
+    state |= {name: rng.random(COUNT) for name in ("object_force", "hand_force")}
+    state["grasped"] = rng.random(COUNT) < 0.5
+    status = rng.choice([0, 0, 0, 1, 2, 4, 6, 8, 10], COUNT)
+    return StepData(
+        arrays.asarray(status), lambda _: {key: arrays.asarray(values) for key, values in state.items()}, list
+    )
 
 
-def test_every_term_has_a_row_in_the_table() -> None:
-    rows = [line.split("|") for line in (rewards.__doc__ or "").splitlines() if line.startswith("| ")][1:]
-    assert [row[1].strip() for row in rows] == list(TERMS)
+def test_terms_of_tensors_equal_those_of_arrays() -> None:
+    weights = TermWeights(dict.fromkeys(TERMS, 1.0))
+    with make_device_tensors() as tensors:
+        results: list[dict[str, list[np.ndarray]]] = []
+        for arrays in (NUMPY_ARRAYS, tensors):
+            source, found = WeightedRewardSource(weights, GOAL, COUNT, arrays), defaultdict(list)
+            source.start(arrays.arange(COUNT), draw_step_data(0, arrays))
+            for step in range(1, 6):
+                rows = arrays.asarray(np.random.default_rng(step).permutation(COUNT)[: COUNT - step])
+                data = draw_step_data(step, arrays)
+                chosen = StepData(
+                    data.status[rows],
+                    lambda _, data=data, rows=rows: {key: own[rows] for key, own in data.read_state(True).items()},
+                    list,
+                )
+                for name, values in source.compute(rows, chosen)["receiver"].items():
+                    assert is_tensor(values) == (arrays is tensors)
+                    found[name].append(to_numpy(values))
+            results.append(found)
+    for name in TERMS:
+        own, other = (np.concatenate(found[name]) for found in results)
+        assert np.ptp(own) > 0.0, name
+        np.testing.assert_allclose(other, own, rtol=0, atol=1e-6, err_msg=name)
 
 
-def test_the_environment_adds_up_the_terms_it_reports() -> None:
-    env = handover_marl.parallel_env(split="test", dataset="synthetic", physics="fast", rewards="shaped")
-    env.reset(seed=0, options={"scene_id": 209})
-    robot = np.array(PandaConfig().start_joints, dtype=np.float32)
-    total = {"giver": 0.0, "receiver": 0.0}
-    for number in range(30):
-        robot[0] = 0.02 * number
-        giver = np.array([0, 0.01 * number, 0, 0, 0, 0, 0, 0], dtype=np.float32)
-        _, found, _, _, infos = env.step({"giver": giver, "receiver": robot})
-        for agent, reward in found.items():
-            parts = {key: value for key, value in infos[agent].items() if key.startswith("reward/")}
-            assert reward == pytest.approx(sum(parts.values()))
-            assert list(parts) == [f"reward/{name}" for name in getattr(SHAPED, agent)]
-            total[agent] += reward
-    assert total["giver"] < 0
-    assert total["receiver"] != 0
+@pytest.mark.parametrize(
+    ("weights", "error", "message"),
+    [
+        ({"receiver": {"speed": 1.0}}, UnknownNameError, "reward term 'speed'; valid: success, contact"),
+        ({"giver": {"time": float("nan")}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
+        ({"giver": {"time": True}}, OptionError, "weight of term 'time' of the giver must be a finite number"),
+        ({"receiver": 3.0}, OptionError, "receiver of TermWeights must be a dict"),
+        ({"gamma": 1.5}, OptionError, "gamma of TermWeights must be a number from 0 to 1"),
+    ],
+)
+def test_wrong_weights_are_named(weights: dict[str, Any], error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        TermWeights(**weights)

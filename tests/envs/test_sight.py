@@ -1,15 +1,11 @@
 """Tests of environments whose receiver observes point clouds or images of the wrist camera."""
 
-import copy
 import importlib.util
-import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from pettingzoo.test import parallel_api_test
 
 import handover_marl
 from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError
@@ -30,7 +26,7 @@ def make(**options: Any) -> handover_marl.HandoverEnv:
     return handover_marl.parallel_env(**OPTIONS | options)
 
 
-def rollout(steps: int = 14, seed: int = 3, looks: bool = False, **options: Any) -> list[dict[str, np.ndarray]]:
+def rollout(steps: int = 8, seed: int = 3, looks: bool = False, **options: Any) -> list[dict[str, np.ndarray]]:
     """Simulate small random motions of the arm and return the receiver's observations.
 
     If `looks` is true, `capture_wrist_camera` is called before every step.
@@ -55,22 +51,13 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("data", "keys"), KEYS.items())
-def test_what_is_seen_is_in_the_space(data: str, keys: set[str]) -> None:
-    blind, env = make(), make(obs_mode=f"state+{data}")
-    plain, seeing = blind.observation_space("receiver"), env.observation_space("receiver")
-    assert set(seeing.spaces) - set(plain.spaces) == keys
-    assert env.observation_space("giver") == blind.observation_space("giver")
-    assert env.state_space == blind.state_space
-    observation = env.reset(seed=0)[0]["receiver"]
-    assert seeing.contains(observation)
-    env.close()
-
-
 @pytest.mark.parametrize("data", KEYS)
-def test_sight_alone_has_no_privileged_key(data: str) -> None:
-    env = make(obs_mode=data)
+def test_what_is_seen_is_in_the_space(data: str) -> None:
+    blind, both, env = make(), make(obs_mode=f"state+{data}"), make(obs_mode=data)
+    plain, seeing = (one.observation_space("receiver") for one in (blind, both))
+    assert set(seeing.spaces) - set(plain.spaces) == KEYS[data]
+    assert both.observation_space("giver") == blind.observation_space("giver")
+    assert both.state_space == blind.state_space
     observations, _ = env.reset(seed=0)
     assert set(observations["receiver"]) == set(env.observation_space("receiver").spaces) == OWN | KEYS[data]
     assert "object_poses" in observations["giver"]
@@ -80,22 +67,10 @@ def test_sight_alone_has_no_privileged_key(data: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("data", KEYS)
-def test_the_checkers_are_content(data: str) -> None:
-    parallel_api_test(make(obs_mode=f"state+{data}", max_cycles=5), num_cycles=8)
-    env = handover_marl.freeze(make(obs_mode=f"state+{data}", max_cycles=5), api="gymnasium")
-    check_env(env, skip_render_check=True)
-    sb3 = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra `train`")
-    sb3.check_env(env, warn=False)
-
-
-@pytest.mark.slow
 def test_whole_rollouts_repeat_whoever_looks() -> None:
-    first = rollout()
+    first, noisy = rollout(), rollout(camera_noise="realsense")
     assert max(float(seen["wrist_point_counts"][0]) for seen in first) > 50
-    assert_same(first, rollout())
     assert_same(first, rollout(looks=True))
-    noisy = rollout(camera_noise="realsense")
     assert_same(noisy, rollout(camera_noise="realsense", looks=True))
     assert any(
         not np.array_equal(one["wrist_object_points"], two["wrist_object_points"])
@@ -105,10 +80,9 @@ def test_whole_rollouts_repeat_whoever_looks() -> None:
 
 @pytest.mark.slow
 def test_looking_changes_nothing_else() -> None:
-    for physics, steps in (("exact", 4), ("fast", 8)):
-        blind = rollout(steps, obs_mode="state", physics=physics)
-        seeing = rollout(steps, physics=physics, renderer="bullet", looks=True)
-        assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
+    blind = rollout(3, obs_mode="state", physics="exact")
+    seeing = rollout(3, physics="exact", renderer="bullet", looks=True)
+    assert_same(blind, [{key: value for key, value in seen.items() if key not in POINTCLOUD} for seen in seeing])
 
 
 def test_episodes_draw_noise_of_their_own() -> None:
@@ -118,17 +92,6 @@ def test_episodes_draw_noise_of_their_own() -> None:
     assert not np.array_equal(first, second)
     np.testing.assert_array_equal(first, env.reset(seed=0)[0]["receiver"]["wrist_depth"])
     env.close()
-
-
-def test_scenes_are_drawn_as_without_sight() -> None:
-    drawn = []
-    for options in ({}, {"obs_mode": "state+pointcloud"}):
-        env = make(scenes=None, max_cycles=1, **options)
-        drawn.append(
-            [env.reset(seed=5)[1]["giver"]["scene_id"], *(env.reset()[1]["giver"]["scene_id"] for _ in range(2))]
-        )
-        env.close()
-    assert drawn[0] == drawn[1]
 
 
 def test_a_look_is_the_view_of_the_moment() -> None:
@@ -159,15 +122,6 @@ def test_the_geometry_is_a_choice() -> None:
     depth = clouds["pinhole"][:, 2] - np.float32(0.036)
     np.testing.assert_allclose(apart[:, 0], depth / 112.0, atol=1e-6)
     np.testing.assert_allclose(apart[:, 1:], 0.0, atol=1e-6)
-
-
-def test_copies_see_alike() -> None:
-    env = make(obs_mode="pointcloud", robot="panda_camera", renderer="bullet", camera_model="pinhole")
-    for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
-        assert other.observation_space("receiver") == env.observation_space("receiver")
-        assert_same([env.reset(seed=1)[0]["receiver"]], [other.reset(seed=1)[0]["receiver"]])
-        other.close()
-    env.close()
 
 
 class Looker(Receiver):

@@ -1,14 +1,14 @@
-"""Tests of batches of givers, which act as single givers do."""
+"""Tests of batches of givers, which act as single givers do, on arrays and on tensors."""
 
-import functools
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, is_tensor, to_numpy
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, is_tensor, to_numpy
 from handover_marl.policies.batch import ArrayPolicyBatch
 from tests.givers.test_givers import seen
 from tests.tensors import make_device_tensors, make_observe_function
@@ -32,15 +32,7 @@ NAMES = (
 )
 
 
-def stack(observations: list[Observation]) -> Observation:
-    return {key: np.stack([one[key] for one in observations]) for key in observations[0]}
-
-
-def select(observation: Observation, rows: np.ndarray) -> Observation:
-    return {key: values[rows] for key, values in observation.items()}
-
-
-def draw_observations(seed: int, decisions: int = 60) -> Iterator[list[Observation]]:
+def draw_observations(seed: int, decisions: int) -> Iterator[list[Observation]]:
     """Yield observations in which grippers approach, fingers rest, and objects are released."""
     rng = np.random.default_rng(seed)
     gripper = seen()["gripper_pose"] + np.zeros((COUNT, 7), dtype=np.float32)
@@ -66,60 +58,35 @@ def draw_observations(seed: int, decisions: int = 60) -> Iterator[list[Observati
         yield found
 
 
-def make_batch(name: str, arrays: ArrayFactory = NUMPY_ARRAYS) -> ArrayPolicyBatch:
-    return ArrayPolicyBatch(givers.make(name).copy_for(COUNT, arrays), COUNT, "giver", arrays)  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_batches_act_as_single_givers(name: str) -> None:
-    singles = [givers.make(name) for _ in range(COUNT)]
-    batch = make_batch(name)
-    for row, single in enumerate(singles):
-        single.reset(row)
-        batch.reset(row, row, ("025_mug",))
-    acted = []
-    for decision, observations in enumerate(draw_observations(1)):
-        arrays = stack(observations)
-        steps = np.full(COUNT, 100 * decision)
-        # The batch acts in two parts, because an action must not depend on which episodes act together.
-        parts = [np.array([1, 3, 4]), np.array([0, 2, 5])]
-        found = np.empty((COUNT, 8), dtype=np.float32)
-        for rows in parts:
-            found[rows], _ = batch.act(rows, functools.partial(select, arrays), steps[rows])
-        expected = np.array([single.act(one) for single, one in zip(singles, observations, strict=True)])
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
-        acted.append(expected)
-    if name != "replay":
-        assert np.ptp(acted, axis=(0, 1)).any()
-    if name.startswith("cooperative"):
-        assert np.array(acted)[..., 7].any(), "no object was released"
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_batches_of_tensors_act_as_those_of_arrays(name: str) -> None:
-    """The actions are equal after resets of single rows, too, and when only some rows decide."""
+    """Actions are equal if only some rows decide together, and after resets of single rows."""
+    releases = name.startswith(("cooperative", "early_release"))
     with make_device_tensors() as tensors:
         makers = (NUMPY_ARRAYS, tensors)
-        batches = [make_batch(name, arrays) for arrays in makers]
+        own: Any = givers.make(name)
+        batches = [ArrayPolicyBatch(own.copy_for(COUNT, arrays), COUNT, "giver", arrays) for arrays in makers]
+        singles = [givers.make(name) for _ in range(COUNT)]
         starts, acted = np.zeros(COUNT, dtype=np.int64), []
-        for decision, observations in enumerate(draw_observations(2)):
-            observation = stack(observations)
-            for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14, 21) else []:
+        for decision, observations in enumerate(draw_observations(1, 60 if releases else 30)):
+            observation = {key: np.stack([one[key] for one in observations]) for key in observations[0]}
+            for row in range(COUNT) if decision == 0 else [decision // 7] if decision in (7, 14) else []:
                 starts[row] = 100 * decision
+                # A new giver remembers nothing of the episode before.
+                singles[row] = givers.make(name)
+                singles[row].reset(10 * decision + row)
                 for batch in batches:
                     batch.reset(row, 10 * decision + row, ("025_mug",))
-            for rows in (np.array([1, 3, 4]), np.array([5, 2]), np.array([0])):
-                if rows[0] == 5 and decision % 3 == 0:
-                    continue
-                found = []
+            for rows in (np.array([1, 3, 4, 0]), np.array([5, 2]))[: 1 + (decision % 3 > 0)]:
+                expected = np.array([singles[row].act(observations[row]) for row in rows])
                 for batch, arrays in zip(batches, makers, strict=True):
                     steps = arrays.asarray(100 * decision - starts[rows])
-                    found.append(batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)[0])
-                assert is_tensor(found[1])
-                assert to_numpy(found[1]).dtype == np.float32
-                np.testing.assert_allclose(to_numpy(found[1]), found[0], rtol=0, atol=1e-6)
-                acted += list(found[0])
+                    found, _ = batch.act(arrays.asarray(rows), make_observe_function(observation, arrays), steps)
+                    assert is_tensor(found) == (arrays is tensors)
+                    assert to_numpy(found).dtype == np.float32
+                    np.testing.assert_allclose(to_numpy(found), expected, rtol=0, atol=1e-6)
+                acted += list(expected)
         if name != "replay":
             assert np.ptp(acted, axis=0).any()
-        if name.startswith("cooperative"):
+        if releases:
             assert np.array(acted)[..., 7].any(), "no object was released"

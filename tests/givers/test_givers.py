@@ -6,19 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from handover_marl import givers
 from handover_marl.config import PandaConfig
-from handover_marl.envs.constructors import parallel_env
-from handover_marl.envs.wrappers.freeze import freeze
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
 from handover_marl.givers import Giver
 
 START = np.array(PandaConfig().start_joints, dtype=np.float32)
-NAMES = givers.list_available()
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 
 def seen(**changes: Any) -> Observation:
@@ -56,14 +51,6 @@ def test_actions_depend_on_the_seed(name: str) -> None:
     times = 0.1 * np.arange(40, dtype=np.float32)
     actions = [[giver.act(seen(time=times[[n]])) for n in range(40)] for giver in (first, other)]
     assert not np.array_equal(*actions)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["cooperative", "learned"])
-def test_the_environment_takes_givers(name: str) -> None:
-    options = {"split": "val", "dataset": "synthetic", "physics": "fast", "control_period": 0.03}
-    parallel_api_test(freeze(parallel_env(**options), "receiver", name), num_cycles=15)
-    parallel_seed_test(lambda: freeze(parallel_env(**options), "receiver", name), num_cycles=5)
 
 
 def test_hesitant_people_pause_and_go_on() -> None:
@@ -114,7 +101,7 @@ def test_a_tired_hand_trembles_and_sinks_while_it_holds_the_object() -> None:
 
 def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
     delays = []
-    for seed in range(60):
+    for seed in range(30):
         giver = givers.make("early_release:max_delay=0.4")
         giver.reset(seed)
         assert not any(giver.act(seen(time=np.float32([t])))[7] for t in np.arange(0.0, 5.0, 0.5)), "the gripper is far"
@@ -138,11 +125,6 @@ def test_an_early_release_follows_the_gripper_after_a_delay() -> None:
         "displaced:distance=0.4",
         "tired:frequency=20",
         "early_release:max_delay=-1",
-        "hesitant:pauses_per_second=-1",
-        "hurried:max_rate=2",
-        "stop_when_near:distance=-0.1",
-        "noisy:displacement=0.5",
-        "withdrawing:withdrawal=0.4",
         "interrupting:longest=20",
         "recording_spread:rotation=4",
     ],
@@ -172,15 +154,15 @@ def test_interruptions_withdraw_the_hand_for_a_while() -> None:
 def test_deviations_are_those_between_recordings_of_the_object() -> None:
     giver = givers.make("recording_spread")
     actions = []
-    for seed in range(1500):
+    for seed in range(600):
         giver.reset(seed)
         actions.append(giver.act(seen()))
         np.testing.assert_array_equal(giver.act(seen(time=np.float32([3.0]))), actions[-1])
     spread = json.loads((files(givers) / "recording_spread.json").read_text())["objects"]["003_cracker_box"]
     deviations = np.std(actions, axis=0)
-    np.testing.assert_allclose(deviations[1:4], spread["displacement"], rtol=0.08)
-    np.testing.assert_allclose(deviations[4:7], spread["rotation"], rtol=0.08)
-    assert np.std(np.log1p(np.array(actions)[:, 0])) == pytest.approx(spread["log_pace"], rel=0.08)
+    np.testing.assert_allclose(deviations[1:4], spread["displacement"], rtol=0.12)
+    np.testing.assert_allclose(deviations[4:7], spread["rotation"], rtol=0.12)
+    assert np.std(np.log1p(np.array(actions)[:, 0])) == pytest.approx(spread["log_pace"], rel=0.12)
 
 
 def test_stopping_when_near() -> None:

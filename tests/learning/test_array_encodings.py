@@ -8,16 +8,16 @@ from handover_marl.geometry.poses import compose, inverse_transform_points
 from handover_marl.learning.features import make_array_features, make_features
 from handover_marl.learning.grasp_selector import MAX_CLEARANCE, LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme, make_scheme
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from tests.learning.array_encodings import CONTEXT, COUNT, FEATURES, ROWS, SCHEMES, draw_observation, select
 
 
 def test_selected_grasps_have_the_lowest_cost() -> None:
-    library, observation, n_grasps = GraspLibrary(CONTEXT.grasps), draw_observation(4), 0
+    observation, n_grasps = draw_observation(4), 0
     grasps, clearances, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(ROWS, observation)
     for row in ROWS.tolist():
         one = select(observation, row)
-        known = library.get_hand_poses_in_object(CONTEXT.object_names[int(one["object_classes"][0])])
+        known = load_hand_poses(CONTEXT.grasps, CONTEXT.object_names[int(one["object_classes"][0])])
         assert exists[row] == (known is not None)
         if known is None:
             continue

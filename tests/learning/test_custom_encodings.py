@@ -138,7 +138,8 @@ def test_forms_of_own_schemes(choice: Any) -> None:
 def test_encode_accepts_own_features_and_schemes() -> None:
     env = handover_marl.encode(handover_marl.parallel_env(**SYNTHETIC), {"receiver": OffsetAndCount}, {})
     assert env.observation_space("receiver").shape == (4,)
-    assert env.feature_names == {"giver": "giver", "receiver": "OffsetAndCount"}
+    names = {agent: env.action_space(agent).encoding["features"] for agent in env.possible_agents}
+    assert names == {"giver": "giver", "receiver": "OffsetAndCount"}
     alone = handover_marl.freeze(handover_marl.parallel_env(**SYNTHETIC), "receiver", "replay")
     own = handover_marl.encode(alone, OffsetAndCount, move_first_joint, api="gymnasium")
     assert (own.observation_space.shape, own.action_space.shape) == ((4,), (1,))

@@ -4,17 +4,23 @@ import pytest
 
 from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
+from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
-from handover_marl.givers import Giver, PolicyContext, make_policy_context
-from handover_marl.givers.variations import ReplayGiver
+from handover_marl.givers import Action, Giver, PolicyContext, make_giver_action, make_policy_context
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
 DATA = SyntheticDataset()
 
 
-class Plain(ReplayGiver):
+class Plain(Giver):
     name = "plain"
+
+    def reset(self, seed: int | None = None) -> None:
+        self.seed = seed
+
+    def act(self, observation: Observation) -> Action:
+        return make_giver_action()
 
 
 class Lifting(Plain):

@@ -26,7 +26,7 @@ def test_invalid_options(name: str, value: object, message: str) -> None:
         override_options(ReactiveConfig(), {name: value}, "approach_standoff")
 
 
-def test_section_with_an_underscore_in_its_name() -> None:
+def test_option_of_a_section() -> None:
     config = ReactiveConfig()
-    changed = override_options(config, {"quick_preparation_max_copies": 5}, "approach_standoff")
-    assert changed == replace(config, quick_preparation=replace(config.quick_preparation, max_copies=5))
+    changed = override_options(config, {"preparation_max_copies": 5}, "approach_standoff")
+    assert changed == replace(config, preparation=replace(config.preparation, max_copies=5))

@@ -31,7 +31,7 @@ RECEIVERS = ("yang2021", "omg", "omg_hand_aware", "reactive", "gaddpg", "vision"
 CLOUDS = ("object_points", "object_cloud", "hand_points", "hand_cloud", "other_points")
 #: Synthetic scene of s0 val with several objects, and the number of simulated steps, until each kind of information is
 #: used: `omg` reads its own joints in the retreat only, `reactive` the release before its own.
-SCENE, STEPS = 39, {"omg": 9000, "omg_hand_aware": 9000, "gaddpg": 4000, "vision": 4000}
+SCENE, STEPS = 39, {"omg": 9000, "omg_hand_aware": 9000, "gaddpg": 3500, "vision": 3600}
 #: Step of the first observation that is kept, of receivers that decide often.
 FIRST = {"reactive": 2000, "vision": 2400}
 
@@ -240,5 +240,6 @@ def test_receivers_use_what_the_table_says(name: str, monkeypatch: pytest.Monkey
     recording = record(name)
     unused = [row for row, cell in table.items() if cell != "yes"]
     assert acts_alike(name, recording, unused, monkeypatch)
-    alike = [row for row in table if row not in unused and acts_alike(name, recording, [row], monkeypatch)]
-    assert alike == []
+    # Planning takes long: what `omg` uses is checked with `omg_hand_aware`, which has the same planner.
+    used = [] if name == "omg" else [row for row in table if row not in unused]
+    assert [row for row in used if acts_alike(name, recording, [row], monkeypatch)] == []

@@ -8,7 +8,6 @@ import pytest
 
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import OptionError
@@ -83,49 +82,39 @@ def test_retreat_is_straight(handover_observation: Observation) -> None:
     np.testing.assert_allclose(points[count:], np.tile(goal, (40 - count, 1)), atol=2e-3)
 
 
-@pytest.mark.slow
-def test_commands_do_not_depend_on_the_call_period() -> None:
-    commands = []
+def test_commands_do_not_depend_on_the_call_period(handover_observation: Observation) -> None:
+    receiver, commands = make_omg(), []
     for period in (None, 10):
-        episode, receiver = Episode("fast"), make_omg()
-        episode.reset(DATA.load_scene(SCENE))
+        actions, due = [], 0
         start_policy(receiver, None)
-        actions = []
-        while not episode.status:
-            observation, now = episode.observe(), episode.steps
-            action, due = call_policy(receiver, observation, now)
-            count = min(due, 13_000) - now if period is None else period
-            episode.advance(action, count)
-            actions += [action] * (episode.steps - now)
-        commands.append((int(episode.status), np.array(actions)))
-        episode.close()
-    (status, actions), (other_status, others) = commands
-    assert status == other_status
-    np.testing.assert_array_equal(actions, others)
+        for now in range(0, 12_000, 10):
+            if period is not None or now >= due:
+                action, due = call_policy(receiver, observe_at(handover_observation, now), now)
+            actions.append(action)
+        commands.append(np.array(actions))
+    np.testing.assert_array_equal(*commands)
 
 
-def test_unreachable_object_is_logged(handover_observation: Observation, caplog: pytest.LogCaptureFixture) -> None:
-    far = handover_observation["object_poses"].copy()
-    far[0, :3] += [0.0, 3.0, 0.0]
+@pytest.mark.parametrize(("shift", "class_number", "text"), [(3.0, None, "reached"), (0.0, 1, "002_master_chef_can")])
+def test_failures_to_plan_are_logged(
+    handover_observation: Observation,
+    caplog: pytest.LogCaptureFixture,
+    shift: float,
+    class_number: int | None,
+    text: str,
+) -> None:
+    """The receiver stays at the start pose if no grasp can be reached, and if no grasps are known."""
+    observation = {key: value.copy() for key, value in observe_at(handover_observation, 3000).items()}
+    observation["object_poses"][0, 1] += shift
+    if class_number is not None:
+        observation["object_classes"][0] = class_number
     receiver = make_omg()
     with caplog.at_level(logging.WARNING):
-        action = receiver.act({**observe_at(handover_observation, 3000), "object_poses": far})
-    np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
-    assert receiver.hold_time == float("inf")
-    name = DATA.load_info(SCENE).target_name
-    assert name in caplog.text
-    assert "reached" in caplog.text
-    np.testing.assert_array_equal(receiver.act(observe_at(handover_observation, 9000)), np.float32(WAITING_JOINTS))
-
-
-def test_missing_grasps_are_logged(handover_observation: Observation, caplog: pytest.LogCaptureFixture) -> None:
-    classes = handover_observation["object_classes"].copy()
-    classes[0] = 1
-    receiver = make_omg()
-    with caplog.at_level(logging.WARNING):
-        action = receiver.act({**observe_at(handover_observation, 3000), "object_classes": classes})
-    np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
-    assert "002_master_chef_can" in caplog.text
+        for now in (3000, 9000):
+            action = receiver.act(observe_at(observation, now))
+            np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
+            assert receiver.hold_time == float("inf")
+    assert text in caplog.text
 
 
 def test_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,6 @@
-from importlib.metadata import EntryPoint, EntryPoints
+"""Tests of names and options of receivers, and of a batch of `yang2021`."""
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,9 @@ from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
-from handover_marl.policies import registry
-from handover_marl.receivers import WAITING_JOINTS, Receiver
-from tests.fake_layout import FakeScene, write_scene
+from handover_marl.policies.batch import ArrayPolicyBatch
+from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.yang2021 import Yang2021Receiver
 
 
 def test_unknown_names(fake_data: Path) -> None:
@@ -26,60 +28,6 @@ def test_unknown_names(fake_data: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("no_such_module:Thing", "cannot be imported"),
-        ("handover_marl.receivers.baselines:Nothing", "cannot be imported"),
-        ("pathlib:Path", "must be a subclass"),
-    ],
-)
-def test_entry_points_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch, value: str, message: str) -> None:
-    point = EntryPoint("mine", value, registry.GROUPS["receiver"])
-    monkeypatch.setattr(registry, "entry_points", EntryPoints([point]).select)
-    assert receivers.list_available() == ("mine",)
-    with pytest.raises(OptionError, match=f"'mine'.*{message}"):
-        receivers.make("mine", SyntheticDataset())
-
-
-def play(
-    dataset: OfficialDataset, name: str, until: int, scene_id: int = 9
-) -> tuple[Episode, list[np.ndarray], Receiver]:
-    policy = receivers.make(name, dataset)
-    episode = Episode("exact")
-    episode.reset(dataset.load_scene(scene_id))
-    policy.reset()
-    actions = []
-    while episode.steps < until and not episode.status:
-        actions.append(policy.act(episode.observe()))
-        episode.advance(actions[-1], round(policy.hold_time * 1000))
-    return episode, actions, policy
-
-
-def test_yang_waits_then_goes_to_the_standoff_of_a_grasp(fake_data: Path) -> None:
-    episode, actions, policy = play(OfficialDataset(fake_data), "yang2021", 3001)
-    np.testing.assert_array_equal(actions[0], np.float32(WAITING_JOINTS))
-    assert all(action.shape == (9,) and action.dtype == np.float32 for action in actions)
-    target = episode.observe()["object_poses"][0, :3]
-    episode.world._loaded_workcell.panda.reset_joints(actions[-1].tolist())
-    # All grasps come from the robot's side, 0.1 m before the object; standoffs are 0.2 m farther.
-    np.testing.assert_allclose(episode.observe()["gripper_pose"][:3], target - [0.0, 0.3, 0.0], atol=2e-3)
-    np.testing.assert_allclose(actions[-1][7:], 0.04, rtol=1e-6)
-    assert policy.hold_time == 0.1
-    assert policy.planned_goal is not None
-    np.testing.assert_allclose(policy.planned_goal[:, :3], target - [[0.0, 0.3, 0.0], [0.0, 0.1, 0.0]], atol=2e-3)
-
-
-@pytest.mark.slow
-def test_yang_holds_still_without_grasps(own_data: Path) -> None:
-    write_scene(own_data, FakeScene(75))
-    (own_data / "assets" / "grasps" / "036_wood_block.npy").unlink()
-    episode, actions, _ = play(OfficialDataset(own_data), "yang2021", 3300, scene_id=75)
-    seen = episode.observe()["robot_joint_position"]
-    assert np.abs(seen[:7] - np.float32(WAITING_JOINTS[:7])).max() < 0.02
-    assert np.abs(actions[-1][:7] - seen[:7]).max() < 0.01
-
-
-@pytest.mark.parametrize(
     ("name", "message"),
     [
         ("yang2021:speed=1", "YangConfig such as step_length, got 'speed'"),
@@ -88,18 +36,35 @@ def test_yang_holds_still_without_grasps(own_data: Path) -> None:
         ("yang2021:context=3", "has no option 'context'"),
         ("reactive:config=3", "config must be a ReactiveConfig, got 3"),
         ("reactive:min_lift=-1", "min_lift of ReactiveConfig must be a finite number of at least 0, got -1"),
-        ("reactive:near_period=0", "near_period of ReactiveConfig must be a finite number from 0.001 to 60, got 0"),
-        ("reactive:n_obstacle_spheres=0", "n_obstacle_spheres of ReactiveConfig must be an integer of at least 1"),
         ("reactive:selection_max_candidates=0", "max_candidates of GraspSelectorConfig must be an integer of at least"),
-        ("reactive:approach_close_speed=-0.1", "close_speed of ApproachConfig must be a finite number of at least 0"),
-        ("reactive:retreat_progress_ratio=2", "progress_ratio of RetreatConfig must be a finite number from 0 to 1"),
-        ("reactive:offsets_max_grasps=-1", "max_grasps of GraspOffsets must be an integer of at least 1, got -1"),
-        ("reactive:preparation_max_slip=-1", "max_slip of GraspPreparationConfig must be a finite number of at least"),
-        ("reactive:separation_slack=-1", "slack of SeparationConfig must be a finite number of at least 0, got -1"),
-        ("reactive:prediction_attraction=2", "attraction of HandoverPosePredictorConfig must be a finite number from"),
         ("reactive:servo_speed_scale=0", "speed_scale of ServoConfig must be a finite number from 1e-06 to 1, got 0"),
     ],
 )
 def test_wrong_settings(name: str, message: str) -> None:
     with pytest.raises(OptionError, match=message):
         receivers.make(name, SyntheticDataset())
+
+
+def test_a_batch_with_an_object_without_grasps() -> None:
+    """The robot of a row whose object has no grasps stays where it is, and those of the other rows move."""
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
+    data, episode = SyntheticDataset(), Episode("mujoco")
+    scene = data.load_scene(14)
+    episode.reset(scene)
+    state = episode.observe()
+    episode.close()
+    missing = data.object_names[int(state["object_classes"][0]) + 1]
+    context = replace(
+        make_policy_context(data), grasps=lambda name: None if name == missing else data.load_grasps(name)
+    )
+    batch = ArrayPolicyBatch(Yang2021Receiver(context, wait=0.0).copy_for(3), 3, "receiver")
+    found = {key: np.stack([values] * 3) for key, values in state.items()}
+    found["object_classes"][1, 0] += 1
+    for row in range(3):
+        batch.reset(row, None, scene.info.object_names)
+    actions, _ = batch.act(
+        np.arange(3), lambda rows: {key: values[rows] for key, values in found.items()}, np.zeros(3, int)
+    )
+    np.testing.assert_array_equal(actions[1, :7], state["robot_joint_position"][:7])
+    np.testing.assert_array_equal(actions[0], actions[2])
+    assert np.abs(actions[0, :7] - state["robot_joint_position"][:7]).max() > 0.1

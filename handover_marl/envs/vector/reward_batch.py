@@ -3,16 +3,17 @@
 Terms of the library are computed for all episodes at once; each episode has a user-defined reward of its own.
 """
 
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 import numpy as np
 
 from handover_marl.envs.arguments import AGENTS, GIVER, RECEIVER
 from handover_marl.envs.config import EnvConfig
-from handover_marl.envs.custom_rewards import RewardSource, make_reward_source, resolve_rewards
-from handover_marl.envs.rewards import Terms, TermWeights, WeightedTerms
-from handover_marl.envs.transition import TransitionRecorder
+from handover_marl.envs.custom_rewards import make_reward_source
+from handover_marl.envs.rewards import StepData
+from handover_marl.envs.transition import Transition, TransitionRecorder
 from handover_marl.envs.vector.results import select_rows
 from handover_marl.envs.wrappers.wrapper import RETURN, RETURN_PREFIX, REWARD_PREFIX
 from handover_marl.episode.episodes import Episodes
@@ -39,20 +40,15 @@ class RewardBatch:
     """
 
     def __init__(self, config: EnvConfig, episodes: Episodes, count: int) -> None:
-        self._episodes, self._count = episodes, count
-        self._arrays = episodes.arrays
-        goal, rewards = config.world_config.protocol.goal_center, resolve_rewards(config.rewards)
-        self._terms: WeightedTerms | None = None
-        self._sources: list[RewardSource] = []
-        if isinstance(rewards, TermWeights):
-            self._terms = WeightedTerms(rewards, goal, count, self._arrays)
-        else:
-            self._sources = [make_reward_source(rewards, goal) for _ in range(count)]
-            self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
+        self._episodes, self._count, self._arrays = episodes, count, episodes.arrays
+        self._source = make_reward_source(
+            config.rewards, config.world_config.protocol.goal_center, count, episodes.arrays
+        )
+        self._recorders = [TransitionRecorder(config.control_period) for _ in range(count)]
         # Names of the terms by agent, and sums (n, 2, 1 + k) of rewards and of k terms: since the last `clear`, and
         # since the start of the episode.
-        self._names: dict[str, list[str]] = {agent: [] for agent in AGENTS}
-        self._sums = {agent: self._arrays.zeros((count, 2, 1)) for agent in AGENTS}
+        self._names: dict[str, list[str]] = {}
+        self._sums: dict[str, AnyArray] = {}
 
     @property
     def totals(self) -> dict[str, AnyArray]:
@@ -65,22 +61,20 @@ class RewardBatch:
         Raises:
             RewardError: A user-defined reward fails.
         """
-        terms: Mapping[str, Iterable[str]]
         rows = self._arrays.asarray(np.array([row]))
-        if self._terms is not None:
-            self._terms.start(rows, self._read_state(rows))
-            terms = self._terms.weights
-        else:
+
+        def start_transitions() -> list[Transition]:
             (observations,), (infos,) = self._observe(rows), self._make_infos(rows)
-            terms = self._sources[row].start(self._recorders[row].start(observations, infos))
-        for agent, agent_terms in terms.items():
-            names = self._names[agent]
-            new = [name for name in agent_terms if name not in names]
-            if new:
-                names += new
-                zeros = self._arrays.zeros((self._count, 2, len(new)))
-                self._sums[agent] = self._arrays.xp.concat([self._sums[agent], zeros], axis=2)
-            self._sums[agent][row] = 0.0
+            return [self._recorders[row].start(observations, infos)]
+
+        names = self._source.start(rows, self._make_step_data(rows, start_transitions))
+        if not self._sums:
+            self._names = {agent: list(own) for agent, own in names.items()}
+            self._sums = {
+                agent: self._arrays.zeros((self._count, 2, 1 + len(own))) for agent, own in self._names.items()
+            }
+        for sums in self._sums.values():
+            sums[row] = 0.0
 
     def make_infos(self, agent: str, rows: AnyIndices, has_returns: bool) -> dict[str, AnyArray]:
         """Return the infos of an agent in episodes: arrays (r,) of the reward terms.
@@ -116,46 +110,35 @@ class RewardBatch:
         """
         if not len(rows):
             return
-        xp, values = self._arrays.xp, {}
-        if self._terms is not None:
-            status = self._episodes.referees.status[rows]
-            for agent, terms in self._terms.compute(rows, status, self._read_state(rows)).items():
-                columns = [terms[name] for name in self._names[agent]]
-                total = sum(columns, self._arrays.zeros(len(rows)))
-                values[agent] = xp.stack([total, *columns], axis=1)
-        else:
-            terms_by_episode = self._compute_terms(rows, actions, terminated, truncated)
-            for agent, names in self._names.items():
-                all_agent_terms = [episode_terms[agent] for episode_terms in terms_by_episode]
-                value_rows = [
-                    [sum(agent_terms.values(), 0.0), *(agent_terms.get(name, 0.0) for name in names)]
-                    for agent_terms in all_agent_terms
-                ]
-                values[agent] = self._arrays.asarray(np.array(value_rows))
-        for agent, sums in self._sums.items():
-            sums[rows] += values[agent][:, None]
+        record = functools.partial(self._record_transitions, rows, actions, terminated, truncated)
+        for agent, terms in self._source.compute(rows, self._make_step_data(rows, record)).items():
+            columns = [terms[name] for name in self._names[agent]]
+            total = sum(columns, self._arrays.zeros(len(rows)))
+            self._sums[agent][rows] += self._arrays.xp.stack([total, *columns], axis=1)[:, None]
 
-    def _compute_terms(
+    def _make_step_data(self, rows: AnyIndices, make_transitions: Callable[[], list[Transition]]) -> StepData:
+        status, read_state = self._episodes.referees.status[rows], functools.partial(self._read_state, rows)
+        return StepData(status, read_state, functools.cache(make_transitions))
+
+    def _record_transitions(
         self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags
-    ) -> list[dict[str, Terms]]:
-        """Return the terms of each episode by agent."""
-        numbers = rows.tolist()
-        statuses = [EpisodeStatus(bits) for bits in self._episodes.referees.status[rows].tolist()]
-        terms_by_episode, observations, infos = [], self._observe(rows), self._make_infos(rows)
+    ) -> list[Transition]:
+        """Return the transition of each episode."""
+        observations, infos = self._observe(rows), self._make_infos(rows)
         actions = {agent: to_numpy(values) for agent, values in actions.items()}
-        ends = list(zip(terminated.tolist(), truncated.tolist(), strict=True))
-        for number, row in enumerate(numbers):
-            transition = self._recorders[row].record(
+        ends = zip(terminated.tolist(), truncated.tolist(), strict=True)
+        return [
+            self._recorders[row].record(
                 observations[number],
                 {agent: values[number] for agent, values in actions.items()},
                 infos=infos[number],
                 contacts=self._episodes.read_contacts(row),
-                status=statuses[number],
-                terminated=ends[number][0],
-                truncated=ends[number][1],
+                status=EpisodeStatus(infos[number][GIVER]["status"]),
+                terminated=is_terminated,
+                truncated=is_truncated,
             )
-            terms_by_episode.append(self._sources[row].compute(transition))
-        return terms_by_episode
+            for number, (row, (is_terminated, is_truncated)) in enumerate(zip(rows.tolist(), ends, strict=True))
+        ]
 
     def _observe(self, rows: AnyIndices) -> list[dict[str, Observation]]:
         """Return the observations of both agents in each episode."""
@@ -169,11 +152,9 @@ class RewardBatch:
         infos = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return [{agent: dict(info) for agent in AGENTS} for info in infos]
 
-    def _read_state(self, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return the arrays (r, ...) that terms of the library depend on."""
-        episodes, terms = self._episodes, self._terms
-        if terms is None or not terms.needs_state:
-            return {}
+    def _read_state(self, rows: AnyIndices, needs_forces: bool) -> dict[str, AnyArray]:
+        """Return the arrays (r, ...) that terms of the library depend on; see `StepData`."""
+        episodes = self._episodes
         state = {
             **episodes.select_state(rows),
             "deviation": episodes.motion.deviation[rows],
@@ -181,7 +162,7 @@ class RewardBatch:
             "released": episodes.released[rows, None],
             "grasped": episodes.are_grasped(rows),
         }
-        if terms.needs_forces:
+        if needs_forces:
             contacts = [episodes.read_contacts(row) for row in rows.tolist()]
             state["object_force"] = self._arrays.asarray([one.robot_object_force for one in contacts], "float64")
             state["hand_force"] = self._arrays.asarray([one.robot_hand_force for one in contacts], "float64")

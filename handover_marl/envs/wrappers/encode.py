@@ -1,6 +1,5 @@
 """Wrapper with feature vectors as observations and outputs in [-1, 1] as actions, for neural networks."""
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -32,10 +31,6 @@ Vector = npt.NDArray[np.float32]
 DEFAULT_FEATURES = {GIVER: "giver", RECEIVER: "receiver"}
 DEFAULT_SCHEMES = {GIVER: "deviation", RECEIVER: "cartesian_delta"}
 _SCHEMES_FROM_STATE = ("grasp_servo",)
-_VIDEO_ADVICE = (
-    "one image per step is not a video in real time, since steps of this action scheme last several control periods; "
-    "for a video, wrap the environment in pettingzoo.utils.wrappers.RecordVideoParallel before freeze() and encode()"
-)
 #: Episodes in a row that may end before an action scheme needs outputs.
 MAX_EPISODES_WITHOUT_OUTPUTS = 100
 
@@ -57,8 +52,6 @@ class EncodedEnv(ParallelWrapper):
         schemes: Action scheme, see `encode`; a mapping from agents to schemes if `env` has two agents.
 
     Attributes:
-        feature_names: Name of the features, by agent.
-        scheme_names: Name of the action scheme, by agent.
         choices: Features and action scheme as they were given, by agent.
     """
 
@@ -85,18 +78,15 @@ class EncodedEnv(ParallelWrapper):
         self.choices = {agent: (chosen_features[agent], chosen_schemes[agent]) for agent in agents}
         self._features = {agent: make_features(agent, choice, context) for agent, choice in chosen_features.items()}
         self._schemes = {agent: make_scheme(agent, choice, context) for agent, choice in chosen_schemes.items()}
-        self.feature_names = {agent: made.name for agent, made in self._features.items()}
-        self.scheme_names = {agent: made.name for agent, made in self._schemes.items()}
         self._output_spaces = {
             agent: spaces.Box(-1.0, 1.0, (made.size,), np.float32) for agent, made in self._schemes.items()
         }
         for agent, outputs in self._output_spaces.items():
             # Libraries that save spaces with a policy save the encoding with them.
             outputs.control_period = base.config.control_period  # type: ignore[attr-defined]
-            names = {"agent": agent, "features": self.feature_names[agent], "actions": self.scheme_names[agent]}
-            outputs.encoding = names  # type: ignore[attr-defined]
+            names = {"features": self._features[agent].name, "actions": self._schemes[agent].name}
+            outputs.encoding = {"agent": agent, **names}  # type: ignore[attr-defined]
         self._observations: dict[str, Observation] = {}
-        self._has_skipped = False
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of the agent's feature vector."""
@@ -140,7 +130,6 @@ class EncodedEnv(ParallelWrapper):
             for features in self._features.values():
                 features.reset()
             while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
-                self._has_skipped = True
                 self._observations, _, _, _, infos = self._advance()
             if self.agents:
                 return self._convert_observations(self._observations), infos
@@ -172,22 +161,13 @@ class EncodedEnv(ParallelWrapper):
                 scheme.set_outputs(outputs[agent])
         self._observations, rewards, terminations, truncations, infos = self._advance()
         while len(self.possible_agents) == 1 and self.agents and not self._needs_outputs():
-            self._has_skipped, before = True, infos
+            before = infos
             self._observations, more, terminations, truncations, infos = self._advance()
             rewards = {agent: rewards[agent] + more[agent] for agent in rewards}
             for agent, info in infos.items():
                 terms = [key for key in info if key.startswith(REWARD_PREFIX)]
                 info.update({key: info[key] + before[agent][key] for key in terms})
         return self._convert_observations(self._observations), rewards, terminations, truncations, infos
-
-    def render(self) -> Any:
-        """Return an RGB image (height, width, 3) in the mode "rgb_array", else None.
-
-        Warns if steps have lasted several control periods: a video of one image per step would be too short.
-        """
-        if self._has_skipped and self.render_mode == "rgb_array":
-            warnings.warn(_VIDEO_ADVICE, stacklevel=2)
-        return self.env.render()
 
     def _advance(self) -> ParallelStep:
         step: ParallelStep = self.env.step(

@@ -14,7 +14,7 @@ from handover_marl.envs.wrappers.wrapper import (
     WrappableEnv,
     convert_api,
 )
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, check_name
+from handover_marl.errors import ActionError, OptionError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
@@ -92,8 +92,6 @@ class FrozenPartnerEnv(ParallelWrapper):
             ResetNeededError: No episode is running.
             PolicyError: The partner's policy fails.
         """
-        if not self.agents:
-            raise ResetNeededError("no episode is running; call reset() before step()")
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
             raise ActionError(f"actions must be a dict with one action, for the {live}")

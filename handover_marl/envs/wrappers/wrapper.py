@@ -11,7 +11,6 @@ from gymnasium.utils import EzPickle
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.episode.camera_observations import CameraCapture
 from handover_marl.errors import OptionError, check_name
 
 #: Key of the sum of all reward terms in infos.
@@ -98,9 +97,6 @@ class FlattenedEnv(ParallelWrapper):
 
     Args:
         env: Environment to flatten; observations that are vectors already are unchanged.
-
-    Raises:
-        OptionError: An agent's observation space cannot be flattened to a vector.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_flattened_v0"}
@@ -108,33 +104,19 @@ class FlattenedEnv(ParallelWrapper):
     def __init__(self, env: WrappableEnv) -> None:
         super().__init__(env)
         EzPickle.__init__(self, env)
-        self._flat: dict[str, spaces.Box] = {}
-        for agent in self.possible_agents:
-            flat = spaces.flatten_space(env.observation_space(agent))
-            if not isinstance(flat, spaces.Box):
-                raise OptionError(f"observation space of the {agent} cannot be flattened to a vector")
-            self._flat[agent] = flat
+        self._flat: dict[str, Any] = {
+            agent: spaces.flatten_space(env.observation_space(agent)) for agent in self.possible_agents
+        }
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of the agent's flattened observations."""
-        return self._flat[agent]
+        space: spaces.Box = self._flat[agent]
+        return space
 
     def convert_observation(self, agent: str, observation: Any) -> Array:
         """Flatten an agent's observation to one vector."""
         vector: Any = spaces.flatten(self.env.observation_space(agent), observation)
         return np.asarray(vector, dtype=self._flat[agent].dtype)
-
-    def unflatten(self, agent: str, vector: Array) -> Any:
-        """Convert an agent's vector back to the observation of the wrapped environment.
-
-        Raises:
-            OptionError: The vector has another shape than the agent's.
-        """
-        if np.shape(vector) != self._flat[agent].shape:
-            raise OptionError(
-                f"vector of the {agent} must have shape {self._flat[agent].shape}, got {np.shape(vector)}"
-            )
-        return spaces.unflatten(self.env.observation_space(agent), vector)
 
 
 def flatten(env: WrappableEnv) -> FlattenedEnv:
@@ -230,10 +212,6 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
     def render(self) -> Any:
         """Return an RGB image (height, width, 3) in the mode "rgb_array", else None."""
         return self.env.render()
-
-    def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera."""
-        return self.env.unwrapped.capture_wrist_camera()
 
     def close(self) -> None:
         """Free the simulation."""

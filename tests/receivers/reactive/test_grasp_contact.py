@@ -1,7 +1,5 @@
 """Tests of pad contacts and of offset grasps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
@@ -9,11 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.receivers.reactive.grasp_contact import compute_pad_margins, sample_surface_points
-from handover_marl.receivers.reactive.grasps import (
-    GraspOffsets,
-    ValidatedGrasps,
-    perturb_grasps,
-)
+from handover_marl.receivers.reactive.grasps import OFFSET_HAND_CLEARANCE, ValidatedGrasps, perturb_grasps
 
 TIP = 0.1126  # distance of the fingertips from the hand's frame (m)
 HALVES = np.array([0.05, 0.02, 0.05])
@@ -47,17 +41,16 @@ def test_pad_margins(overlap: float, lateral: float, margin: float) -> None:
 
 
 def test_offset_grasps_are_clear_of_hand_and_object() -> None:
-    config = GraspOffsets()
     grasps = ValidatedGrasps(np.stack([pose_above(0.02), pose_above(0.02, 0.02)]), np.array([1.0, 0.0]))
     # A finger of the person on top blocks the first grasp.
     hand = Spheres(np.array([[0.0, 0.0, HALVES[2] + 0.012]]), np.array([0.01]))
     assert compute_grasp_clearances(grasps.poses[:1], hand, 0.08)[0] < 0.0
-    kept = perturb_grasps(grasps, POINTS, hand, 0.08, config)
+    kept = perturb_grasps(grasps, POINTS, hand, 0.08)
     assert len(kept.poses) > 0
-    assert (compute_grasp_clearances(kept.poses, hand, 0.08) > config.min_clearance).all()
+    assert (compute_grasp_clearances(kept.poses, hand, 0.08) > OFFSET_HAND_CLEARANCE).all()
     assert (kept.success_rates == 1.0).all()
-    unblocked = perturb_grasps(grasps, POINTS, FAR, 0.08, config)
+    unblocked = perturb_grasps(grasps, POINTS, FAR, 0.08)
     assert len(unblocked.poses) > len(kept.poses)
     # At this depth the hand's body collides with the box.
-    deep = ValidatedGrasps(pose_above(0.06)[None], np.ones(1))
-    assert len(perturb_grasps(deep, POINTS, FAR, 0.08, replace(config, backward=(0.0,))).poses) == 0
+    deep = ValidatedGrasps(pose_above(0.08)[None], np.ones(1))
+    assert len(perturb_grasps(deep, POINTS, FAR, 0.08).poses) == 0

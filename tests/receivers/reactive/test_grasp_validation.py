@@ -5,15 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import CLASS_NAMES
-from handover_marl.receivers.grasp_library import GraspLibrary
+from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive import grasp_validation as validation_module
 from handover_marl.receivers.reactive.grasp_validation import (
     get_validation_record,
@@ -24,8 +22,9 @@ from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, gras
 from tests.receivers.quick import QUICK_PREPARATION
 
 DATA = SyntheticDataset()
-BRICK = "061_foam_brick"
-QUICK = replace(QUICK_PREPARATION, tilts=(0.4,))
+URDF = DATA.find_object_urdf("061_foam_brick")
+KNOWN = load_hand_poses(DATA.load_grasps, "061_foam_brick")
+assert KNOWN is not None
 
 
 @pytest.fixture(autouse=True)
@@ -33,57 +32,28 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
-def known_grasps(name: str) -> np.ndarray:
-    known = GraspLibrary(DATA.load_grasps).get_hand_poses_in_object(name)
-    assert known is not None
-    return known
-
-
-@given(st.data())
-@settings(max_examples=50)
-def test_grasps_from_record(draw: st.DataObject) -> None:
-    config, n = GraspPreparationConfig(), draw.draw(st.integers(1, 8))
-    known = known_grasps(BRICK)[:n]
-    copies = sorted(draw.draw(st.sets(st.integers(0, 4 * n - 1))))
-    row = st.tuples(st.integers(0, 3), st.integers(0, 4), st.integers(0, 4))
-    rows = draw.draw(st.lists(row, min_size=n + len(copies), max_size=n + len(copies)))
-    record = np.array([(copy, *row) for copy, row in zip([-1] * n + copies, rows, strict=True)], dtype=np.int16)
-    grasps = grasps_from_record(record, known, config)
-    bare = np.concatenate([known, tilt_grasps(known, config)[copies]])
-    for number, (n_stable, advance, n_kept) in enumerate(rows):
+def test_grasps_from_record() -> None:
+    config, known = GraspPreparationConfig(), KNOWN[:2]
+    rows = [(-1, 3, 1, 4), (-1, 0, 0, 2), (1, 2, 4, 1), (5, 1, 2, 0)]
+    grasps = grasps_from_record(np.array(rows, dtype=np.int16), known, config)
+    bare = np.concatenate([known, tilt_grasps(known, config)[[1, 5]]])
+    for number, (_, n_stable, advance, n_kept) in enumerate(rows):
         distance = config.advances[advance - 1] if advance else 0.0
         along = compose(bare[number], np.array([0.0, 0.0, distance, 0.0, 0.0, 0.0, 1.0]))
         np.testing.assert_allclose(grasps.poses[number], along, atol=1e-12)
         assert grasps.success_rates[number] == pytest.approx(n_stable * n_kept / 12)
 
 
-@pytest.mark.parametrize(
-    ("place", "value"),
-    [((0, 0), 0), ((2, 0), -1), ((2, 0), 99), ((0, 1), -1), ((0, 1), 2), ((1, 2), 5), ((1, 3), 2), ((2, 3), -2)],
-)
-def test_invalid_records(place: tuple[int, int], value: int) -> None:
-    known, record = known_grasps(BRICK)[:2], np.array([(-1, 1, 0, 1), (-1, 1, 4, 1), (1, 1, 0, 1)], dtype=np.int16)
-    grasps_from_record(record, known, QUICK)
-    record[place] = value
-    with pytest.raises(ValueError, match="the record belongs to"):
-        grasps_from_record(record, known, QUICK)
-
-
-@pytest.mark.parametrize("damaged", [b"no archive", np.array([(-1, 9, 0, 0)], dtype=np.int16), np.zeros(3)])
-def test_damaged_cache_is_replaced(tmp_path: Path, damaged: object) -> None:
-    known, urdf = known_grasps(BRICK)[:3], DATA.find_object_urdf(BRICK)
-    first = validate_grasps(urdf, DATA.panda_urdf, known, QUICK)
+def test_records_are_cached_and_a_damaged_one_is_replaced() -> None:
+    known, config = KNOWN[:3], replace(QUICK_PREPARATION, tilts=(0.4,))
+    first = validate_grasps(URDF, DATA.panda_urdf, known, config)
     assert len(first.poses) >= len(known)
     assert set(first.success_rates) <= {0.0, 1.0}
-    path = get_validation_record_path(urdf, DATA.panda_urdf, known, QUICK)
-    other = np.array([(-1, 0, 0, 1)] * 3, dtype=np.int16)
-    np.savez(path, record=other)
-    assert (validate_grasps(urdf, DATA.panda_urdf, known, QUICK).success_rates == 0.0).all()
-    if isinstance(damaged, bytes):
-        path.write_bytes(damaged)
-    else:
-        np.savez(path, record=damaged)
-    again = validate_grasps(urdf, DATA.panda_urdf, known, QUICK)
+    path = get_validation_record_path(URDF, DATA.panda_urdf, known, config)
+    np.savez(path, record=np.array([(-1, 0, 0, 1)] * 3, dtype=np.int16))
+    assert (validate_grasps(URDF, DATA.panda_urdf, known, config).success_rates == 0.0).all()
+    path.write_bytes(b"no archive")
+    again = validate_grasps(URDF, DATA.panda_urdf, known, config)
     np.testing.assert_array_equal(again.poses, first.poses)
     np.testing.assert_array_equal(again.success_rates, first.success_rates)
 
@@ -96,10 +66,9 @@ def test_shipped_records_are_found(
     """The shipped records match the shipped objects, grasps and robots."""
     monkeypatch.setattr(validation_module, "make_grasp_validator", None)
     folder = request.getfixturevalue("real_data") if dataset == "dexycb" else None
-    data = open_dataset(dataset, folder, robot)
-    grasps, count = GraspLibrary(data.load_grasps), 0
+    data, count = open_dataset(dataset, folder, robot), 0
     for name in CLASS_NAMES.values():
-        known = grasps.get_hand_poses_in_object(name)
+        known = load_hand_poses(data.load_grasps, name)
         if known is not None:
             found = validate_grasps(data.find_object_urdf(name), data.panda_urdf, known, GraspPreparationConfig())
             count += 1
@@ -112,9 +81,10 @@ def test_shipped_records_are_found(
 @pytest.mark.slow
 def test_a_simulation_selects_the_grasps_of_the_shipped_record(monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo accepts and rejects the known grasps as PyBullet did, which made the shipped record."""
-    known, urdf, config = known_grasps(BRICK), DATA.find_object_urdf(BRICK), GraspPreparationConfig()
-    shipped = get_validation_record(urdf, DATA.panda_urdf, known, config)[: len(known)]
+    config, some = GraspPreparationConfig(), slice(0, len(KNOWN), 4)
+    shipped = get_validation_record(URDF, DATA.panda_urdf, KNOWN, config)[: len(KNOWN)][some]
     monkeypatch.setattr(validation_module, "load_validation_record", lambda name: None)
-    made = get_validation_record(urdf, DATA.panda_urdf, known, replace(config, max_copies=5))[: len(known)]
+    made = get_validation_record(URDF, DATA.panda_urdf, KNOWN[some], replace(config, max_copies=0))
     good, found = (record[:, 1] * record[:, 3] > 0 for record in (shipped, made))
+    assert 0 < good.sum() < len(good)
     assert (good == found).mean() > 0.9
