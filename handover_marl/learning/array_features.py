@@ -4,11 +4,9 @@ Positions are scaled to decimetres and expressed in the frame of the planned han
 components are of order one and independent of the world frame. Features do not depend on the other episodes.
 """
 
-import functools
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
@@ -72,11 +70,6 @@ class ArrayFeatures(ABC):
         self._goal = arrays.asarray(context.protocol.goal_center)
         self._duration = context.protocol.horizon_steps * TIME_STEP
         self._classes = arrays.arange(LARGEST_YCB_CLASS) + 1
-
-    @functools.cached_property
-    def space(self) -> spaces.Box:
-        """Space of a feature vector."""
-        return spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
 
     def reset(self, row: int) -> None:  # noqa: B027
         """Clear the values that are stored from the previous episode.

@@ -9,9 +9,9 @@ from typing import Any
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
+from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.array_schemes import ArrayScheme
 from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector

@@ -68,10 +68,6 @@ class Linear:
     [
         (lambda: make(1.0), lambda: make(2.0)),
         (lambda: lambda value: value + 1, lambda: lambda value: value + 2),
-        (
-            lambda: lambda value: [value + part for part in (1, 2)],
-            lambda: lambda value: [value + part for part in (1, 3)],
-        ),
         (lambda: eval("lambda value: value.real"), lambda: eval("lambda value: value.imag")),
         (lambda: math.sin, lambda: math.cos),
         (lambda: Linear(1.0), lambda: Linear(2.0)),

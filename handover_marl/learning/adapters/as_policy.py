@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
-from handover_marl.errors import OptionError, check_name
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.learning.features import list_features
 from handover_marl.learning.policy_files import complete_spec, read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import list_schemes
 from handover_marl.policies.hashing import find_package, hash_object
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
@@ -119,8 +118,6 @@ def _adapt(
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    _check_choice("features", features, (*list_features(agent), OBSERVATION))
-    _check_choice("action scheme", action_scheme, list_schemes(agent))
     given = {"features": features, "actions": action_scheme, "control_period": control_period}
     stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
     spec = replace(spec, obs_mode=obs_mode)
@@ -143,13 +140,6 @@ def _adapt(
     # Modules of PyTorch's own layers do not depend on its build.
     packages = {"" if isinstance(function, DenseNetwork) else find_package(policy)} - {"", "torch"}
     return PolicyReference(agent, name or stem, pickled, packages=tuple(packages))
-
-
-def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
-    if isinstance(choice, str) and not is_reference(choice):
-        check_name(kind, choice, names)
-    elif choice is not None and not isinstance(choice, str) and not callable(choice):
-        raise OptionError(f"{kind} must be a name, a class or a function, got {choice!r}")
 
 
 def _read_model(

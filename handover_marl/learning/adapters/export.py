@@ -18,8 +18,8 @@ from handover_marl.learning.policy_files import check_policy_path, complete_spec
 from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, dense_network_from_layers
 from handover_marl.learning.schemes import count_outputs
 
-# Number and scale of the random inputs on which a converted network is compared with its module.
-_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
+Array = npt.NDArray[np.float32]
+_TOLERANCE = 1e-4
 
 
 def export_policy(
@@ -115,13 +115,13 @@ def dense_network_from_module(module: Any, activation: str | None = None) -> Den
             activation, or that with `activation`, has the same outputs.
     """
     bare = dense_network_from_layers(module, "identity" if activation is None else activation)
-    inputs, expected = _evaluate(module, bare.n_inputs)
+    inputs = draw_inputs(bare.n_inputs)
+    expected = _evaluate(module, inputs)
     candidates = ACTIVATIONS if activation is None else (activation,)
     # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
     for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
         network = replace(bare, activation=between, output=after)
-        found = np.stack([network(row) for row in inputs])
-        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
+        if is_close(network, inputs, expected):
             return network
     raise DataFormatError(
         f"{type(module).__name__} must consist of linear layers with one activation between them "
@@ -129,19 +129,28 @@ def dense_network_from_module(module: Any, activation: str | None = None) -> Den
     )
 
 
-def _evaluate(module: Any, n_inputs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def draw_inputs(count: int) -> Array:
+    """Draw random inputs (8, `count`) on which a converted network is compared with its module."""
+    return (2.0 * np.random.default_rng(0).standard_normal((8, count))).astype(np.float32)
+
+
+def is_close(network: DenseNetwork, inputs: Array, expected: Array) -> bool:
+    """Return whether the outputs of a network are the expected ones (n, n_outputs), up to rounding."""
+    found = network(inputs)
+    return found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE)
+
+
+def _evaluate(module: Any, inputs: Array) -> Array:
     torch, was_training = sys.modules["torch"], module.training
-    values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
     parameter = next(module.parameters())
     try:
         with use_default_torch_settings(), torch.no_grad():
-            outputs = module.eval()(torch.from_numpy(values).to(parameter))
+            outputs: Array = module.eval()(torch.from_numpy(inputs).to(parameter)).float().cpu().numpy()
     except Exception as error:  # code of the user
         raise DataFormatError(
-            f"{type(module).__name__} must accept inputs of shape (n, {n_inputs}) ({type(error).__name__}: {error})"
+            f"{type(module).__name__} must return a tensor for inputs of shape (n, {inputs.shape[1]}) "
+            f"({type(error).__name__}: {error})"
         ) from error
     finally:
         module.train(was_training)
-    if not isinstance(outputs, torch.Tensor):
-        raise DataFormatError(f"{type(module).__name__} must return a tensor, got {type(outputs).__name__}")
-    return values, outputs.float().cpu().numpy()
+    return outputs

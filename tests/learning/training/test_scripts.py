@@ -36,8 +36,8 @@ def read_column(file: Path, name: str) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the episodes of evaluations be shorter than those of the trainings."""
-    shorten_episodes(monkeypatch, 1000)
+    """Let episodes be no longer than those of the trainings; a giver acts after 2 s."""
+    shorten_episodes(monkeypatch, 2800)
 
 
 @pytest.mark.slow
