@@ -22,7 +22,7 @@ from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
-from handover_marl.learning.adapters.export import dense_network_from_module
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.dense_networks import make_mlp

@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.modules import MultiAgentMLP
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.policy_spec import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 
 
 class HandoverClass(PettingZooClass):

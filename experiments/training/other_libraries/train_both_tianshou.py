@@ -26,7 +26,7 @@ from torch.distributions import Independent, Normal
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.learning.policy_spec import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:

@@ -17,7 +17,7 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.policy_spec import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 from handover_marl.learning.training.dense_networks import make_mlp
 
 

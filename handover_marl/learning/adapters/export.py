@@ -1,25 +1,17 @@
-"""Export of trained networks to policy files, and conversion of PyTorch modules of linear layers."""
+"""Export of trained networks to policy files."""
 
-import itertools
 import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.geometry.arrays import use_default_torch_settings
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.features import count_features
-from handover_marl.learning.policy_files import check_policy_path, complete_spec, write_policy
-from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, dense_network_from_layers
+from handover_marl.learning.policy_files import complete_spec, write_policy
 from handover_marl.learning.schemes import count_outputs
-
-Array = npt.NDArray[np.float32]
-_TOLERANCE = 1e-4
 
 
 def export_policy(
@@ -65,7 +57,6 @@ def export_policy(
         ResultsError: The file cannot be written.
     """
     file, recorded = Path(path).expanduser(), {}
-    check_policy_path(file)
     if is_sb3_model(model):
         # Imports Stable-Baselines3, which made the model.
         from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
@@ -99,58 +90,3 @@ def is_sb3_model(model: object) -> bool:
     # A model can exist only if the package was imported.
     module = sys.modules.get("stable_baselines3.common.base_class")
     return module is not None and isinstance(model, module.BaseAlgorithm)
-
-
-def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
-    """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
-
-    Outputs for random inputs are compared, which also finds the activation after the last layer.
-
-    Args:
-        module: Module from (n, n_inputs) to (n, n_outputs).
-        activation: Activation between the layers; None finds it too.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
-            activation, or that with `activation`, has the same outputs.
-    """
-    bare = dense_network_from_layers(module, "identity" if activation is None else activation)
-    inputs = draw_inputs(bare.n_inputs)
-    expected = _evaluate(module, inputs)
-    candidates = ACTIVATIONS if activation is None else (activation,)
-    # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
-    for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
-        network = replace(bare, activation=between, output=after)
-        if is_close(network, inputs, expected):
-            return network
-    raise DataFormatError(
-        f"{type(module).__name__} must consist of linear layers with one activation between them "
-        f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
-    )
-
-
-def draw_inputs(count: int) -> Array:
-    """Draw random inputs (8, `count`) on which a converted network is compared with its module."""
-    return (2.0 * np.random.default_rng(0).standard_normal((8, count))).astype(np.float32)
-
-
-def is_close(network: DenseNetwork, inputs: Array, expected: Array) -> bool:
-    """Return whether the outputs of a network are the expected ones (n, n_outputs), up to rounding."""
-    found = network(inputs)
-    return found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE)
-
-
-def _evaluate(module: Any, inputs: Array) -> Array:
-    torch, was_training = sys.modules["torch"], module.training
-    parameter = next(module.parameters())
-    try:
-        with use_default_torch_settings(), torch.no_grad():
-            outputs: Array = module.eval()(torch.from_numpy(inputs).to(parameter)).float().cpu().numpy()
-    except Exception as error:  # code of the user
-        raise DataFormatError(
-            f"{type(module).__name__} must return a tensor for inputs of shape (n, {inputs.shape[1]}) "
-            f"({type(error).__name__}: {error})"
-        ) from error
-    finally:
-        module.train(was_training)
-    return outputs

@@ -12,7 +12,7 @@ import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError
-from handover_marl.learning.adapters.export import dense_network_from_module
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import PolicySpec
 
