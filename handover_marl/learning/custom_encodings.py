@@ -20,7 +20,6 @@ from handover_marl.policies.policy import PolicyContext
 
 FEATURES, SCHEME = "features", "action scheme"
 _ACTION_SIZES = {"giver": GIVER_ACTION_SIZE, "receiver": PANDA_DOF}
-_MAX_SIZE = 1_000_000
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Vector = npt.NDArray[np.float32]
 
@@ -34,7 +33,7 @@ def declare_size(size: int) -> Callable[[_Function], _Function]:
     Raises:
         OptionError: The size is not an integer of at least 1.
     """
-    _check_size("size", size)
+    _check_size("features or outputs", size)
 
     def decorate(function: _Function) -> _Function:
         function.size = size  # type: ignore[attr-defined]
@@ -112,7 +111,7 @@ class CustomFeatures(ArrayFeatures):
         self.name, self._arrays = name or _get_name(choice), arrays
         self._what = f"{FEATURES} {self.name!r}"
         self._functions = _make_instances(FEATURES, agent, choice, context, count)
-        self.size = _read_size(self._what, "features", self._functions[0])
+        self.size = _check_size(self._what, getattr(self._functions[0], "size", None), "features")
 
     def reset(self, row: int) -> None:
         """Clear the values that the features store from the previous episode, if there are any."""
@@ -172,7 +171,7 @@ class CustomScheme(ArrayScheme):
             )
         self.agent, self.name = agent, name or _get_name(choice)  # type: ignore[misc]
         self._what, self._arrays = f"{SCHEME} {self.name!r}", arrays
-        self.size = _read_size(self._what, "outputs", choice)
+        self.size = _check_size(self._what, getattr(choice, "size", None), "outputs")
         found = _make_instances(SCHEME, agent, choice, context, count)
         self._schemes: Sequence[ActionScheme] = found if isinstance(choice, type) else list(map(_FunctionScheme, found))
         self.wait = self._schemes[0].wait
@@ -206,21 +205,16 @@ class CustomScheme(ArrayScheme):
         return self._arrays.asarray(np.stack(found))
 
 
-def _check_size(name: str, size: object) -> int:
-    if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _MAX_SIZE:
-        raise OptionError(f"{name} must be an integer from 1 to {_MAX_SIZE}, got {size!r}")
-    return size
-
-
-def _read_size(what: str, unit: str, choice: object) -> int:
-    """Return the declared number of features or outputs."""
-    size = getattr(choice, "size", None)
+def _check_size(name: str, size: object, unit: str = "") -> int:
+    """Return a declared number of features or outputs."""
     if size is None:
         raise OptionError(
-            f"{what} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
+            f"{name} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
             "function"
         )
-    return _check_size(f"size of {what}", size)
+    if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+        raise OptionError(f"size of {name} must be an integer of at least 1, got {size!r}")
+    return size
 
 
 def _get_name(choice: object) -> str:

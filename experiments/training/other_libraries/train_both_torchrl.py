@@ -18,7 +18,7 @@ from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.training.dense_networks import make_mlp
+from handover_marl.learning.training.run_folder import make_mlp
 
 
 def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:

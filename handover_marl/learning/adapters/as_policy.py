@@ -86,21 +86,8 @@ def as_giver(
 ) -> PolicyReference:
     """Return a giver that runs a function, a network or a file; pass it wherever a giver can be passed.
 
-    By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`.
-
-    Args:
-        policy: Function, PyTorch module, model or file as for `as_receiver`.
-        control_period: Time between two decisions (s); default: as in training if that is recorded,
-            else 0.1 s.
-        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the
-            observation itself.
-        action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
-        name: Name in tables and result folders; default: the name of the function, class or file and
-            a hash.
-        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
-
-    Raises:
-        HandoverError: As for `as_receiver`.
+    By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
+    errors are those of `as_receiver`.
     """
     return _adapt("giver", policy, control_period, STATE, features, action_scheme, name, trust)
 
