@@ -119,7 +119,9 @@ def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
         at(homes[1])
         assert bundle.unpack(tmp_path).policy_class.name == "mine"
         at(homes[2])
-        with pytest.raises(PolicyError, match=r"on node .*Mine' must be installed as here, got PolicyError: it has other code"):
+        with pytest.raises(
+            PolicyError, match=r"on node .*Mine' must be installed as here, got PolicyError: it has other code"
+        ):
             bundle.unpack(tmp_path)
         at(None)
         with pytest.raises(PolicyError, match=r"on node .*Mine' must be installed as here, got .*robots_of_mine"):
@@ -134,7 +136,9 @@ def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypat
     bundle = PolicyBundle.pack(handover_marl.as_receiver(importlib.import_module(name).act))
     assert bundle.unpack(tmp_path).name == "act"
     (tmp_path / f"{name}.py").write_text("def act(observation):\n    return None\n")
-    with pytest.raises(PolicyError, match=r"receiver 'act' must be installed as here, got PolicyError: it has other code"):
+    with pytest.raises(
+        PolicyError, match=r"receiver 'act' must be installed as here, got PolicyError: it has other code"
+    ):
         bundle.unpack(tmp_path)
     (tmp_path / f"{name}.py").unlink()
     sys.modules.pop(name)

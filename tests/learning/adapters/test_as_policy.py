@@ -104,7 +104,7 @@ def test_random_numbers_of_modules_come_from_the_seed() -> None:
         (stay, {"features": "grasp", "obs_mode": "pointcloud"}, r"take 'state\+pointcloud'"),
         (3, {}, "policy must be a function, a PyTorch module, .*, got 3"),
         (receivers.Receiver, {}, "got the policy .*; pass it directly"),
-        ("nowhere.zip", {}, "no such policy file"),
+        ("nowhere.zip", {}, "nowhere.zip: cannot read this policy file"),
         ("setup.cfg", {}, r"policy files are \.npz or \.zip"),
         (threading.Lock().acquire, {}, "cannot be sent to worker processes"),
     ],
