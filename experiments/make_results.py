@@ -168,11 +168,7 @@ class Evaluation:
         return f"exact physics, giver `replay`, {self.data}"
 
     def format_rate(self, name: str) -> str:
-        """Return the rate of an outcome with its 95 % Wilson interval (%), as text.
-
-        Args:
-            name: Field with the number of episodes: success, contact, drop or timeout.
-        """
+        """Return the rate of an outcome, a field of this class, with its 95 % Wilson interval (%), as text."""
         return format_percent_rate(getattr(self, name), self.episodes, digits=2)
 
 
@@ -266,14 +262,7 @@ def format_row(one: Evaluation) -> list[str]:
 
 
 def format_published_row(row: PublishedResult, receiver: str, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result.
-
-    Args:
-        row: Published result.
-        receiver: Receiver of this library with the same method.
-        setup: Official setup of the result.
-        episodes: Number of episodes of the test split.
-    """
+    """Return the cells of the table row of a published result of the method of a receiver of this library."""
     cells = [f"{value:.2f}" for value in (row.contact, row.drop, row.timeout)]
     start = [f"published: {row.method}", INPUTS[receiver][0], setup, f"{row.wait_s:g}", str(episodes)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
@@ -283,11 +272,7 @@ def format_published_row(row: PublishedResult, receiver: str, setup: str, episod
 def select_evaluations(
     evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
-    """Return the evaluations of some receivers on one data set.
-
-    Raises:
-        SystemExit: The data of the evaluations differ.
-    """
+    """Return the evaluations of some receivers on one data set, which must have equal data."""
     chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
     if len({one.data for one in chosen}) > 1:
         raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
@@ -295,13 +280,7 @@ def select_evaluations(
 
 
 def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
-    """Return a Markdown table of the test results of some receivers, with the published results.
-
-    Args:
-        evaluations: All evaluations.
-        receivers: Names of the receivers in the table.
-        dataset: Dataset of the evaluations in the table.
-    """
+    """Return a Markdown table of the test results of some receivers on one data set, with the published results."""
     chosen = select_evaluations(evaluations, receivers, dataset)
     methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
     rows = []

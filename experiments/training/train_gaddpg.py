@@ -26,14 +26,14 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     CHUNK_SIZE,
     DataGeneratorConfig,
     ExpertPlans,
+    ImitationStates,
     RolloutTask,
     collect_states,
     list_shared_scenes,
     make_plans,
 )
 from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner, GaddpgLearnerConfig
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates
+from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
@@ -59,7 +59,6 @@ class Args(ImitationArgs):
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate
             selects the network.
         expert: Configuration of the expert's choice of goal grasps.
-        learner: Hyperparameters of the network's training.
         approach: Configuration of the network's approach to a grasp; slower than the expert's,
             since the giver may still move.
         max_steps: Largest number of actions in the network's approach to a grasp.
@@ -75,7 +74,6 @@ class Args(ImitationArgs):
     updates: int = 15_000
     waits: tuple[float, ...] = (3.0,)
     expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
-    learner: GaddpgLearnerConfig = field(default_factory=GaddpgLearnerConfig)
     approach: ApproachFieldConfig = field(default_factory=lambda: ApproachFieldConfig(spare_steps=5))
     max_steps: int = 30
 
@@ -110,7 +108,7 @@ def main(args: Args) -> Path:
     scenes = list_shared_scenes(data, args.setups)
     torch.manual_seed(args.seed)
     network = GaddpgNetwork(args.approach, args.max_steps)
-    learner = GaddpgLearner(network, args.updates, args.torch_device, args.learner)
+    learner = GaddpgLearner(network, args.updates, args.torch_device)
     run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
     generator = DataGeneratorConfig(scenes, data.name, args.data_dir, args.seed, args.expert)
     plans = make_plans(run.folder / "plans", generator, args.scenarios, args.workers)

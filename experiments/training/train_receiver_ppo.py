@@ -22,10 +22,10 @@ from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
-from handover_marl.learning.adapters.export import dense_network_from_module
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.dense_networks import make_mlp
+from handover_marl.learning.training.run_folder import make_mlp
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 

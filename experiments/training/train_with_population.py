@@ -69,18 +69,18 @@ class Args(SetupArgs):
 
     def __post_init__(self) -> None:
         if self.ego == "giver" and self.method == "history":
-            raise OptionError(
-                "method must be best_response, population or fictitious_co_play for a giver, got history; the features "
-                "of the last four decisions are for receivers"
-            )
+            raise OptionError("method must be another one for a giver, got history; its features are for receivers")
         if self.partner and self.method != "best_response":
             raise OptionError(f"partner must be left out with method {self.method}, got {self.partner!r}")
-        if not self.seeds or not all(0 <= seed < _FIRST_PAIR_SEED for seed in self.seeds):
+        if not all(0 <= seed < _FIRST_PAIR_SEED for seed in self.seeds):
             raise OptionError(f"seeds must be integers from 0 to {_FIRST_PAIR_SEED - 1}, got {self.seeds}")
-        if self.pairs < 1:
-            raise OptionError(f"pairs must be at least 1, got {self.pairs}")
         if set(str(self.out)) & set(",="):
             raise OptionError(f"out must be a path without commas and equals signs, got {self.out}")
+
+    def open_folder(self, name: str, free: tuple[str, ...]) -> Path:
+        """Return a folder of `out`, after a check that it holds no policies of other arguments except `free` ones."""
+        path = self.out / name
+        return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
 
 
 def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, share: float = 1.0) -> Path:
@@ -114,28 +114,13 @@ def train_policy(args: Args, agent: str, partner: str, path: Path, seed: int, sh
     return path
 
 
-def open_folder(args: Args, name: str, free: tuple[str, ...]) -> Path:
-    """Return a folder of `args.out`, after a check that it holds no policies of other arguments.
-
-    Args:
-        args: Arguments of the script.
-        name: Name of the folder.
-        free: Names of arguments that may change.
-
-    Raises:
-        ResultsError: The folder was made with other arguments.
-    """
-    path = args.out / name
-    return open_run_folder(path, args, path.exists(), args.open_dataset().name, free)
-
-
 def train_pairs(args: Args) -> Path:
     """Train the pairs, and return the file of the population of their policies.
 
     Raises:
         ResultsError: The pairs have other arguments, or a policy of a finished pair is missing.
     """
-    folder = open_folder(args, "pairs", ("ego", "method", "seeds", "partner", "population"))
+    folder = args.open_folder("pairs", ("ego", "method", "seeds", "partner", "population"))
     partners: dict[str, list[Partner]] = {"giver": [], "receiver": []}
     for seed in range(_FIRST_PAIR_SEED, _FIRST_PAIR_SEED + args.pairs):
         for agent, partner in (("receiver", "replay"), ("giver", f"learned:{folder}/receiver_final_{seed}.npz")):
@@ -152,14 +137,6 @@ def train_pairs(args: Args) -> Path:
     return file
 
 
-def choose_partner(args: Args) -> str:
-    """Return the partner of the trained policy, after the training of the pairs if the method needs them."""
-    if args.method == "best_response":
-        return args.partner or {"receiver": "replay", "giver": "yang2021"}[args.ego]
-    population = train_pairs(args) if args.method == "fictitious_co_play" else args.population
-    return f"population:population={population}"
-
-
 def main(args: Args) -> list[Path]:
     """Train a policy with every seed, and return the policy files.
 
@@ -167,8 +144,12 @@ def main(args: Args) -> list[Path]:
         ResultsError: The folder holds policies of other arguments.
     """
     args = args.resolve_setup()
-    folder = open_folder(args, f"{args.ego}_{args.method}", ("seeds",))
-    partner = choose_partner(args)
+    folder = args.open_folder(f"{args.ego}_{args.method}", ("seeds",))
+    if args.method == "best_response":
+        partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.ego]
+    else:
+        population = train_pairs(args) if args.method == "fictitious_co_play" else args.population
+        partner = f"population:population={population}"
     return [train_policy(args, args.ego, partner, folder / f"{seed}.npz", seed) for seed in args.seeds]
 
 

@@ -1,7 +1,8 @@
-"""Base class of action schemes, which convert network outputs in [-1, 1] to an agent's actions.
+"""Base classes of action schemes, which convert network outputs in [-1, 1] to an agent's actions.
 
-Networks learn best with few outputs of equal scale for which zero is a sensible action. The
-learning environments and the learned policies decode outputs with the same schemes.
+Networks learn best with few outputs of equal scale for which zero is a sensible action. The learning environments and
+the learned policies decode outputs with the same schemes. Built-in schemes decode the outputs of many episodes at once;
+actions do not depend on the other episodes.
 """
 
 from abc import ABC, abstractmethod
@@ -10,7 +11,9 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.episode.observations import Observation
+from handover_marl.episode.observations import Observation, add_episode_axis
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, AnyArray, ArrayFactory
+from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
 Outputs = npt.NDArray[np.floating]
@@ -56,3 +59,123 @@ class ActionScheme(ABC):
     @abstractmethod
     def compute_action(self, observation: Observation) -> Action:
         """Return the agent's action for the current outputs, an element of its action space."""
+
+
+class ArrayScheme(ABC):
+    """Decoder of network outputs into one agent's actions, in each of n episodes.
+
+    Args:
+        context: Robot, task and known grasps of the objects.
+        selector: Selector of grasps.
+        count: Number n of episodes.
+        arrays: Creator of the arrays.
+
+    Attributes:
+        name: Name of the scheme in policy files.
+        agent: Agent that acts, "giver" or "receiver".
+        size: Number of outputs.
+        wait: Time at the start of an episode during which the agent does not act (s); may be changed only in schemes
+            in which it is not zero by default.
+    """
+
+    name: ClassVar[str]
+    agent: ClassVar[str]
+    size: int
+    wait: float = 0.0
+
+    def __init__(
+        self,
+        context: PolicyContext,
+        selector: LowestCostGraspSelector,
+        count: int,
+        arrays: ArrayFactory = NUMPY_ARRAYS,
+    ) -> None:
+        self._selector, self._arrays = selector, arrays
+        self._outputs = arrays.zeros((count, self.size))
+        self.allocate(context, count)
+
+    def allocate(self, context: PolicyContext, count: int) -> None:  # noqa: B027
+        """Create what a scheme needs besides the outputs of its n episodes."""
+
+    def reset(self, row: int) -> None:
+        """Clear the state of the previous episode.
+
+        Args:
+            row: Index of the episode.
+        """
+        self._outputs[row] = 0.0
+
+    def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return whether the network must be evaluated now, in each of r episodes."""
+        return self._arrays.full(len(rows), True, "bool")
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size), clipped to [-1, 1]."""
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
+
+    @abstractmethod
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the agent's actions (r, ...) for the current outputs, float32.
+
+        Args:
+            rows: Indices (r,) of the episodes.
+            observation: Arrays (r, ...) of the agent's observations.
+        """
+
+
+class RawScheme(ArrayScheme):
+    """Identity scheme: the outputs are the actions in physical units and are not clipped."""
+
+    def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
+        """Store new network outputs (r, size) without clipping."""
+        xp = self._arrays.xp
+        self._outputs[rows] = xp.astype(outputs, xp.float64)
+
+    def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
+        """Return the current outputs as the actions, float32."""
+        xp = self._arrays.xp
+        return xp.astype(self._outputs[rows], xp.float32)
+
+
+class SingleScheme(ActionScheme):
+    """Action scheme that takes and returns the values of one episode, without the axis of episodes.
+
+    Args:
+        scheme: Scheme of n = 1 episode.
+        context: Robot, task and known grasps of the objects.
+
+    Attributes:
+        scheme: Scheme of n = 1 episode.
+    """
+
+    def __init__(self, scheme: ArrayScheme, context: PolicyContext) -> None:
+        self.name, self.agent, self.size = scheme.name, scheme.agent, scheme.size  # type: ignore[misc]
+        self.context, self.scheme = context, scheme
+        scheme.reset(0)
+
+    @property
+    def wait(self) -> float:
+        """Time at the start of an episode during which the agent does not act (s)."""
+        return self.scheme.wait
+
+    @wait.setter
+    def wait(self, wait: float) -> None:
+        self.scheme.wait = wait
+
+    def reset(self) -> None:
+        """Clear the state of the previous episode."""
+        self.scheme.reset(0)
+
+    def needs_outputs(self, observation: Observation) -> bool:
+        """Return whether the network must be evaluated now; else its previous outputs remain in use."""
+        return bool(self.scheme.needs_outputs(ONLY_ROW, add_episode_axis(observation))[0])
+
+    def set_outputs(self, outputs: Outputs) -> None:
+        """Store new network outputs (size,)."""
+        self.scheme.set_outputs(ONLY_ROW, np.asarray(outputs)[None])
+
+    def compute_action(self, observation: Observation) -> Action:
+        """Return the agent's action for the current outputs, an element of its action space."""
+        action: Action = self.scheme.compute_actions(ONLY_ROW, add_episode_axis(observation))[0]
+        return action

@@ -4,11 +4,9 @@ Positions are scaled to decimetres and expressed in the frame of the planned han
 components are of order one and independent of the world frame. Features do not depend on the other episodes.
 """
 
-import functools
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import numpy as np
 from gymnasium import spaces
 
 from handover_marl.config import TIME_STEP
@@ -72,11 +70,10 @@ class ArrayFeatures(ABC):
         self._goal = arrays.asarray(context.protocol.goal_center)
         self._duration = context.protocol.horizon_steps * TIME_STEP
         self._classes = arrays.arange(LARGEST_YCB_CLASS) + 1
+        self.allocate(count)
 
-    @functools.cached_property
-    def space(self) -> spaces.Box:
-        """Space of a feature vector."""
-        return spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
+    def allocate(self, count: int) -> None:  # noqa: B027
+        """Create what features store of n episodes."""
 
     def reset(self, row: int) -> None:  # noqa: B027
         """Clear the values that are stored from the previous episode.
@@ -261,14 +258,9 @@ class StackedFeatures(GraspProximityFeatures):
 
     name, size = "close_stack", N_STACKED * GraspProximityFeatures.size
 
-    def __init__(
-        self,
-        context: PolicyContext,
-        selector: LowestCostGraspSelector,
-        count: int,
-        arrays: ArrayFactory = NUMPY_ARRAYS,
-    ) -> None:
-        super().__init__(context, selector, count, arrays)
+    def allocate(self, count: int) -> None:
+        """Create the stacks of n episodes."""
+        arrays = self._arrays
         self._stacks = arrays.zeros((count, N_STACKED, GraspProximityFeatures.size), "float32")
         self._times = arrays.full(count, -1.0)
 

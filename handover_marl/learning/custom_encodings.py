@@ -8,21 +8,18 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import GIVER_ACTION_SIZE
 from handover_marl.errors import EncodingError, HandoverError, OptionError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
-from handover_marl.learning.action_scheme import Action, ActionScheme, Outputs
+from handover_marl.learning.action_scheme import Action, ActionScheme, ArrayScheme, Outputs
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.array_schemes import ArrayScheme
 from handover_marl.policies.policy import PolicyContext
 
 FEATURES, SCHEME = "features", "action scheme"
 _ACTION_SIZES = {"giver": GIVER_ACTION_SIZE, "receiver": PANDA_DOF}
-_MAX_SIZE = 1_000_000
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 Vector = npt.NDArray[np.float32]
 
@@ -36,7 +33,7 @@ def declare_size(size: int) -> Callable[[_Function], _Function]:
     Raises:
         OptionError: The size is not an integer of at least 1.
     """
-    _check_size("size", size)
+    _check_size("features or outputs", size)
 
     def decorate(function: _Function) -> _Function:
         function.size = size  # type: ignore[attr-defined]
@@ -55,8 +52,7 @@ class FeatureExtractor(ABC):
 
     Attributes:
         agent: Agent whose observations are used, "giver" or "receiver"; None for either.
-        size: Number of features; or `space`, a one-dimensional float32 `gymnasium.spaces.Box`, declares
-            their number and bounds.
+        size: Number of features.
 
     Args:
         context: Robot, task and known grasps of the objects.
@@ -94,15 +90,11 @@ class CustomFeatures(ArrayFeatures):
 
     Args:
         agent: "giver" or "receiver".
-        choice: Class, instance, or function that declares its size or space.
+        choice: Class, instance, or function that declares its size.
         context: Robot, task and known grasps of the objects.
         count: Number n of episodes.
         arrays: Creator of the feature vectors.
         name: Name of the features; default: the name of the class or function.
-
-    Attributes:
-        name: Name of the features.
-        space: Space of the feature vectors, one-dimensional, float32.
 
     Raises:
         OptionError: The size is missing or malformed, or the features are for the other agent.
@@ -117,14 +109,9 @@ class CustomFeatures(ArrayFeatures):
         if not callable(choice):
             raise OptionError(f"{FEATURES} must be a name, a class or a function, got {choice!r}")
         self.name, self._arrays = name or _get_name(choice), arrays
+        self._what = f"{FEATURES} {self.name!r}"
         self._functions = _make_instances(FEATURES, agent, choice, context, count)
-        space = getattr(self._functions[0], "space", None)
-        if space is None:
-            size = _read_size(f"{FEATURES} {self.name!r}", "features", self._functions[0])
-            space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        if not isinstance(space, spaces.Box) or space.dtype != np.float32 or len(space.shape) != 1:
-            raise OptionError(f"space of {FEATURES} {self.name!r} must be a one-dimensional float32 Box, got {space!r}")
-        self.space = space
+        self.size = _check_size(self._what, getattr(self._functions[0], "size", None), "features")
 
     def reset(self, row: int) -> None:
         """Clear the values that the features store from the previous episode, if there are any."""
@@ -136,16 +123,12 @@ class CustomFeatures(ArrayFeatures):
         """Return the feature vectors (r, m).
 
         Raises:
-            EncodingError: The features fail, or return anything but an element of their space.
+            EncodingError: The features fail, or return anything but `size` finite float32 numbers.
         """
-        what, found = f"{FEATURES} {self.name!r}", []
-        for row, one in _split_episodes(rows, observation):
-            values = _check_vector(what, _run(what, self._functions[row], one), self.space.shape)
-            outside = (values < self.space.low) | (values > self.space.high)
-            if outside.any():
-                bad = int(np.argmax(outside))
-                raise EncodingError(f"{what} must be within their space, got {values[bad]} in component {bad}")
-            found.append(values)
+        found = [
+            _check_vector(self._what, _run(self._what, self._functions[row], one), self.size)
+            for row, one in _split_episodes(rows, observation)
+        ]
         return self._arrays.asarray(np.stack(found))
 
 
@@ -188,7 +171,7 @@ class CustomScheme(ArrayScheme):
             )
         self.agent, self.name = agent, name or _get_name(choice)  # type: ignore[misc]
         self._what, self._arrays = f"{SCHEME} {self.name!r}", arrays
-        self.size = _read_size(self._what, "outputs", choice)
+        self.size = _check_size(self._what, getattr(choice, "size", None), "outputs")
         found = _make_instances(SCHEME, agent, choice, context, count)
         self._schemes: Sequence[ActionScheme] = found if isinstance(choice, type) else list(map(_FunctionScheme, found))
         self.wait = self._schemes[0].wait
@@ -214,28 +197,24 @@ class CustomScheme(ArrayScheme):
         Raises:
             EncodingError: A scheme fails, or returns anything but a finite float32 action.
         """
-        shape, found = (_ACTION_SIZES[self.agent],), []
-        for row, one in _split_episodes(rows, observation):
-            action = _run(self._what, self._schemes[row].compute_action, one)
-            found.append(_check_vector(f"action of {self._what}", action, shape))
+        what, size = f"action of {self._what}", _ACTION_SIZES[self.agent]
+        found = [
+            _check_vector(what, _run(self._what, self._schemes[row].compute_action, one), size)
+            for row, one in _split_episodes(rows, observation)
+        ]
         return self._arrays.asarray(np.stack(found))
 
 
-def _check_size(name: str, size: object) -> int:
-    if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= _MAX_SIZE:
-        raise OptionError(f"{name} must be an integer from 1 to {_MAX_SIZE}, got {size!r}")
-    return size
-
-
-def _read_size(what: str, unit: str, choice: object) -> int:
-    """Return the declared number of features or outputs."""
-    size = getattr(choice, "size", None)
+def _check_size(name: str, size: object, unit: str = "") -> int:
+    """Return a declared number of features or outputs."""
     if size is None:
         raise OptionError(
-            f"{what} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
+            f"{name} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
             "function"
         )
-    return _check_size(f"size of {what}", size)
+    if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+        raise OptionError(f"size of {name} must be an integer of at least 1, got {size!r}")
+    return size
 
 
 def _get_name(choice: object) -> str:
@@ -261,12 +240,12 @@ def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, 
         raise EncodingError(f"{what} cannot be made ({type(error).__name__}: {error})") from error
 
 
-def _check_vector(what: str, values: object, shape: tuple[int, ...]) -> Vector:
-    """Check that user-defined code returned a finite float32 array, and return it."""
-    if type(values) is not np.ndarray or values.shape != shape or values.dtype != np.float32:
+def _check_vector(what: str, values: Any, size: int) -> Vector:
+    """Check that user-defined code returned finite float32 numbers (size,), and return them."""
+    if type(values) is not np.ndarray or values.shape != (size,) or values.dtype != np.float32:
         got = f"{values.dtype} {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
         raise EncodingError(
-            f"{what} must be a float32 array of shape {shape}, got {got}; convert with numpy.asarray(values, "
+            f"{what} must be a float32 array of shape {(size,)}, got {got}; convert with numpy.asarray(values, "
             "dtype=numpy.float32), or declare another size"
         )
     if not np.isfinite(values).all():

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+import numpy as np
+from gymnasium import spaces
+
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ONLY_ROW, ArrayFactory
@@ -35,16 +38,13 @@ class AgentFeatures:
 
     Attributes:
         name: Name of the features.
+        size: Number of features.
         space: Space of the feature vectors, one-dimensional, float32.
     """
 
     def __init__(self, features: ArrayFeatures) -> None:
-        self.name, self.space, self._features = features.name, features.space, features
-
-    @property
-    def size(self) -> int:
-        """Number of features."""
-        return int(self.space.shape[0])
+        self.name, self.size, self._features = features.name, features.size, features
+        self.space = spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
 
     def reset(self) -> None:
         """Clear the values that are stored from the previous episode."""

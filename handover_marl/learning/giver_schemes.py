@@ -8,8 +8,8 @@ from handover_marl.geometry.arrays import AnyArray, widen
 from handover_marl.geometry.poses import compute_lengths, rotate_points
 from handover_marl.geometry.rotations import quaternions_from_rotation_vectors
 from handover_marl.givers.reactions import HandoverPoseVariation
+from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import compute_handover_frames, rotate_to_frame, rotate_to_world
-from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
 from handover_marl.policies.batch import make_giver_actions
 from handover_marl.policies.policy import PolicyContext
 

@@ -11,8 +11,6 @@ from handover_marl.episode.loop import steps_from_hold_time
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, LearnedPolicy
-from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.array_schemes import ArrayScheme
 from handover_marl.learning.custom_encodings import CustomScheme
 from handover_marl.learning.features import list_features, make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
@@ -26,23 +24,22 @@ class NetworkArrayPolicy:
     """Policy on arrays that evaluates one network for all episodes in one call; see `ArrayPolicy`.
 
     Args:
-        policy: Policy of a single episode, whose function is a `DenseNetwork`.
-        features: Features of n episodes.
-        scheme: Action scheme of n episodes.
+        policy: Policy of a single episode, whose function is a `DenseNetwork`, with built-in features and scheme.
+        count: Number n of episodes.
         check: Function that checks an action that is not finite, and raises an error.
         arrays: Creator of the arrays.
     """
 
     def __init__(
-        self,
-        policy: FunctionPolicy,
-        features: ArrayFeatures,
-        scheme: ArrayScheme,
-        check: Callable[[object], Actions],
-        arrays: ArrayFactory = NUMPY_ARRAYS,
+        self, policy: FunctionPolicy, count: int, check: Callable[[object], Actions], arrays: ArrayFactory
     ) -> None:
+        agent, context, spec = policy.scheme.agent, policy.scheme.context, policy.spec
         self._policy, self._arrays, self._hold_steps = policy, arrays, steps_from_hold_time(policy.hold_time)
-        self._features, self._scheme, self._check = features, scheme, check
+        self._check = check
+        selector = LowestCostGraspSelector(context, count, arrays)
+        self._features = make_array_features(agent, spec.features, context, selector, count, arrays)
+        self._scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
+        self._scheme.wait = policy.scheme.wait
         network: Any = policy.function
         self._network: DenseNetwork = network.copy_to(arrays)
 
@@ -104,13 +101,8 @@ def make_network_array_policy(
     # A subclass may act in another way, so it has no version on arrays.
     if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):
         return None
-    if not isinstance(policy.function, DenseNetwork):
+    is_own_features = policy.spec.features not in list_features(policy.scheme.agent)
+    is_own_scheme = isinstance(policy.scheme.scheme, CustomScheme)
+    if is_own_features or is_own_scheme or not isinstance(policy.function, DenseNetwork):
         return None
-    agent, context = policy.scheme.agent, policy.scheme.context
-    if isinstance(policy.scheme.scheme, CustomScheme) or policy.spec.features not in list_features(agent):
-        return None
-    selector = LowestCostGraspSelector(context, count, arrays)
-    features = make_array_features(agent, policy.spec.features, context, selector, count, arrays)
-    scheme = make_array_scheme(agent, policy.scheme.name, context, selector, count, arrays)
-    scheme.wait = policy.scheme.wait
-    return NetworkArrayPolicy(policy, features, scheme, check, arrays)
+    return NetworkArrayPolicy(policy, count, check, arrays)

@@ -46,16 +46,10 @@ def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
     check_policy_path(path)
     arrays: dict[str, npt.NDArray[Any]] = {f"weight_{number}": weight for number, weight in enumerate(network.weights)}
     arrays |= {f"bias_{number}": bias for number, bias in enumerate(network.biases)}
-    about: dict[str, Any] = {
-        "format": _FORMAT,
-        "spec": asdict(spec),
-        "activation": network.activation,
-        "output": network.output,
-    }
+    about: dict[str, Any] = {"format": _FORMAT, "spec": asdict(spec)}
+    about |= {"activation": network.activation, "output": network.output}
     if network.normalization is not None:
-        normalization = network.normalization
-        arrays |= {"input_mean": normalization.mean, "input_scale": normalization.scale}
-        arrays["input_clip"] = normalization.clip
+        arrays |= {f"input_{name}": values for name, values in vars(network.normalization).items()}
     if network.bounds is not None:
         arrays |= {"output_low": network.bounds.low, "output_high": network.bounds.high}
         about["is_scaled"] = network.bounds.is_scaled
@@ -83,8 +77,6 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
     """
     try:
         content = read_plain_file(path)
-    except FileNotFoundError as error:
-        raise DataNotFoundError(f"{path}: no such policy file") from error
     except OSError as error:
         raise DataNotFoundError(f"{path}: cannot read this policy file ({error.strerror or error})") from error
     except ValueError as error:

@@ -1,6 +1,5 @@
 """Multilayer perceptron with normalized inputs and bounded outputs, and its encoding."""
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -166,38 +165,6 @@ def _multiply(weight: AnyArray, values: AnyArray) -> AnyArray:
         return values @ weight.T
     # One product of matrix and vector per row: the rounding of a product of matrices depends on the number of rows.
     return np.matmul(weight, values[..., None])[..., 0]
-
-
-def dense_network_from_layers(
-    module: Any, activation: str, output: str = "identity", n_outputs: int | None = None
-) -> DenseNetwork:
-    """Return a `DenseNetwork` of a PyTorch module's linear layers, in the order of registration.
-
-    The module is not called, so that it may have inputs and outputs of any types; its outputs are not compared.
-
-    Args:
-        module: Module with linear layers.
-        activation: Activation between the layers.
-        output: Activation after the last layer.
-        n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match.
-    """
-    linear = sys.modules["torch"].nn.Linear  # a module can exist only if PyTorch was imported
-    layers = [part for part in module.modules() if isinstance(part, linear)]
-    weights = [_array(layer.weight) for layer in layers]
-    biases = [
-        np.zeros(len(weight), dtype=np.float32) if layer.bias is None else _array(layer.bias)
-        for layer, weight in zip(layers, weights, strict=True)
-    ]
-    if n_outputs is not None:
-        weights[-1], biases[-1] = weights[-1][:n_outputs], biases[-1][:n_outputs]
-    return DenseNetwork(tuple(weights), tuple(biases), activation, output)
-
-
-def _array(tensor: Any) -> Array:
-    return np.array(tensor.detach().cpu().numpy(), dtype=np.float32)
 
 
 @dataclass(frozen=True)

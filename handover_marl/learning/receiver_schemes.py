@@ -20,8 +20,8 @@ from handover_marl.geometry.rotations import (
     quaternions_from_rotation_vectors,
     rotation_vectors_from_quaternions,
 )
+from handover_marl.learning.action_scheme import ArrayScheme, RawScheme
 from handover_marl.learning.array_features import rotate_to_world
-from handover_marl.learning.array_schemes import ArrayScheme, RawScheme
 from handover_marl.policies.policy import PolicyContext
 
 

@@ -8,8 +8,7 @@ import numpy.typing as npt
 from handover_marl.episode.observations import Observation, add_episode_axis
 from handover_marl.errors import OptionError, check_name
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory
-from handover_marl.learning.action_scheme import Action, ActionScheme
-from handover_marl.learning.array_schemes import ArrayScheme, SingleScheme
+from handover_marl.learning.action_scheme import Action, ActionScheme, ArrayScheme, SingleScheme
 from handover_marl.learning.custom_encodings import SCHEME, CustomScheme, SchemeLike, is_reference
 from handover_marl.learning.giver_schemes import DeviationScheme, GiverScheme, HandoverPoseScheme, RawGiverScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector

@@ -12,7 +12,7 @@ import secrets
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import BuiltinFunctionType, CodeType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ _LIBRARY, _SCRIPT = "handover_marl", "__main__"
 _SITE_FOLDERS = {"site-packages", "dist-packages"}
 _PLAIN = (int, float, complex, str, bytes, type(None))
 _DEFINITIONS = (type, ModuleType, FunctionType, BuiltinFunctionType)
-_MAX_DEPTH = 30
+_MAX_DEPTH = 60
 
 
 def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
@@ -54,7 +54,7 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
     Returns:
         Hash; empty if there is nothing to include.
     """
-    parts = list(_describe("", value, {}, arrays_only))
+    parts = list(_describe(value, {}, arrays_only))
     return hashlib.sha256(b"\0".join(parts)).hexdigest() if parts else ""
 
 
@@ -64,12 +64,12 @@ def hash_package(name: str) -> str:
     For a module outside a package, the hash covers the files in its folder. It is empty for the standard library, and
     a random number for code without a file.
     """
-    package = sys.modules.get(name)
+    package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
         version = __version__ if name == _LIBRARY else getattr(package, "__version__", "")
         if version or name in sys.stdlib_module_names:
             return str(version)
-    folders, pattern = _find_folders(name), "**/*.py" if hasattr(package, "__path__") else "*.py"
+    pattern = "**/*.py" if hasattr(package, "__path__") else "*.py"
     digest = hashlib.sha256(b"" if folders else secrets.token_bytes())
     for path in (path for folder in folders for path in sorted(folder.glob(pattern)) if path.is_file()):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
@@ -107,80 +107,70 @@ def _is_installed(name: str) -> bool:
     return any(_SITE_FOLDERS & set(folder.parts) for folder in _find_folders(name))
 
 
-def _describe(name: str, value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
+def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
     """Yield descriptions of a value and of the values that it refers to; each object is described once."""
+    if isinstance(value, _PLAIN) and not arrays_only:
+        yield repr(value).encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:
-        if isinstance(value, _PLAIN) and not arrays_only:
-            yield f"{name}={value!r}".encode()
         return
     seen[id(value)] = value  # kept, so that no other object gets its number
-    parts: list[tuple[str, Any]] = []
+    parts: list[Any] = []
     if isinstance(value, _DEFINITIONS):
-        if not arrays_only:
-            text, parts = _describe_definition(value)
-            yield f"{name} {text}".encode()
+        parts = [] if arrays_only else _list_parts_of_definition(value)
     elif (array := _convert_array(value)) is not None:
-        yield f"{name} {array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
+        yield f"{array.dtype} {array.shape}".encode() + np.ascontiguousarray(array).tobytes()
     elif not (arrays_only and depth and _get_package(type(value)) == _LIBRARY):
         parts = _list_parts(value)
-    for key, part in parts:
-        yield from _describe(f"{name}.{key}", part, seen, arrays_only, depth + 1)
+    if not arrays_only:
+        yield f"{len(parts)} parts".encode()
+    for part in parts:
+        yield from _describe(part, seen, arrays_only, depth + 1)
 
 
-def _describe_definition(value: Any) -> tuple[str, list[tuple[str, Any]]]:
+def _list_parts_of_definition(value: Any) -> list[Any]:
     """Return name and code of a function, class or module, and the variables that the code uses."""
     if isinstance(value, ModuleType):
-        return f"{value.__name__} {hash_package(value.__name__.partition('.')[0])}", []
+        return [value.__name__, hash_package(value.__name__.partition(".")[0])]
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
-    text = f"{value.__module__}:{value.__qualname__} {list(map(hash_package, sorted(packages)))}"
-    used: dict[str, Any] = {}
+    parts = [value.__module__, value.__qualname__, *map(hash_package, sorted(packages))]
     is_own = not _is_installed(_get_package(value))
     if isinstance(value, FunctionType):
         # Several functions of a file may have one name, and `eval` may make them of any text.
-        text += _describe_code(value.__code__)
+        code = value.__code__
+        constants = [part for part in code.co_consts if isinstance(part, _PLAIN)]
+        parts += [code.co_firstlineno, code.co_code, code.co_names, constants]
         if is_own:
             variables = inspect.getclosurevars(value)
-            used = {**variables.globals, **variables.nonlocals, "": (value.__defaults__, value.__kwdefaults__)}
+            parts += [{**variables.globals, **variables.nonlocals}, value.__defaults__, value.__kwdefaults__]
     elif isinstance(value, type) and is_own:
         # A program may change attributes of a class, and the functions of a local class may be closures.
         kinds = (FunctionType, *_PLAIN) if "<" in value.__qualname__ else _PLAIN
         members = {key: getattr(part, "fget", part) for key, part in vars(value).items()}
-        used = {key: part for key, part in members.items() if isinstance(part, kinds)} | {"": value.__bases__}
-    return text, sorted(used.items())
+        parts += [{key: part for key, part in members.items() if isinstance(part, kinds)}, value.__bases__]
+    return parts
 
 
-def _describe_code(code: CodeType) -> str:
-    """Return compiled code, with that of the functions in it, as text."""
-    constants = [sorted(map(repr, part)) if isinstance(part, frozenset) else part for part in code.co_consts]
-    described = [_describe_code(part) if isinstance(part, CodeType) else repr(part) for part in constants]
-    return f" {code.co_code!r} {code.co_names} {described}"
-
-
-def _list_parts(value: Any) -> list[tuple[str, Any]]:
-    """Return the named parts of an object or container."""
+def _list_parts(value: Any) -> list[Any]:
+    """Return the parts of an object or container."""
     if isinstance(value, Mapping):
         return sorted(((str(key), part) for key, part in value.items()), key=lambda pair: pair[0])
-    if isinstance(value, (list, tuple, set, frozenset)):
-        items = sorted(value, key=repr) if isinstance(value, (set, frozenset)) else value
-        return [(str(number), part) for number, part in enumerate(items)]
+    if isinstance(value, (list, tuple)):
+        return list(value)
+    if isinstance(value, (set, frozenset)):
+        return sorted(value, key=repr)
     if callable(getattr(value, "state_dict", None)):  # a network, whose arrays need not be attributes
-        return [("class", type(value)), ("", vars(value)), ("state_dict()", value.state_dict())]
+        return [type(value), vars(value), value.state_dict()]
     try:
         reduced = value.__reduce_ex__(2)
     except Exception:  # what cannot be pickled, such as a lock, does not decide on actions
         return []
-    if isinstance(reduced, str):
-        return [("", reduced)]
-    return [("", (*reduced[:3], *map(list, filter(None, reduced[3:]))))]
+    return [reduced] if isinstance(reduced, str) else [*reduced[:3], *map(list, filter(None, reduced[3:]))]
 
 
 def _convert_array(value: Any) -> np.ndarray[Any, Any] | None:
     """Convert an array or tensor to a NumPy array; return None for other values and arrays of objects."""
     if callable(getattr(value, "detach", None)):  # tensors of PyTorch
         value = value.detach().cpu()
-        if str(getattr(value, "dtype", "")) == "torch.bfloat16":  # NumPy has no such type
-            value = value.float()
-    if not hasattr(value, "__array__") or not hasattr(value, "dtype"):
-        return None
-    array = np.asarray(value)
-    return None if array.dtype.hasobject else array
+        value = value.float() if str(getattr(value, "dtype", "")) == "torch.bfloat16" else value  # unknown to NumPy
+    array = np.asarray(value) if hasattr(value, "__array__") and hasattr(value, "dtype") else None
+    return None if array is None or array.dtype.hasobject else array

@@ -268,10 +268,8 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
         OptionError: The object is not a policy class of the agent, or a method or class attribute
             is missing or invalid.
     """
-    if not (isinstance(policy_class, type) and issubclass(policy_class, Policy)) or policy_class.agent not in (
-        agent,
-        None,
-    ):
+    is_policy = isinstance(policy_class, type) and issubclass(policy_class, Policy)
+    if not is_policy or policy_class.agent not in (agent, None):
         base = f"handover_marl.{agent}s.{agent.capitalize()}"
         raise OptionError(f"{agent} {name!r} ({policy_class!r}) must be a subclass of {base}")
     if inspect.isabstract(policy_class):
@@ -331,11 +329,13 @@ def override_options(config: _Config, options: Mapping[str, object], example: st
     Raises:
         OptionError: A name is not that of a number in the configuration, or a value is not a finite number.
     """
+    # Names of sections have underscores, too: of `quick` and `quick_preparation`, the longer one counts.
+    sections = [field.name for field in fields(config) if is_dataclass(getattr(config, field.name))]  # type: ignore[arg-type]
     changed: Any = config
     for name, value in options.items():
-        section_name = _find_section(changed, name)
+        section_name = max((one for one in sections if name.startswith(f"{one}_")), key=len, default="")
         section = getattr(changed, section_name) if section_name else changed
-        field_name = name[len(section_name) + 1 :] if section_name else name
+        field_name = name.removeprefix(f"{section_name}_") if section_name else name
         known = getattr(section, field_name, None)
         if isinstance(known, bool) or not isinstance(known, (int, float)):
             raise OptionError(
@@ -347,10 +347,3 @@ def override_options(config: _Config, options: Mapping[str, object], example: st
         section = replace(section, **{field_name: value})
         changed = replace(changed, **{section_name: section}) if section_name else section
     return changed  # type: ignore[no-any-return]
-
-
-def _find_section(config: Any, name: str) -> str:
-    """Return the name of the section to which an option belongs, "" if it is a field of the configuration itself."""
-    # Names of sections have underscores, too: of `quick` and `quick_preparation`, the longer one counts.
-    names = [field.name for field in fields(config) if is_dataclass(getattr(config, field.name))]
-    return max((section_name for section_name in names if name.startswith(f"{section_name}_")), key=len, default="")

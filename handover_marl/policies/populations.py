@@ -5,11 +5,12 @@ the keys of `Partner`. `{folder}` in a policy stands for the folder of the file,
 """
 
 import hashlib
+import itertools
 import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 
@@ -138,9 +139,14 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise DataFormatError(f"{path}: not a readable population ({shorten_text(error)})") from error
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    _check_texts(path, [found.name, found.version, found.description])
     for agent, members in (("giver", found.givers), ("receiver", found.receivers)):
         _check_partners(path, members)
+        for text in (found.name, found.version, found.description, *itertools.chain(*map(astuple, members))):
+            if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MAX_TEXT:
+                raise DataFormatError(
+                    f"{path}: values must be text without control characters, at most {_MAX_TEXT} characters, got "
+                    f"{shorten_text(ascii(text))}"
+                )
         for partner in members:
             check_stored_reference(path, agent, partner.policy, trust, list_available(agent))
             for file in _read_policy_files(found, agent, partner):
@@ -151,15 +157,7 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
 def format_population(
     name: str, version: str, description: str, givers: Sequence[Partner], receivers: Sequence[Partner]
 ) -> str:
-    """Return the JSON text of a population's file, which `load_population` reads.
-
-    Args:
-        name: Name of the population.
-        version: Version of its content.
-        description: Sentence on its purpose.
-        givers: Givers, partners of receivers.
-        receivers: Receivers, partners of givers.
-    """
+    """Return the JSON text of a file with a population, which `load_population` reads; see `Population`."""
     content = {"name": name, "version": version, "description": description}
     partners = {"givers": list(map(asdict, givers)), "receivers": list(map(asdict, receivers))}
     return json.dumps(content | partners, indent=1) + "\n"
@@ -181,28 +179,18 @@ def _find_path(population: str | os.PathLike[str]) -> Path:
 
 
 def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
-    for partner in partners:
-        _check_texts(path, astuple(partner))
-        if partner.split not in (TRAIN, TEST):
-            raise DataFormatError(f"{path}: split must be {TRAIN} or {TEST}, got {partner.split!r}")
-    families = Counter(family for family, _ in {(partner.family, partner.split) for partner in partners})
+    splits = {partner.split for partner in partners}
+    if not splits <= {TRAIN, TEST}:
+        raise DataFormatError(f"{path}: split must be {TRAIN} or {TEST}, got {sorted(splits)}")
+    families = [family for family, _ in {(partner.family, partner.split) for partner in partners}]
     for what, values in (
-        ("family in one split", families.elements()),
-        ("name", (partner.name for partner in partners)),
-        ("policy", (partner.policy for partner in partners)),
+        ("family in one split", families),
+        ("name", [partner.name for partner in partners]),
+        ("policy", [partner.policy for partner in partners]),
     ):
-        repeated = [value for value, count in Counter(values).items() if count > 1]
-        if repeated:
-            raise DataFormatError(f"{path}: every {what} must be unique, got {repeated[0]!r} twice")
-
-
-def _check_texts(path: Path, texts: Iterable[object]) -> None:
-    for text in texts:
-        if not isinstance(text, str) or not text.strip() or not text.isprintable() or len(text) > _MAX_TEXT:
-            raise DataFormatError(
-                f"{path}: values must be text without control characters, at most {_MAX_TEXT} characters, got "
-                f"{shorten_text(ascii(text))}"
-            )
+        value, count = max(Counter(values).items(), key=lambda item: item[1], default=("", 0))
+        if count > 1:
+            raise DataFormatError(f"{path}: every {what} must be unique, got {value!r} twice")
 
 
 def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:

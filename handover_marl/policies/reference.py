@@ -150,19 +150,29 @@ class PolicyReference:
             HandoverError: The policy cannot be constructed; see `make`.
         """
         policy = self.make(dataset, config, setup)
-        obs_mode, wait = self._read_attribute(policy, "obs_mode"), self._read_attribute(policy, "wait")
+        try:
+            obs_mode, wait, label, weights = policy.obs_mode, policy.wait, policy.label, policy.weights_hash
+        except HandoverError:
+            raise
+        except Exception as error:  # properties of the user's class
+            what = f"attributes of {self.agent} {self.name!r}"
+            raise PolicyError(f"{what} cannot be read ({type(error).__name__}: {error})") from error
         check_obs_mode(obs_mode)
-        listed = ",".join(f"{key}={_format_value(value)}" for key, value in self.options)
-        label = self._check_text("label", self._read_attribute(policy, "label"))
-        label = self._check_text("label", label + (f":{listed}" if listed else ""))
+        listed = ",".join(f"{key}={value if isinstance(value, str) else repr(value)}" for key, value in self.options)
+        for name, text in (("label", label), ("weights_hash", weights), ("label", f"{label}:{listed}")):
+            # Labels are printed and written to files.
+            if not isinstance(text, str) or not text.isprintable() or len(text) > _MAX_TEXT:
+                raise OptionError(
+                    f"{name} of {self.agent} {self.name!r} must be text without control characters, at most "
+                    f"{_MAX_TEXT} characters, got {ascii(text)[:100]}"
+                )
         found = self._load()
         state = vars(found) if isinstance(found, Policy) else self.options
-        weights = self._check_text("weights_hash", self._read_attribute(policy, "weights_hash")).encode()
-        weights += b"".join(content for *_, content in self.read_files())
+        content = weights.encode() + b"".join(content for *_, content in self.read_files())
         return replace(
             self,
-            label=label,
-            code_hash=hash_policy(policy, state, weights),
+            label=f"{label}:{listed}" if listed else label,
+            code_hash=hash_policy(policy, state, content),
             wait=None if wait is None else milliseconds_from_wait(wait) / 1000.0,
             obs_mode=obs_mode,
         )
@@ -178,35 +188,19 @@ class PolicyReference:
             DataNotFoundError: A file cannot be read.
             DataFormatError: A file is a pipe or device, or too large.
         """
-        found = [] if self.file is None else [("", Path(self.file).expanduser().name, Path(self.file).expanduser())]
+        found = [] if self.file is None else [("", "", Path(self.file).expanduser())]
         for option, value in self.options:
-            is_path = option in self.policy_class.file_options and isinstance(value, str)
-            path = Path(value).expanduser() if is_path else None
-            if path is not None and path.is_dir():
-                found += [(option, f"{path.name}/{file.name}", file) for file in sorted(path.iterdir())]
-            elif path is not None and path.exists():
-                found.append((option, path.name, path))
-        return [(option, name, read_policy_file(path)) for option, name, path in found if not path.is_dir()]
-
-    def _read_attribute(self, policy: Policy, name: str) -> Any:
-        """Return an attribute of the policy, which may be a property of the user's class."""
-        try:
-            return getattr(policy, name)
-        except HandoverError:
-            raise
-        except Exception as error:
-            raise PolicyError(
-                f"{name} of {self.agent} {self.name!r} cannot be read ({type(error).__name__}: {error})"
-            ) from error
-
-    def _check_text(self, name: str, text: object) -> str:
-        """Return a text for result files, checked so that they can be written and printed."""
-        if not isinstance(text, str) or not text.isprintable() or len(text) > _MAX_TEXT:
-            raise OptionError(
-                f"{name} of {self.agent} {self.name!r} must be text without control characters, at most {_MAX_TEXT} "
-                f"characters, got {ascii(text)[:100]}"
-            )
-        return text
+            if option in self.policy_class.file_options and isinstance(value, str):
+                path = Path(value).expanduser()
+                if path.is_dir():
+                    found += [(option, f"{path.name}/", file) for file in sorted(path.iterdir())]
+                elif path.exists():
+                    found.append((option, "", path))
+        return [
+            (option, f"{folder}{path.name}", read_policy_file(path))
+            for option, folder, path in found
+            if not path.is_dir()
+        ]
 
     def _load(self) -> Any:
         if self.pickled:
@@ -269,28 +263,26 @@ class PolicyBundle:
         """
         try:
             _ = self.reference.policy_class
-            for name, _ in self.packages:
+            for name, code in self.packages:
                 importlib.import_module(name)
-            is_same = all(hash_package(name) == code for name, code in self.packages)
-            problem = "" if is_same else "is installed with other code"
+                if hash_package(name) != code:
+                    raise PolicyError("it has other code there")
         except Exception as error:  # importing a user's module may raise anything
-            problem = f"is not installed ({type(error).__name__}: {error})"
-        if problem:
             raise PolicyError(
-                f"on node {node()}: {self.reference.agent} {self.reference.name!r} {problem}; install the same "
-                "version there, or pass a class of a script or a notebook, which is sent along"
-            )
+                f"on node {node()}: {self.reference.agent} {self.reference.name!r} must be installed as here, got "
+                f"{type(error).__name__}: {error}; install the same version there, or pass a class of a script or a "
+                "notebook, which is sent along"
+            ) from error
         options, policy_file = dict(self.reference.options), self.reference.file
         for option, name, content in self.files:
             path = folder / self.reference.agent / (option or "file") / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
             # The files of a folder are named "folder/file"; the option names the folder.
-            given = str(path if "/" not in name else path.parent)
             if option:
-                options[option] = given
+                options[option] = str(path if "/" not in name else path.parent)
             else:
-                policy_file = given
+                policy_file = str(path)
         return replace(self.reference, file=policy_file, options=_sort_options(options))
 
 
@@ -394,28 +386,20 @@ def _split_file(tail: str) -> tuple[str, str]:
 
 
 def _parse_options(agent: str, text: str, tail: str) -> dict[str, Any]:
-    if not tail:
-        return {}
-    if not _OPTIONS.fullmatch(tail):
+    """Parse "key=value,key=value", where values are JSON numbers, booleans, null, or other text."""
+    if tail and not _OPTIONS.fullmatch(tail):
         raise OptionError(f"options of {agent} {text!r} must be key=value,key=value, got {tail!r}")
-    parts = [part.partition("=") for part in tail.split(",")]
-    options = {key: _parse_value(value) for key, _, value in parts}
-    if len(options) < len(parts):
-        raise OptionError(f"options of {agent} {text!r} must have different names, got {tail!r}")
+    options: dict[str, Any] = {}
+    for part in tail.split(",") if tail else ():
+        key, _, value = part.partition("=")
+        if key in options:
+            raise OptionError(f"options of {agent} {text!r} must have different names, got {tail!r}")
+        try:
+            options[key] = json.loads(value)
+        except (ValueError, RecursionError):  # deeply nested lists
+            options[key] = value
     return options
-
-
-def _parse_value(text: str) -> Any:
-    """Parse an option's text as a JSON number, boolean or null; return other text unchanged."""
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):  # deeply nested lists
-        return text
 
 
 def _sort_options(options: Mapping[str, Any]) -> Options:
     return tuple(sorted(options.items()))
-
-
-def _format_value(value: Any) -> str:
-    return value if isinstance(value, str) else repr(value)

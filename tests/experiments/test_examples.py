@@ -11,7 +11,7 @@ SCENES = SyntheticDataset().list_scenes("s0", "val")[:1]
 
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    shorten_episodes(monkeypatch, 4000)
+    shorten_episodes(monkeypatch, 2500)
 
 
 @pytest.mark.slow
@@ -25,5 +25,5 @@ def test_own_receiver(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
 def test_pettingzoo_two_learners(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="needs the extra `train`")
     example = script("pettingzoo_two_learners", monkeypatch)
-    learners = example.main(example.Args(dataset="synthetic", episodes=2, batch=1, max_cycles=3))
+    learners = example.main(example.Args(dataset="synthetic", episodes=1, batch=1, max_cycles=3))
     assert set(learners) == {"giver", "receiver"}

@@ -1,33 +1,24 @@
-"""experiments/rank_correlation.py, as one would call it."""
+"""Tests of the rank correlation between simulation and another study."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
-
-SCRIPT = Path(__file__).parents[2] / "experiments" / "rank_correlation.py"
-
-
-def reported(study: Path, text: str) -> subprocess.CompletedProcess[str]:
-    study.write_text(text)
-    return subprocess.run(
-        [sys.executable, str(SCRIPT), "--real", str(study)], capture_output=True, text=True, check=False
-    )
+from experiments.rank_correlation import Args, main
+from handover_marl.errors import OptionError
 
 
 def test_published_rates_are_correlated_with_a_study(tmp_path: Path) -> None:
-    found = reported(tmp_path / "study.csv", "OMG Planner,80\nYang et al.,70\nGA-DDPG hold,60\nsomething else,1\n")
-    assert found.returncode == 0, found.stderr
-    assert "Spearman +0.50, Kendall +0.33, 3 receivers" in found.stdout
-    assert "64.58" in found.stdout
+    study = tmp_path / "study.csv"
+    study.write_text("OMG Planner,80\nYang et al.,70\nGA-DDPG hold,60\nsomething else,1\n")
+    text = main(Args(str(study)))
+    assert "Spearman +0.50, Kendall +0.33, 3 receivers. By chance as good or better: 50.0 % of all orders" in text
+    assert "64.58" in text
 
 
-def test_errors_name_the_line_of_the_study(tmp_path: Path) -> None:
-    for text, why in (("OMG Planner,80\nYang et al.\n", "line 2"), ("OMG Planner,80\n", "Three or more")):
-        found = reported(tmp_path / "study.csv", text)
-        assert found.returncode == 1
-        assert why in found.stderr
-        assert "Traceback" not in found.stderr
+def test_unusable_studies_are_refused(tmp_path: Path) -> None:
+    study = tmp_path / "study.csv"
+    for text, why in (("OMG Planner,80\nYang et al.\n", "row 2"), ("OMG Planner,80\n", "Three or more")):
+        study.write_text(text)
+        with pytest.raises(OptionError, match=why):
+            main(Args(str(study)))

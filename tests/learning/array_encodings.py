@@ -1,7 +1,5 @@
 """Random observations of many episodes, for tests of features and action schemes."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -42,10 +40,6 @@ def draw_observation(seed: int) -> Observation:
     return found
 
 
-def choices(names: dict[str, tuple[str, ...]]) -> Iterator[tuple[str, str]]:
-    return ((agent, name) for agent, own in names.items() for name in own)
-
-
 AGENTS = ("giver", "receiver")
-FEATURES = list(choices({agent: list_features(agent) for agent in AGENTS}))
-SCHEMES = list(choices({agent: list_schemes(agent) for agent in AGENTS}))
+FEATURES = [(agent, name) for agent in AGENTS for name in list_features(agent)]
+SCHEMES = [(agent, name) for agent in AGENTS for name in list_schemes(agent)]

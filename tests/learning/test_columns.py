@@ -155,26 +155,20 @@ def described_value(text: str, quantity: Any) -> np.ndarray:
     return values
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("agent", AGENTS)
 def test_every_column_is_described(agent: str) -> None:
-    for kind, names, make in (
-        ("features", list_features(agent), make_features),
-        ("scheme", list_schemes(agent), make_scheme),
+    text = PAGE.read_text()
+    for kind, unit, names, make in (
+        ("features", "features", list_features(agent), make_features),
+        ("scheme", "outputs", list_schemes(agent), make_scheme),
     ):
         for name in names:
             size = make(agent, name, CONTEXT).size
-            columns = [] if name.startswith("flat_") else read_columns(kind, agent, name)
-            if columns:
-                assert [column.place.start for column in columns] == [
-                    0,
-                    *(column.place.stop for column in columns[:-1]),
-                ]
-                assert columns[-1].place.stop == size
-            assert (
-                f"`{name}` of the {agent} ({size} {'features' if kind == 'features' else 'outputs'})"
-                in PAGE.read_text()
-            )
+            assert f"`{name}` of the {agent} ({size} {unit})" in text
+            places = [] if name.startswith("flat_") else [each.place for each in read_columns(kind, agent, name)]
+            ends = [0, *(place.stop for place in places)]
+            assert [place.start for place in places] == ends[:-1]
+            assert not places or ends[-1] == size
 
 
 @pytest.mark.parametrize(
@@ -203,15 +197,10 @@ def test_stacked_features_begin_with_those_of_the_present_decision() -> None:
             assert not found[len(decisions) :].any()
 
 
-@pytest.mark.parametrize("agent", AGENTS)
-def test_flat_features_are_the_named_entries(agent: str) -> None:
-    observation = OBSERVATION if agent == "giver" else _state()
-    expected = np.concatenate([observation[key].ravel() for key in sorted(observation)])
-    np.testing.assert_array_equal(make_features(agent, f"flat_{agent}", CONTEXT)(observation), expected)
-
-
-def _state() -> dict[str, Any]:
-    return {key: OBSERVATION[key] for key in state_space()}
+def test_flat_features_are_the_named_entries() -> None:
+    for agent, keys in (("giver", OBSERVATION), ("receiver", state_space())):
+        expected = np.concatenate([OBSERVATION[key].ravel() for key in sorted(keys)])
+        np.testing.assert_array_equal(make_features(agent, f"flat_{agent}", CONTEXT)(OBSERVATION), expected)
 
 
 def described_scale(text: str) -> list[float]:

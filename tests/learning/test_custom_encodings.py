@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import EncodingError, OptionError, UnknownNameError
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.custom_encodings import FeatureExtractor, declare_size
 from handover_marl.learning.features import make_features
@@ -24,8 +23,22 @@ MODULE = "tests.learning.custom"
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 
 
-def features_that(result: Any, size: int = 2) -> Any:
-    @declare_size(size)
+@declare_size(1)
+def broken(observation: Any) -> Any:
+    return observation["nothing"]
+
+
+class Unmakable(OffsetAndCount):
+    def __init__(self, context: Any) -> None:
+        raise RuntimeError("no weights")
+
+
+class NoSize(FeatureExtractor):
+    def __call__(self, observation: Any) -> Any: ...
+
+
+def features_that(result: Any) -> Any:
+    @declare_size(2)
     def mine(observation: Any) -> Any:
         return result
 
@@ -47,82 +60,6 @@ def test_forms_of_own_features(choice: Any, name: str, size: int) -> None:
     np.testing.assert_array_equal(made(seen())[:3], offset_to_object(seen()))
 
 
-@pytest.mark.parametrize(
-    ("result", "message"),
-    [
-        (np.zeros(3, np.float32), r"'features_that.*mine' must be a float32 array of shape \(2,\), got float32 \(3,\)"),
-        (np.zeros(2), r"must be a float32 array of shape \(2,\), got float64 \(2,\); convert with"),
-        ([0.0, 1.0], r"got list"),
-        (np.array([0.0, np.nan], np.float32), r"mine' must be finite, got nan in component 1"),
-    ],
-)
-def test_wrong_features_are_reported_with_their_name(result: Any, message: str) -> None:
-    made = make_features("receiver", features_that(result), CONTEXT)
-    with pytest.raises(EncodingError, match=message):
-        made(seen())
-
-
-def test_features_stay_within_a_declared_space() -> None:
-    class Bounded(FeatureExtractor):
-        space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-        def __call__(self, observation: Any) -> np.ndarray:
-            return np.array([0.0, 1.5], dtype=np.float32)
-
-    made = make_features("giver", Bounded, CONTEXT)
-    assert made.space == Bounded.space
-    with pytest.raises(EncodingError, match=r"'.*Bounded' must be within their space, got 1.5 in component 1"):
-        made(seen())
-
-
-def test_features_that_fail_are_named() -> None:
-    @declare_size(1)
-    def broken(observation: Any) -> Any:
-        return observation["nothing"]
-
-    with pytest.raises(EncodingError, match=r"features '.*broken' failed \(KeyError: 'nothing'\)"):
-        make_features("receiver", broken, CONTEXT)(seen())
-
-    class Unmakable(OffsetAndCount):
-        def __init__(self, context: Any) -> None:
-            raise RuntimeError("no weights")
-
-    with pytest.raises(EncodingError, match=r"'.*Unmakable' cannot be made \(RuntimeError: no weights\)"):
-        make_features("receiver", Unmakable, CONTEXT)
-
-
-class NoSize(FeatureExtractor):
-    def __call__(self, observation: Any) -> Any: ...
-
-
-@pytest.mark.parametrize(
-    ("make", "choice", "message"),
-    [
-        (make_features, len, "features 'len' must declare the number of features"),
-        (make_features, NoSize, "features 'NoSize' must declare the number of features"),
-        (make_features, type("Abstract", (FeatureExtractor,), {"size": 3}), "'Abstract' must define __call__"),
-        (make_features, 5, "features must be a name, a class or a function, got 5"),
-        (make_scheme, len, "action scheme 'len' must declare the number of outputs"),
-        (make_scheme, OffsetAndCount, r"must be a name, a subclass of .*ActionScheme or a function"),
-    ],
-)
-def test_incomplete_choices_are_refused(make: Any, choice: Any, message: str) -> None:
-    with pytest.raises(OptionError, match=message):
-        make("receiver", choice, CONTEXT)
-
-
-def test_other_agents_and_unknown_names() -> None:
-    with pytest.raises(OptionError, match="'OffsetAndCount' must be for the giver, got some for the receiver"):
-        make_features("giver", OffsetAndCount, CONTEXT)
-    with pytest.raises(OptionError, match="'first_joint' must be for the giver, got some for the receiver"):
-        make_scheme("giver", FirstJoint, CONTEXT)
-    with pytest.raises(UnknownNameError, match="features of the receiver 'nothing'; valid: receiver"):
-        make_features("receiver", "nothing", CONTEXT)
-    for text in ("no_such_module:x", f"{MODULE}:nothing", ":", "a:"):
-        with pytest.raises(UnknownNameError, match="it cannot be imported"):
-            make_features("receiver", text, CONTEXT)
-
-
 @pytest.mark.parametrize("choice", [FirstJoint, move_first_joint, f"{MODULE}:FirstJoint", f"{MODULE}:move_first_joint"])
 def test_forms_of_own_schemes(choice: Any) -> None:
     scheme = make_scheme("receiver", choice, CONTEXT)
@@ -135,7 +72,40 @@ def test_forms_of_own_schemes(choice: Any) -> None:
     np.testing.assert_array_equal(scheme.compute_action(seen()), START)
 
 
-def test_encode_accepts_own_features_and_schemes() -> None:
+@pytest.mark.parametrize(
+    ("make", "agent", "choice", "message"),
+    [
+        *(
+            (make_features, "receiver", features_that(result), f"features '.*mine' must be {fault}")
+            for result, fault in (
+                (np.zeros(3, np.float32), r"a float32 array of shape \(2,\), got float32 \(3,\)"),
+                (np.zeros(2), r"a float32 array of shape \(2,\), got float64 \(2,\); convert with"),
+                ([0.0, 1.0], "a float32 array .*got list"),
+                (np.array([0.0, np.nan], np.float32), "finite, got nan in component 1"),
+            )
+        ),
+        (make_features, "receiver", broken, r"features 'broken' failed \(KeyError: 'nothing'\)"),
+        (make_features, "receiver", Unmakable, r"'Unmakable' cannot be made \(RuntimeError: no weights\)"),
+        (make_features, "receiver", len, "features 'len' must declare the number of features"),
+        (make_features, "receiver", NoSize, "features 'NoSize' must declare the number of features"),
+        (make_features, "receiver", type("A", (FeatureExtractor,), {"size": 3}), "'A' must define __call__"),
+        (make_features, "receiver", 5, "features must be a name, a class or a function, got 5"),
+        (make_features, "giver", OffsetAndCount, "'OffsetAndCount' must be for the giver, got some for the receiver"),
+        (make_features, "receiver", "nothing", "features of the receiver 'nothing'; valid: receiver"),
+        (make_features, "receiver", "no_such_module:x", "it cannot be imported"),
+        (make_features, "receiver", f"{MODULE}:nothing", "it cannot be imported"),
+        (make_features, "receiver", ":", "it cannot be imported"),
+        (make_scheme, "receiver", len, "action scheme 'len' must declare the number of outputs"),
+        (make_scheme, "receiver", OffsetAndCount, "must be a name, a subclass of .*ActionScheme or a function"),
+        (make_scheme, "giver", FirstJoint, "'first_joint' must be for the giver, got some for the receiver"),
+    ],
+)
+def test_invalid_choices(make: Any, agent: str, choice: Any, message: str) -> None:
+    with pytest.raises(HandoverError, match=message):
+        make(agent, choice, CONTEXT)(seen())
+
+
+def test_environments_take_own_features_and_schemes() -> None:
     env = handover_marl.encode(handover_marl.parallel_env(**SYNTHETIC), {"receiver": OffsetAndCount}, {})
     assert env.observation_space("receiver").shape == (4,)
     names = {agent: env.action_space(agent).encoding["features"] for agent in env.possible_agents}
@@ -152,28 +122,20 @@ def test_encode_accepts_own_features_and_schemes() -> None:
 
 
 def test_camera_data_alone_suffices_for_own_features() -> None:
-    @declare_size(7)
-    def pose(observation: Any) -> Any:
-        return observation["gripper_pose"]
-
     alone = handover_marl.freeze(handover_marl.parallel_env(obs_mode="pointcloud", **SYNTHETIC), "receiver", "replay")
-    assert handover_marl.encode(alone, pose).observation_space("receiver").shape == (7,)
+    assert handover_marl.encode(alone, features_that(None)).observation_space("receiver").shape == (2,)
     with pytest.raises(OptionError, match="obs_mode must include the state"):
-        handover_marl.encode(alone, pose, "grasp_servo")
+        handover_marl.encode(alone, features_that(None), "grasp_servo")
 
 
+@pytest.mark.slow
 def test_environments_of_a_batch_do_not_share_memory() -> None:
     pytest.importorskip("mujoco", reason="needs MuJoCo")
-    instance = OffsetAndCount(CONTEXT)
-    for choice in (OffsetAndCount, instance):
-        envs = handover_marl.vector_env(
-            3, "receiver", "replay", features=choice, schemes=FirstJoint, dataset="synthetic", threads=1
-        )
-        features, _ = envs.reset(seed=0)
-        np.testing.assert_array_equal(features[:, 3], 1.0)
-        features, *_ = envs.step(np.zeros((3, 1), np.float32))
-        np.testing.assert_array_equal(features[:, 3], 2.0)
-        envs.close()
+    options: dict[str, Any] = {"schemes": FirstJoint, "dataset": "synthetic", "threads": 1}
+    envs = handover_marl.vector_env(2, "receiver", "replay", features=OffsetAndCount(CONTEXT), **options)
+    assert envs.reset(seed=0)[0][:, 3].tolist() == [1.0, 1.0]
+    assert envs.step(np.zeros((2, 1), np.float32))[0][:, 3].tolist() == [2.0, 2.0]
+    envs.close()
 
 
 def test_trusted_policy_files_import_own_features(tmp_path: Any) -> None:

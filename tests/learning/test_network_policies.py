@@ -18,7 +18,7 @@ from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.learning.adapters.function_policy import LearnedPolicy
-from handover_marl.learning.features import count_features, list_features
+from handover_marl.learning.features import count_features
 from handover_marl.learning.network_policies import make_network_array_policy
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import (
@@ -28,16 +28,21 @@ from handover_marl.learning.policy_spec import (
     OutputBounds,
     PolicySpec,
 )
-from handover_marl.learning.schemes import count_outputs, list_schemes
+from handover_marl.learning.schemes import count_outputs
 from handover_marl.policies.batch import ArrayPolicyBatch, SequentialPolicyBatch
 from handover_marl.policies.reference import parse_policy
-from tests.learning.array_encodings import AGENTS, CONTEXT, COUNT, ROWS, choices, draw_observation, select
+from tests.learning.array_encodings import CONTEXT, COUNT, ROWS, SCHEMES, draw_observation, select
 from tests.tensors import make_device_tensors, make_observe_function
 
+#: Features and action schemes, each of them at least once.
 PAIRS = [
-    (agent, features, scheme)
-    for agent, features in choices({agent: list_features(agent) for agent in AGENTS})
-    for scheme in list_schemes(agent)
+    *(("giver", "giver", "offer"), ("giver", "flat_giver", "giver"), ("giver", "giver", "deviation")),
+    *(
+        ("receiver", "receiver", "joints"),
+        ("receiver", "flat_receiver", "receiver"),
+        ("receiver", "grasp", "joint_delta"),
+    ),
+    *(("receiver", "close", "cartesian_delta"), ("receiver", "close_stack", "grasp_servo")),
 ]
 
 
@@ -79,25 +84,17 @@ def test_a_network_of_many_inputs_equals_one_of_each_to_the_bit(
     np.testing.assert_array_equal(found, np.stack([network(one) for one in inputs]))
 
 
-@given(
-    seed=st.integers(0, 10_000),
-    sizes=st.tuples(st.integers(1, 60), st.integers(1, 20)),
-    output=st.booleans(),
-    activation=st.sampled_from(sorted(ACTIVATIONS)),
-)
-def test_a_network_of_tensors_has_the_same_outputs(
-    seed: int, sizes: tuple[int, int], output: bool, activation: str
-) -> None:
-    network = draw_network(*sizes, seed, activation)
-    if output:
-        network = replace(network, output=activation)
-    inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, sizes[0])).astype(np.float32)
-    with make_device_tensors() as tensors:
-        found = to_numpy(network.copy_to(tensors)(tensors.asarray(inputs)))
-    assert found.dtype == np.float32
-    expected = network(inputs)
-    # Sums of large terms that cancel each other are as accurate as the terms.
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_a_network_of_tensors_has_the_same_outputs(activation: str) -> None:
+    for seed in range(4):
+        network = replace(draw_network(30, 7, seed, activation), output=activation if seed < 2 else "identity")
+        inputs = np.random.default_rng(seed).normal(0.0, 2.0, (7, 30)).astype(np.float32)
+        with make_device_tensors() as tensors:
+            found = to_numpy(network.copy_to(tensors)(tensors.asarray(inputs)))
+        assert found.dtype == np.float32
+        expected = network(inputs)
+        # Sums of large terms that cancel each other are as accurate as the terms.
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6 * (1.0 + np.abs(expected).max()))
 
 
 def make_network_batch(policy: LearnedPolicy) -> ArrayPolicyBatch:
@@ -109,6 +106,7 @@ def make_network_batch(policy: LearnedPolicy) -> ArrayPolicyBatch:
 @pytest.mark.slow
 @pytest.mark.parametrize(("agent", "features", "scheme"), PAIRS)
 def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str, tmp_path: Path) -> None:
+    assert {pair[::2] for pair in PAIRS} == set(SCHEMES)
     network = draw_network(count_features(agent, features), count_outputs(agent, scheme), len(features + scheme))
     path = write(tmp_path / "policy.npz", agent, features, scheme, network)
     singles = [LearnedPolicy(agent, CONTEXT, path) for _ in ROWS]
@@ -119,7 +117,7 @@ def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str,
             single.reset(row)
             batch.reset(row, row, ("025_mug",))
             alone.reset(row, row, ("025_mug",))
-        for decision in range(5):
+        for decision in range(3):
             observation = draw_observation(8 * episode + decision)
             steps = np.full(COUNT, 100 * decision)
             found, _ = batch.act(ROWS, functools.partial(select, observation), steps)

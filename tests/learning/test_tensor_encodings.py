@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="needs MuJoCo")
 pytest.importorskip("torch", reason="needs the extra `train`")
 
-import handover_marl
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
 from handover_marl.learning.action_scheme import ActionScheme
@@ -21,43 +19,19 @@ from handover_marl.learning.schemes import make_array_scheme
 from tests.learning.array_encodings import CONTEXT, FEATURES, SCHEMES, draw_observation, select
 from tests.tensors import make_device_tensors
 
-COUNT = 6
-STEPS = 35
-RANDOM_STATES = 8
-FLAGS = ("released", "holding", "hand_present")
+COUNT, N_STATES = 6, 14
 
 
 @functools.cache
-def record_observations() -> list[Observation]:
-    """Return observations (COUNT, ...) of every second step, in which givers release, and of random states.
-
-    In every second random state, grippers are near grasps.
-    """
-    envs = handover_marl.vector_env(
-        COUNT, None, dataset="synthetic", setup="s0", split="train", control_period=0.2, max_cycles=30, threads=1
-    )
-    rng, found = np.random.default_rng(0), [envs.reset(seed=0)[0]["giver"]]
-    for step in range(STEPS):
-        giver = np.zeros((COUNT, 8), dtype=np.float32)
-        giver[:, 7] = 5 * np.arange(COUNT) + 6 < step
-        near = found[-1]["robot_joint_position"] + 0.15 * rng.normal(size=(COUNT, 9))
-        found.append(envs.step({"giver": giver, "receiver": near.astype(np.float32)})[0]["giver"])
-    envs.close()
-    found = found[::2]
-    for seed in range(RANDOM_STATES):
+def draw_observations() -> list[Observation]:
+    """Return random observations (COUNT, ...), in every second one of which grippers are near grasps."""
+    rng, found = np.random.default_rng(0), []
+    for seed in range(N_STATES):
         found.append(select(draw_observation(seed), np.arange(COUNT)))
         if seed % 2:
             grasps, _, exists = LowestCostGraspSelector(CONTEXT, COUNT).select(np.arange(COUNT), found[-1])
             found[-1]["gripper_pose"][exists] = grasps[exists] + rng.normal(scale=0.03, size=(exists.sum(), 7))
     return found
-
-
-@pytest.mark.slow
-def test_recorded_observations_have_all_states() -> None:
-    recorded = record_observations()[:-RANDOM_STATES]
-    for key in FLAGS:
-        assert set(np.unique([one[key] for one in recorded]).tolist()) == {0.0, 1.0}, key
-    assert max(one["time"].max() for one in recorded) > 3.0
 
 
 @pytest.fixture
@@ -69,12 +43,12 @@ def arrays() -> Iterator[ArrayFactory]:
 def iterate_steps(arrays: ArrayFactory, *batches: Any) -> Iterator[tuple[np.ndarray, Observation, Any, Any]]:
     """Yield rows and observations of some episodes on the host and as tensors; reset some episodes before."""
     rng = np.random.default_rng(1)
-    for recorded in record_observations():
-        for row in np.flatnonzero(rng.random(COUNT) < 0.03).tolist():
+    for drawn in draw_observations():
+        for row in np.flatnonzero(rng.random(COUNT) < 0.1).tolist():
             for batch in batches:
                 batch.reset(row)
         rows = rng.permutation(COUNT)[: rng.integers(1, COUNT + 1)]
-        observation = select(recorded, rows)
+        observation = select(drawn, rows)
         tensors = {key: arrays.asarray(values) for key, values in observation.items()}
         yield rows, observation, arrays.asarray(rows), tensors
 
@@ -120,7 +94,7 @@ def test_selections_of_tensors(arrays: ArrayFactory) -> None:
         n_grasps += int(expected[2].sum())
         for one, other in zip(found, expected, strict=True):
             assert_equal(one, other, 1e-9)
-    assert n_grasps > 2 * COUNT
+    assert n_grasps > COUNT
 
 
 @declare_size(2)

@@ -119,10 +119,12 @@ def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
         at(homes[1])
         assert bundle.unpack(tmp_path).policy_class.name == "mine"
         at(homes[2])
-        with pytest.raises(PolicyError, match=r"on node .*Mine' is installed with other code; install the same"):
+        with pytest.raises(
+            PolicyError, match=r"on node .*Mine' must be installed as here, got PolicyError: it has other code"
+        ):
             bundle.unpack(tmp_path)
         at(None)
-        with pytest.raises(PolicyError, match=r"on node .*Mine' is not installed .*robots_of_mine"):
+        with pytest.raises(PolicyError, match=r"on node .*Mine' must be installed as here, got .*robots_of_mine"):
             bundle.unpack(tmp_path)
 
 
@@ -134,11 +136,13 @@ def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypat
     bundle = PolicyBundle.pack(handover_marl.as_receiver(importlib.import_module(name).act))
     assert bundle.unpack(tmp_path).name == "act"
     (tmp_path / f"{name}.py").write_text("def act(observation):\n    return None\n")
-    with pytest.raises(PolicyError, match=r"receiver 'act' is installed with other code"):
+    with pytest.raises(
+        PolicyError, match=r"receiver 'act' must be installed as here, got PolicyError: it has other code"
+    ):
         bundle.unpack(tmp_path)
     (tmp_path / f"{name}.py").unlink()
     sys.modules.pop(name)
-    with pytest.raises(PolicyError, match=rf"receiver 'act' is not installed .*{name}"):
+    with pytest.raises(PolicyError, match=rf"receiver 'act' must be installed as here, got .*{name}"):
         bundle.unpack(tmp_path)
     # A local function is sent in the bundle, so it needs no installed package.
     assert dict(PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).packages) == {"handover_marl": __version__}

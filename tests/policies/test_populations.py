@@ -1,17 +1,22 @@
-"""Tests of population files."""
+"""Tests of population files, and of policies that act as a randomly drawn member in each episode."""
 
 import configparser
+import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from handover_marl import evaluate_pair
+import handover_marl
+from handover_marl import evaluate_pair, givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import DataFormatError, DataNotFoundError
-from handover_marl.policies.populations import DEFAULT_POPULATION, list_populations, load_population
+from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
+from handover_marl.policies.populations import DEFAULT_POPULATION, PopulationPolicy, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
+from tests.givers.test_givers import seen
+from tests.short_episodes import shorten_episodes
 
 
 def test_own_file(tmp_path: Path) -> None:
@@ -35,26 +40,12 @@ def test_the_hash_covers_the_content_and_policy_files(tmp_path: Path) -> None:
     assert found.get_policy(found.givers[0]) == f"learned:{tmp_path}/giver.npz"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "policy",
-    [
-        "learned:{folder}/weights.pth",
-        "vision:weights={folder}/weights.pth",
-        "gaddpg:weights={folder}/weights.pth,wait=1",
-        "gaddpg:weights={outside}/weights.pth",
-        "not_installed.robots:MyReceiver:weights={folder}/weights.pth",
-    ],
-)
-def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: str) -> None:
-    outside, inside = tmp_path / "outside", tmp_path / "inside"
-    outside.mkdir()
-    inside.mkdir()
-    path = write_population(inside, receivers=[RECEIVERS[0] | {"policy": policy.replace("{outside}", str(outside))}])
+@pytest.mark.parametrize("option", ["learned:", "gaddpg:wait=1,weights=", "not_installed.robots:MyReceiver:weights="])
+def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, option: str) -> None:
+    path = write_population(tmp_path, receivers=[RECEIVERS[0] | {"policy": f"{option}{{folder}}/weights.pth"}])
     hashes = set()
     for content in (b"1", b"2"):
-        for folder in (outside, inside):
-            (folder / "weights.pth").write_bytes(content)
+        (tmp_path / "weights.pth").write_bytes(content)
         hashes.add(load_population(path, trust=True).content_hash)
     assert len(hashes) == 2
 
@@ -64,7 +55,7 @@ def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, policy: st
     [
         ({"givers": [GIVERS[0], GIVERS[0]]}, "every name must be unique, got 'recorded' twice"),
         ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "family in one split must be unique, got 'timing'"),
-        ({"givers": [GIVERS[0] | {"split": "val"}]}, "split must be train or test, got 'val'"),
+        ({"givers": [GIVERS[0] | {"split": "val"}]}, r"split must be train or test, got \['val'\]"),
         ({"givers": [{"name": "a"}]}, "not a readable population .*missing 4 required"),
         ({"name": "a\nb"}, "values must be text without control characters"),
     ],
@@ -94,7 +85,7 @@ def test_shipped_populations() -> None:
 
 
 @pytest.mark.slow
-def test_learned_givers_act_and_are_installed() -> None:
+def test_learned_givers_act_and_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     found = load_population()
     learned = [giver for giver in found.givers if giver.family == "learned"]
     assert len(learned) == 3
@@ -102,14 +93,75 @@ def test_learned_givers_act_and_are_installed() -> None:
     setup.read(Path(__file__).parents[2] / "setup.cfg")
     patterns = setup["options.package_data"]["handover_marl.assets"].split()
     motions = set()
+    shorten_episodes(monkeypatch, 4000)
     for giver in learned:
         policy = found.get_policy(giver)
         file = Path(policy.removeprefix("learned:"))
         assert any(file.match(pattern) for pattern in patterns)
-        report = evaluate_pair(
-            policy, "hold", dataset="synthetic", split="val", scenes=[9], physics="fast", progress=False
-        )
+        where = {"dataset": "synthetic", "split": "val", "scenes": [9], "physics": "fast", "progress": False}
+        report = evaluate_pair(policy, "hold", **where)
         fluency = report.episodes[0].fluency
         assert fluency is not None
         motions.add(fluency.giver_path)
     assert len(motions) == 3
+
+
+def make_giver(path: Path, partners: str = "all") -> PopulationPolicy:
+    policy = givers.make(("population", {"population": os.fspath(path), "partners": partners}))
+    assert isinstance(policy, PopulationPolicy)
+    return policy
+
+
+def test_members_are_those_of_the_split(tmp_path: Path) -> None:
+    path = write_population(tmp_path)
+    assert [member.name for member in make_giver(path).members] == ["replay", "hurried", "hurried"]
+    assert [member.name for member in make_giver(path, "train").members] == ["replay"]
+    assert make_giver(path).weights_hash == load_population(path).content_hash
+
+
+def test_the_seed_draws_the_member_that_acts(tmp_path: Path) -> None:
+    policy, observation = make_giver(write_population(tmp_path)), seen()
+    rates, counts = [], np.zeros(3, dtype=int)
+    for seed in range(300):
+        counts[policy.draw_member(seed)[0]] += 1
+        policy.reset(seed)
+        rates.append(float(policy.act(observation)[0]))
+    assert counts.min() > 70
+    assert np.sum(np.equal(rates, 0.0)) == counts[0]
+    assert np.sum(np.greater(rates, 0.4)) == counts[1]
+    assert np.sum(np.less(rates, -0.4)) == counts[2]
+    again = make_giver(write_population(tmp_path))
+    again.reset(7)
+    assert float(again.act(observation)[0]) == rates[7]
+
+
+def test_receivers_with_a_camera_are_left_out(tmp_path: Path) -> None:
+    vision = {**RECEIVERS[0], "name": "camera", "policy": "gaddpg"}
+    path = write_population(tmp_path, receivers=[*RECEIVERS, vision])
+    policy = receivers.make(("population", {"population": os.fspath(path), "partners": "test"}))
+    assert isinstance(policy, PopulationPolicy)
+    assert [member.name for member in policy.members] == ["hold"]
+    only = write_population(tmp_path, receivers=[vision])
+    with pytest.raises(OptionError, match="receivers that act on the state"):
+        receivers.make(("population", {"population": os.fspath(only), "partners": "test"}))
+
+
+@pytest.mark.slow
+def test_a_vector_environment_equals_single_environments(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    interrupting = {**GIVERS[0], "name": "interrupting", "policy": "interrupting"}
+    path = write_population(tmp_path, givers=[*GIVERS, interrupting])
+    partner = ("population", {"population": os.fspath(path), "partners": "all"})
+    fields: dict[str, Any] = {"dataset": "synthetic", "physics": "mujoco", "control_period": 0.2, "max_cycles": 8}
+    envs = handover_marl.vector_env(3, "receiver", partner, autoreset="disabled", threads=1, **fields)
+    batch = [envs.reset(seed=3)[0]]
+    action = batch[0]["robot_joint_position"][0]
+    batch += [envs.step(np.tile(action, (3, 1)))[0] for _ in range(8)]
+    envs.close()
+    env = handover_marl.freeze(handover_marl.parallel_env(**fields), "receiver", partner)
+    for number in range(3):
+        single = [env.reset(seed=3 + number)[0], *(env.step({"receiver": action})[0] for _ in range(8))]
+        for step, found in enumerate(single):
+            for key, values in found["receiver"].items():
+                np.testing.assert_array_equal(batch[step][key][number], values, err_msg=f"{step}, {key}")
+    env.close()

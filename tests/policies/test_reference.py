@@ -121,25 +121,18 @@ def test_ways_to_name_a_class(policy: PolicyLike, speed: float, word: object) ->
     assert type(made.word) is type(word)
 
 
-def test_registered_names() -> None:
+def test_registered_names_and_files(tmp_path: Path) -> None:
     assert type(make("replay")) is ReplayGiver
     assert type(make("hold", "receiver")) is HoldReceiver
-    assert make("omg:wait=1.5", "receiver").context.grasps is not None
     assert parse_policy("receiver", "omg_hand_aware:wait=1.5").options == (("wait", 1.5),)
     assert parse_policy("receiver", ("omg:wait=1.5", {"wait": 2})).options == (("wait", 2),)
-
-
-def test_files(tmp_path: Path) -> None:
-    odd = tmp_path / "a=1,b:control_period=9,x=2"
+    odd = tmp_path / "a=1,b:control_period=9,x=2.npz"
     odd.write_bytes(DEFAULT_GIVER_FILE.read_bytes())
-    for file in (DEFAULT_GIVER_FILE, odd.rename(odd.with_name(f"{odd.name}.npz"))):
+    for file in (DEFAULT_GIVER_FILE, odd):
         for policy in (f"learned:{file}", f"learned:{file}:control_period=0.1", (f"learned:{file}", {})):
             reference = parse_policy("giver", policy)
             assert reference.file == str(file)
             assert isinstance(reference.make(DATA), LearnedPolicy)
-    assert parse_policy("giver", f"learned:{DEFAULT_GIVER_FILE}:control_period=0.1").options == (
-        ("control_period", 0.1),
-    )
     assert parse_policy("giver", "learned").file is None
     with pytest.raises(DataNotFoundError, match=r"none\.npz"):
         make(f"learned:{tmp_path / 'none.npz'}")
@@ -249,12 +242,11 @@ if __name__ == "__main__":
 """
 
 
-def typed(folder: Path, prompt: bool = False, gain: float = 2.0, shared: float = 1.0) -> list[PolicyReference]:
+def pickle_references(folder: Path, prompt: bool, gain: float = 2.0, shared: float = 1.0) -> list[PolicyReference]:
     """Return the references that a script pickled of a class that it defines.
 
     If `prompt` is true, the code runs with `python -c` instead, where the class has no file.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     out, text = folder / "references.pickle", SCRIPT.format(gain=gain, shared=shared)
     (folder / "script.py").write_text(text)
     how = ["-c", text] if prompt else [str(folder / "script.py")]
@@ -270,30 +262,16 @@ def test_classes_of_scripts(tmp_path: Path, prompt: bool) -> None:
 
     Hashes cover the script's code; without a file, every hash is another one.
     """
-    first, again = typed(tmp_path, prompt), typed(tmp_path, prompt)
+    first, again = (pickle_references(tmp_path, prompt) for _ in range(2))
     assert "Typed" not in vars(sys.modules["__main__"])
     assert [float(reference.make(DATA).act({})[0]) for reference in first] == [2.0, 1.0, 0.5]
     assert [reference.label for reference in first] == ["typed", "typed:speed=0.5", "typed"]
     hashes = [reference.code_hash for reference in first]
     assert len(set(hashes)) == 3
     assert ([reference.code_hash for reference in again] == hashes) != prompt
-    for changed in (typed(tmp_path, prompt, gain=3.0), typed(tmp_path, prompt, shared=5.0)):
+    if not prompt:
+        changed = pickle_references(tmp_path, prompt, shared=5.0)
         assert not set(hashes) & {reference.code_hash for reference in changed}
-
-
-def test_closure_values_are_hashed() -> None:
-    def sped_up(factor: float) -> type[Giver]:
-        class Local(Mine):
-            name = "local"
-
-            def act(self, observation: Observation) -> Action:
-                return make_giver_action(rate=factor)
-
-        return Local
-
-    slow, fast = (resolve(sped_up(factor)) for factor in (0.5, 1.0))
-    assert slow.make(DATA).act({})[0] != fast.make(DATA).act({})[0]
-    assert slow.code_hash != fast.code_hash
 
 
 def resolve(policy: PolicyLike, agent: str = "giver") -> PolicyReference:
@@ -309,7 +287,7 @@ def test_labels() -> None:
 
 
 @pytest.mark.parametrize("name", ["label", "weights_hash"])
-@pytest.mark.parametrize("value", [5, "two\nlines", "\udcff", "x" * 1001], ids=ascii)
+@pytest.mark.parametrize("value", [5, "two\nlines", "x" * 1001], ids=ascii)
 def test_labels_and_hashes_that_cannot_be_printed_are_refused(name: str, value: object) -> None:
     with pytest.raises(OptionError, match=rf"{name} of giver 'Odd' must be text without control characters"):
         resolve(type("Odd", (Mine,), {name: property(lambda self: value)}))
@@ -336,18 +314,6 @@ def test_hashes_of_different_policies_differ() -> None:
     assert resolve(Mine(2.0)).code_hash == resolve(Mine(2.0)).code_hash
 
 
-def test_policy_files_are_hashed(tmp_path: Path) -> None:
-    path = tmp_path / "policy.npz"
-    with np.load(DEFAULT_GIVER_FILE) as archive:
-        parts = dict(archive)
-    found = []
-    for gain in (1.0, 2.0):
-        np.savez(path, **parts | {"bias_0": gain * parts["bias_0"]})
-        found.append(resolve(f"learned:{path}"))
-    assert found[0].label != found[1].label
-    assert found[0].code_hash != found[1].code_hash
-
-
 def test_options_added_to_a_resolved_reference() -> None:
     first = resolve(Mine)
     assert parse_policy("giver", first) is first
@@ -360,43 +326,28 @@ PACKAGE = {
     "__init__.py": "",
     "policy.py": "from handover_marl.givers.variations import ReplayGiver\nfrom own_package.helping import HELP\n\n"
     "class Own(ReplayGiver):\n    name = 'own'\n    def act(self, observation):\n        return HELP()\n",
-    "helping.py": "from own_package import deeper\n\ndef HELP():\n    return deeper.VALUE\n",
-    "deeper.py": "VALUE = 1\n",
+    "helping.py": "def HELP():\n    return 1\n",
 }
 
 
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "own_package"
-    folder.mkdir()
-    for name, text in PACKAGE.items():
-        (folder / name).write_text(text)
+def test_hashes_cover_the_authors_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own_package").mkdir()
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    return folder
 
+    def hash_with(changes: Mapping[str, str]) -> str:
+        for name, text in (PACKAGE | changes).items():
+            (tmp_path / "own_package" / name).write_text(text)
+        importlib.invalidate_caches()
+        found = resolve("own_package.policy:Own").code_hash
+        for name in [name for name in sys.modules if name.partition(".")[0] == "own_package"]:
+            del sys.modules[name]
+        return found
 
-def hash_of(changes: Mapping[str, str], folder: Path) -> str:
-    for name, text in (PACKAGE | changes).items():
-        (folder / name).write_text(text)
-    for name in [name for name in sys.modules if name.partition(".")[0] == "own_package"]:
-        del sys.modules[name]
-    importlib.invalidate_caches()
-    source = resolve("own_package.policy:Own").code_hash
-    for name in [name for name in sys.modules if name.partition(".")[0] == "own_package"]:
-        del sys.modules[name]
-    return source
-
-
-def test_hashes_cover_the_authors_package(package: Path) -> None:
-    first = hash_of({}, package)
-    assert hash_of({}, package) == first
-    changed = {
-        hash_of({"policy.py": PACKAGE["policy.py"] + "    extra = 1\n"}, package),
-        hash_of({"helping.py": PACKAGE["helping.py"] + "\nMORE = 1\n"}, package),
-        hash_of({"deeper.py": "VALUE = 2\n"}, package),
-    }
-    assert len(changed | {first}) == 4
+    first = hash_with({})
+    assert hash_with({}) == first
+    changed = [{"policy.py": PACKAGE["policy.py"] + "    extra = 1\n"}, {"helping.py": "def HELP():\n    return 2\n"}]
+    assert len({first, *map(hash_with, changed)}) == 3
 
 
 @pytest.mark.parametrize(
@@ -418,40 +369,20 @@ def test_split_policy_list(agent: str, text: str, names: list[str]) -> None:
     assert split_policy_list(agent, text) == names
 
 
-class Package:
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-
-def register(monkeypatch: pytest.MonkeyPatch, *points: tuple[str, str, str | None], agent: str = "giver") -> None:
-    """Replace the registered policies; a point is the name, the place and the package of a policy."""
-    made = []
-    for name, value, package in points:
-        point = EntryPoint(name, value, registry.GROUPS[agent])
-        made.append(point if package is None else point._for(Package(package)))  # type: ignore[attr-defined]
-    monkeypatch.setattr(registry, "entry_points", EntryPoints(made).select)
-
-
-def test_names_of_other_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    register(monkeypatch, ("theirs", f"{HERE}:Mine", "one"), ("other", f"{HERE}:Anything", "two"))
-    assert registry.list_available("giver") == ("other", "theirs")
-    assert registry.list_available("receiver") == ()
-    assert type(make("theirs:speed=2")) is Mine
-    with pytest.raises(UnknownNameError, match="unknown giver 'replay'; valid: other, theirs"):
-        parse_policy("giver", "replay")
-
-
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ((("theirs", f"{HERE}:Mine", "one"), ("theirs", f"{HERE}:Anything", "two")), "claimed by one .* and two"),
-        ((("theirs", f"{HERE}:Nobody", "one"),), "but cannot be imported"),
-        ((("theirs", f"{HERE}:Robot", "one"),), r"must be a subclass of handover_marl\.givers\.Giver"),
+        ([("theirs", f"{HERE}:Mine"), ("theirs", f"{HERE}:Anything")], "giver 'theirs' is claimed by .* and "),
+        ([("theirs", f"{HERE}:Nobody")], "giver 'theirs' .* but cannot be imported"),
+        ([("theirs", f"{HERE}:Robot")], r"giver 'theirs' .*must be a subclass of handover_marl\.givers\.Giver"),
+        ([("other", f"{HERE}:Mine"), ("more", f"{HERE}:Anything")], "unknown giver 'theirs'; valid: more, other"),
     ],
 )
-def test_invalid_registrations(
-    points: tuple[tuple[str, str, str], ...], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    register(monkeypatch, *points)
-    with pytest.raises(OptionError, match=f"giver 'theirs' .*{message}"):
+def test_names_of_other_packages(points: list[tuple[str, str]], message: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = EntryPoints(EntryPoint(name, value, registry.GROUPS["giver"]) for name, value in points)
+    monkeypatch.setattr(registry, "entry_points", found.select)
+    with pytest.raises((OptionError, UnknownNameError), match=message):
         parse_policy("giver", "theirs")
+    assert registry.list_available("receiver") == ()
+    if "valid" in message:
+        assert type(make("other:speed=2")) is Mine

@@ -20,7 +20,7 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.modules import MultiAgentMLP
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.policy_spec import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 
 
 class HandoverClass(PettingZooClass):
@@ -31,9 +31,6 @@ class HandoverClass(PettingZooClass):
 
     def supports_continuous_actions(self) -> bool:
         return True
-
-    def supports_discrete_actions(self) -> bool:
-        return False
 
     def has_state(self) -> bool:
         return True
@@ -63,8 +60,8 @@ def main(args: PairArgs) -> None:
     experiment = Experiment(task, algorithm, model, args.seed, config)
     layers: dict[str, MultiAgentMLP] = {}
     for agent in AGENTS:
-        modules = experiment.algorithm.get_policy_for_loss(agent).modules()
-        (layers[agent],) = [part for part in modules if isinstance(part, MultiAgentMLP)]
+        policy = experiment.algorithm.get_policy_for_loss(agent)
+        (layers[agent],) = [part for part in policy.modules() if isinstance(part, MultiAgentMLP)]
         # First outputs are nearly zero, a sensible action.
         parameters = layers[agent].params
         for tensor in parameters[max(parameters.keys(), key=int)].values():
@@ -73,10 +70,8 @@ def main(args: PairArgs) -> None:
     experiment.collector.set_seed(args.seed)  # BenchMARL gives all environments the same seed
     experiment.run()
     sizes = {agent: experiment.action_spec[agent, "action"].shape[-1] for agent in AGENTS}
-    networks = {
-        agent: dense_network_from_layers(part.get_stateful_net(), "tanh", "tanh", sizes[agent])
-        for agent, part in layers.items()
-    }
+    nets = {agent: part.get_stateful_net() for agent, part in layers.items()}
+    networks = {agent: dense_network_from_layers(net, "tanh", "tanh", sizes[agent]) for agent, net in nets.items()}
     write_pair(networks, args, "train_both_benchmarl")
 
 

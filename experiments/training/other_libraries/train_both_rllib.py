@@ -24,8 +24,8 @@ from rich.progress import track
 from torch import nn
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.adapters.export import dense_network_from_module
-from handover_marl.learning.training.dense_networks import make_mlp
+from handover_marl.learning.adapters.modules import dense_network_from_module
+from handover_marl.learning.training.run_folder import make_mlp
 
 
 class ActorCritic(TorchRLModule, ValueFunctionAPI):

@@ -5,7 +5,6 @@
 Tianshou's collectors have one agent, so the loop fills a replay buffer for each agent. It needs the extra `tianshou`.
 """
 
-import contextlib
 import math
 from typing import Any
 
@@ -20,13 +19,12 @@ from tianshou.algorithm.optim import AdamOptimizerFactory
 from tianshou.data import Batch, VectorReplayBuffer
 from tianshou.utils.net.common import Net
 from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
-from tianshou.utils.torch_utils import policy_within_training_step
 from torch import nn
 from torch.distributions import Independent, Normal
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.encode import EncodedEnv
-from handover_marl.learning.policy_spec import dense_network_from_layers
+from handover_marl.learning.adapters.modules import dense_network_from_layers
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
@@ -34,27 +32,15 @@ def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
     n_inputs, actions = env.observation_space(agent).shape[0], env.action_space(agent)
     nets = [Net(state_shape=(n_inputs,), hidden_sizes=[args.width] * 2, activation=nn.Tanh) for _ in range(2)]
     actor = ContinuousActorProbabilistic(preprocess_net=nets[0], action_shape=actions.shape, unbounded=True)
-    with torch.no_grad():
-        actor.mu.model[-1].weight.mul_(0.01)
-        actor.mu.model[-1].bias.zero_()
-        actor.sigma_param.fill_(math.log(args.initial_std))
-    policy = ProbabilisticActorPolicy(
-        actor=actor,
-        dist_fn=lambda parts: Independent(Normal(*parts), 1),
-        action_space=actions,
-        action_scaling=False,
-        action_bound_method=None,
-    )
-    return PPO(
-        policy=policy,
-        critic=ContinuousCritic(preprocess_net=nets[1]),
-        optim=AdamOptimizerFactory(lr=args.learning_rate),
-        eps_clip=args.clip_range,
-        gamma=args.discount,
-        gae_lambda=args.gae_lambda,
-        ent_coef=0.0,
-        max_grad_norm=0.5,
-    )
+    for parameter, scale in ((actor.mu.model[-1].weight, 0.01), (actor.mu.model[-1].bias, 0.0)):
+        parameter.data.mul_(scale)
+    actor.sigma_param.data.fill_(math.log(args.initial_std))
+    scaling: dict[str, Any] = {"action_space": actions, "action_scaling": False, "action_bound_method": None}
+    policy = ProbabilisticActorPolicy(actor=actor, dist_fn=lambda parts: Independent(Normal(*parts), 1), **scaling)
+    policy.is_within_training_step = True  # draws actions at random
+    critic, optimizer = ContinuousCritic(preprocess_net=nets[1]), AdamOptimizerFactory(lr=args.learning_rate)
+    options = {"eps_clip": args.clip_range, "gamma": args.discount, "gae_lambda": args.gae_lambda, "ent_coef": 0.0}
+    return PPO(policy=policy, critic=critic, optim=optimizer, max_grad_norm=0.5, **options)
 
 
 def main(args: PairArgs) -> None:
@@ -65,26 +51,21 @@ def main(args: PairArgs) -> None:
     algorithms = {agent: make_algorithm(envs[0], agent, args) for agent in AGENTS}
     buffers = {agent: VectorReplayBuffer(args.batch_size, args.num_envs) for agent in AGENTS}
     names = ("obs_next", "rew", "terminated", "truncated")
-    with contextlib.ExitStack() as stack:
-        for algorithm in algorithms.values():
-            stack.enter_context(policy_within_training_step(algorithm.policy))
-        for number in track(range(args.decisions // args.num_envs), description="decisions"):
-            batches = {agent: Batch(obs=np.stack([one[agent] for one in seen]), info={}) for agent in AGENTS}
-            for agent, batch in batches.items():
-                with torch.no_grad():
-                    batch.act = algorithms[agent].policy(batch).act.numpy()
-            steps: list[Any] = [
-                env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)
-            ]
-            for agent, batch in batches.items():
-                batch.update({name: np.array([step[n][agent] for step in steps]) for n, name in enumerate(names)})
-                batch.done = batch.terminated | batch.truncated
-                buffers[agent].add(batch)
-            seen = [step[0] if env.agents else env.reset()[0] for env, step in zip(envs, steps, strict=True)]
-            if (number + 1) % (args.batch_size // args.num_envs) == 0:
-                for agent, buffer in buffers.items():
-                    algorithms[agent].update(buffer=buffer, batch_size=args.minibatch_size, repeat=args.epochs)
-                    buffer.reset()
+    for number in track(range(args.decisions // args.num_envs), description="decisions"):
+        batches = {agent: Batch(obs=np.stack([one[agent] for one in seen]), info={}) for agent in AGENTS}
+        for agent, batch in batches.items():
+            with torch.no_grad():
+                batch.act = algorithms[agent].policy(batch).act.numpy()
+        steps: list[Any] = [env.step({agent: batches[agent].act[n] for agent in AGENTS}) for n, env in enumerate(envs)]
+        for agent, batch in batches.items():
+            batch.update({name: np.array([step[n][agent] for step in steps]) for n, name in enumerate(names)})
+            batch.done = batch.terminated | batch.truncated
+            buffers[agent].add(batch)
+        seen = [step[0] if env.agents else env.reset()[0] for env, step in zip(envs, steps, strict=True)]
+        if (number + 1) % (args.batch_size // args.num_envs) == 0:
+            for agent, buffer in buffers.items():
+                algorithms[agent].update(buffer=buffer, batch_size=args.minibatch_size, repeat=args.epochs)
+                buffer.reset()
     for env in envs:
         env.close()
     networks = {agent: dense_network_from_layers(each.policy.actor, "tanh") for agent, each in algorithms.items()}

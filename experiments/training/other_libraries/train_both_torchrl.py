@@ -17,8 +17,8 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
-from handover_marl.learning.policy_spec import dense_network_from_layers
-from handover_marl.learning.training.dense_networks import make_mlp
+from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.training.run_folder import make_mlp
 
 
 def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:
@@ -27,26 +27,17 @@ def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:
     spec = env.full_action_spec[agent, "action"]
     outputs = NormalParamExtractor(f"biased_softplus_{args.initial_std}")
     network = nn.Sequential(make_mlp(sizes[agent], 2 * spec.shape[-1], args.width, 0.01), outputs)
-    keys = {"in_keys": [(agent, "loc"), (agent, "scale")], "out_keys": [(agent, "action")]}
-    actor = ProbabilisticActor(
-        TensorDictModule(network, in_keys=[(agent, "observation")], out_keys=keys["in_keys"]),
-        spec=spec,
-        distribution_class=TanhNormal,
-        return_log_prob=True,
-        log_prob_key=(agent, "log_prob"),
-        **keys,
-    )
-    values = make_mlp(sum(sizes.values()), 1, args.width)
+    layers = TensorDictModule(network, [(agent, "observation")], [(agent, "loc"), (agent, "scale")])
+    keys = {"in_keys": layers.out_keys, "out_keys": [(agent, "action")], "log_prob_key": (agent, "log_prob")}
+    actor = ProbabilisticActor(layers, spec=spec, distribution_class=TanhNormal, return_log_prob=True, **keys)
     inputs = [(each, "observation") for each in AGENTS]
-    critic = TensorDictModule(
-        lambda *parts: values(torch.cat(parts, -1)), in_keys=inputs, out_keys=[(agent, "state_value")]
-    )
-    critic.values = values  # registers the parameters
+    both = TensorDictModule(lambda *parts: torch.cat(parts, -1), in_keys=inputs, out_keys=["both"])
+    values = make_mlp(sum(sizes.values()), 1, args.width)
+    critic = TensorDictSequential(both, TensorDictModule(values, in_keys=["both"], out_keys=[(agent, "state_value")]))
     loss = ClipPPOLoss(actor, critic, clip_epsilon=args.clip_range, entropy_coeff=1e-4, normalize_advantage=True)
     names = ("reward", "action", "done", "terminated", "advantage", "value_target")
-    loss.set_keys(
-        sample_log_prob=(agent, "log_prob"), value=(agent, "state_value"), **{name: (agent, name) for name in names}
-    )
+    loss.set_keys(sample_log_prob=(agent, "log_prob"), value=(agent, "state_value"))
+    loss.set_keys(**{name: (agent, name) for name in names})
     loss.make_value_estimator(gamma=args.discount, lmbda=args.gae_lambda)
     return loss
 
@@ -79,10 +70,8 @@ def main(args: PairArgs) -> None:
                     nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
                     optimizers[agent].step()
         collector.update_policy_weights_()
-    networks = {
-        agent: dense_network_from_layers(actor, "tanh", "tanh", env.full_action_spec[agent, "action"].shape[-1])
-        for agent, actor in actors.items()
-    }
+    sizes = {agent: env.full_action_spec[agent, "action"].shape[-1] for agent in AGENTS}
+    networks = {agent: dense_network_from_layers(net, "tanh", "tanh", sizes[agent]) for agent, net in actors.items()}
     collector.shutdown()
     write_pair(networks, args, "train_both_torchrl")
 

@@ -21,8 +21,8 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.episode.spaces import STATE, check_giver_action, check_receiver_action, check_vector
 from handover_marl.episode.warp_wrist_camera import WarpWristCamera
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, get_namespace, to_numpy
+from handover_marl.learning.action_scheme import ArrayScheme
 from handover_marl.learning.array_features import ArrayFeatures
-from handover_marl.learning.array_schemes import ArrayScheme
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme

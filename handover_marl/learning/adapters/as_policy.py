@@ -10,17 +10,16 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
-from handover_marl.errors import OptionError, check_name
+from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
 from handover_marl.execution.pool import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
-from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
+from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike
 from handover_marl.learning.features import list_features
 from handover_marl.learning.policy_files import complete_spec, read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, RAW_ENCODINGS, DenseNetwork, PolicySpec
-from handover_marl.learning.schemes import list_schemes
 from handover_marl.policies.hashing import find_package, hash_object
 from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyReference
@@ -87,21 +86,8 @@ def as_giver(
 ) -> PolicyReference:
     """Return a giver that runs a function, a network or a file; pass it wherever a giver can be passed.
 
-    By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`.
-
-    Args:
-        policy: Function, PyTorch module, model or file as for `as_receiver`.
-        control_period: Time between two decisions (s); default: as in training if that is recorded,
-            else 0.1 s.
-        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the
-            observation itself.
-        action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
-        name: Name in tables and result folders; default: the name of the function, class or file and
-            a hash.
-        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
-
-    Raises:
-        HandoverError: As for `as_receiver`.
+    By default the outputs are a giver's action (8,), see `handover_marl.givers.make_giver_action`. Arguments and
+    errors are those of `as_receiver`.
     """
     return _adapt("giver", policy, control_period, STATE, features, action_scheme, name, trust)
 
@@ -119,8 +105,6 @@ def _adapt(
     check_boolean("trust", trust)
     if name is not None and not (isinstance(name, str) and name.strip()):
         raise OptionError(f"name must be text that is not empty, got {name!r}")
-    _check_choice("features", features, (*list_features(agent), OBSERVATION))
-    _check_choice("action scheme", action_scheme, list_schemes(agent))
     given = {"features": features, "actions": action_scheme, "control_period": control_period}
     stem, function, spec = _read_model(agent, policy, given, obs_mode == STATE, trust)
     spec = replace(spec, obs_mode=obs_mode)
@@ -143,13 +127,6 @@ def _adapt(
     # Modules of PyTorch's own layers do not depend on its build.
     packages = {"" if isinstance(function, DenseNetwork) else find_package(policy)} - {"", "torch"}
     return PolicyReference(agent, name or stem, pickled, packages=tuple(packages))
-
-
-def _check_choice(kind: str, choice: object, names: tuple[str, ...]) -> None:
-    if isinstance(choice, str) and not is_reference(choice):
-        check_name(kind, choice, names)
-    elif choice is not None and not isinstance(choice, str) and not callable(choice):
-        raise OptionError(f"{kind} must be a name, a class or a function, got {choice!r}")
 
 
 def _read_model(

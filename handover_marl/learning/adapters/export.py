@@ -1,25 +1,17 @@
-"""Export of trained networks to policy files, and conversion of PyTorch modules of linear layers."""
+"""Export of trained networks to policy files."""
 
-import itertools
 import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from handover_marl.errors import DataFormatError, OptionError
-from handover_marl.geometry.arrays import use_default_torch_settings
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.custom_encodings import is_reference
 from handover_marl.learning.features import count_features
-from handover_marl.learning.policy_files import check_policy_path, complete_spec, write_policy
-from handover_marl.learning.policy_spec import ACTIVATIONS, DenseNetwork, dense_network_from_layers
+from handover_marl.learning.policy_files import complete_spec, write_policy
 from handover_marl.learning.schemes import count_outputs
-
-# Number and scale of the random inputs on which a converted network is compared with its module.
-_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
 def export_policy(
@@ -65,7 +57,6 @@ def export_policy(
         ResultsError: The file cannot be written.
     """
     file, recorded = Path(path).expanduser(), {}
-    check_policy_path(file)
     if is_sb3_model(model):
         # Imports Stable-Baselines3, which made the model.
         from handover_marl.learning.adapters.sb3_models import dense_network_from_sb3, get_recorded_encoding
@@ -99,49 +90,3 @@ def is_sb3_model(model: object) -> bool:
     # A model can exist only if the package was imported.
     module = sys.modules.get("stable_baselines3.common.base_class")
     return module is not None and isinstance(model, module.BaseAlgorithm)
-
-
-def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
-    """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
-
-    Outputs for random inputs are compared, which also finds the activation after the last layer.
-
-    Args:
-        module: Module from (n, n_inputs) to (n, n_outputs).
-        activation: Activation between the layers; None finds it too.
-
-    Raises:
-        DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
-            activation, or that with `activation`, has the same outputs.
-    """
-    bare = dense_network_from_layers(module, "identity" if activation is None else activation)
-    inputs, expected = _evaluate(module, bare.n_inputs)
-    candidates = ACTIVATIONS if activation is None else (activation,)
-    # Identity first: for small outputs, as of networks at the start of a training, tanh is nearly the same.
-    for between, after in itertools.product(candidates, ("identity", *ACTIVATIONS)):
-        network = replace(bare, activation=between, output=after)
-        found = np.stack([network(row) for row in inputs])
-        if found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
-            return network
-    raise DataFormatError(
-        f"{type(module).__name__} must consist of linear layers with one activation between them "
-        f"({', '.join(candidates)}); run other modules with handover_marl.as_receiver or handover_marl.as_giver"
-    )
-
-
-def _evaluate(module: Any, n_inputs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    torch, was_training = sys.modules["torch"], module.training
-    values = (_SCALE * np.random.default_rng(0).standard_normal((_N_TRIALS, n_inputs))).astype(np.float32)
-    parameter = next(module.parameters())
-    try:
-        with use_default_torch_settings(), torch.no_grad():
-            outputs = module.eval()(torch.from_numpy(values).to(parameter))
-    except Exception as error:  # code of the user
-        raise DataFormatError(
-            f"{type(module).__name__} must accept inputs of shape (n, {n_inputs}) ({type(error).__name__}: {error})"
-        ) from error
-    finally:
-        module.train(was_training)
-    if not isinstance(outputs, torch.Tensor):
-        raise DataFormatError(f"{type(module).__name__} must return a tensor, got {type(outputs).__name__}")
-    return values, outputs.float().cpu().numpy()

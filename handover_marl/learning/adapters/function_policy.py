@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 
 import handover_marl.givers
-from handover_marl.episode.observations import Observation, giver_observation_space, receiver_observation_space
+from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import check_vector
-from handover_marl.errors import HandoverError, OptionError
-from handover_marl.execution.files import shorten_text
+from handover_marl.errors import OptionError
 from handover_marl.learning.features import AgentFeatures, make_features
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import OBSERVATION, DenseNetwork, PolicySpec
@@ -64,8 +62,13 @@ class FunctionPolicy(Policy):
             if not self.scheme.wait:
                 raise OptionError(f"{name}: action scheme {self.scheme.name!r} has no wait; remove wait={wait}")
             self.scheme.wait = milliseconds_from_wait(wait) / 1000.0
-        if isinstance(function, (DenseNetwork, TorchFunction)):
-            self._try_zeros(context)
+        if isinstance(function, DenseNetwork):
+            n_inputs = function.n_inputs if self._features is None else self._features.size
+            if (function.n_inputs, function.n_outputs) != (n_inputs, self.scheme.size):
+                raise OptionError(
+                    f"{name!r} must have {n_inputs} inputs and {self.scheme.size} outputs, got {function.n_inputs} and "
+                    f"{function.n_outputs}; pass features and action scheme of its training"
+                )
 
     @property
     def label(self) -> str:
@@ -109,33 +112,6 @@ class FunctionPolicy(Policy):
         """
         what = f"outputs of the {self.spec.agent} {self.name!r}"
         return check_vector(what, self.function(inputs), self.scheme.size, "as its action scheme decodes")
-
-    def _try_zeros(self, context: PolicyContext) -> None:
-        """Check the sizes of a network by its outputs for zeros, which need not be finite."""
-        wanted = "the observation" if self._features is None else f"features of shape (1, {self._features.size})"
-        try:
-            with np.errstate(all="ignore"):
-                outputs = self.function(_make_zeros(self._get_input_space(context)))
-        except HandoverError:
-            raise
-        except Exception as error:  # code of the user
-            raise OptionError(
-                f"{self.name!r} must accept {wanted}, got {type(error).__name__}: {shorten_text(error)}; pass the "
-                "features of its training"
-            ) from error
-        if not isinstance(outputs, np.ndarray) or outputs.shape != (self.scheme.size,):
-            got = f"shape {outputs.shape}" if isinstance(outputs, np.ndarray) else type(outputs).__name__
-            raise OptionError(
-                f"{self.name!r} must return outputs of shape (1, {self.scheme.size}) for action scheme "
-                f"{self.scheme.name!r}, got {got}; pass the action scheme of its training"
-            )
-
-    def _get_input_space(self, context: PolicyContext) -> spaces.Space[Any]:
-        if self._features is not None:
-            return self._features.space
-        if self.spec.agent == "giver":
-            return giver_observation_space(context.config.giver)
-        return receiver_observation_space(self.obs_mode)
 
 
 class TorchFunction:
@@ -202,12 +178,6 @@ def reset_function(function: object, seed: int | None) -> None:
     reset = getattr(function, "reset", None)
     if callable(reset) and "seed" in inspect.signature(reset).parameters:
         reset(seed=seed)
-
-
-def _make_zeros(space: Any) -> Any:
-    if isinstance(space, spaces.Dict):
-        return {key: _make_zeros(part) for key, part in space.spaces.items()}
-    return np.zeros(space.shape, dtype=space.dtype)
 
 
 #: Shipped giver, trained for the receiver `yang2021`.

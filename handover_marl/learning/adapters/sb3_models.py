@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
@@ -21,31 +20,12 @@ from torch import nn
 from handover_marl.episode.spaces import giver_action_space, receiver_action_space
 from handover_marl.errors import DataFormatError, OptionError
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.policy_spec import (
-    RAW_ENCODINGS,
-    DenseNetwork,
-    InputNormalization,
-    OutputBounds,
-    dense_network_from_layers,
-)
+from handover_marl.learning.adapters.modules import dense_network_from_module, draw_inputs, is_close
+from handover_marl.learning.policy_spec import RAW_ENCODINGS, DenseNetwork, InputNormalization, OutputBounds
 
-Array = npt.NDArray[np.float64]
-
-#: Activation functions of policy files by the class of PyTorch's modules, with its default parameters.
-ACTIVATION_MODULES: dict[type[nn.Module], str] = {
-    nn.Tanh: "tanh",
-    nn.ReLU: "relu",
-    nn.Identity: "identity",
-    nn.ELU: "elu",
-    nn.LeakyReLU: "leaky_relu",
-    nn.SiLU: "silu",
-    nn.Sigmoid: "sigmoid",
-}
 # Algorithm that loads the files of each kind of policy: A2C's policies are those of PPO, DDPG's those of TD3.
 _LOADERS: dict[type, type[BaseAlgorithm]] = {ActorCriticPolicy: PPO, SACPolicy: SAC, TD3Policy: TD3}
 _SPACES = {"giver": giver_action_space, "receiver": receiver_action_space}
-# Numbers and scale of the random inputs on which a converted network is compared with its model.
-_N_TRIALS, _SCALE, _TOLERANCE = 8, 2.0, 1e-4
 
 
 def load_sb3_model(content: bytes) -> BaseAlgorithm:
@@ -83,18 +63,24 @@ def dense_network_from_sb3(
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
         raise OptionError(f"actions of the {where} model must be a vector (Box), got {space}")
     layers, is_squashed = _get_actor(model)
-    activation = ACTIVATION_MODULES.get(getattr(model.policy, "activation_fn", nn.Module))
-    if activation is None:
-        names = ", ".join(module.__name__ for module in ACTIVATION_MODULES)
-        raise DataFormatError(f"activation of the {where} model must be one of {names}")
-    found = model.get_vec_normalize_env() if normalization is None else normalization
-    network = replace(
-        dense_network_from_layers(layers, activation, "tanh" if is_squashed else "identity"),
-        normalization=find_input_normalization(found) if isinstance(found, VecNormalize) else found,
+    # The policy gets normalized inputs; the network normalizes them itself.
+    plain = replace(
+        dense_network_from_module(layers),
         bounds=OutputBounds(space.low.astype(np.float32), space.high.astype(np.float32), is_scaled=is_squashed),
     )
-    _compare_outputs(model, network, where)
-    return network
+    inputs = draw_inputs(plain.n_inputs)
+    try:
+        with use_default_torch_settings():
+            observations = [spaces.unflatten(model.observation_space, row) for row in inputs]
+            expected = np.stack([model.policy.predict(one, deterministic=True)[0] for one in observations])
+    except Exception as error:  # code of another library, for spaces of any kind
+        raise DataFormatError(
+            f"the {where} model does not take {plain.n_inputs} numbers ({type(error).__name__}: {error})"
+        ) from error
+    if not is_close(plain, inputs, expected):
+        raise DataFormatError(f"the {where} model computes something else than its dense layers do")
+    found = model.get_vec_normalize_env() if normalization is None else normalization
+    return replace(plain, normalization=find_input_normalization(found) if isinstance(found, VecNormalize) else found)
 
 
 def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
@@ -103,7 +89,7 @@ def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
     if isinstance(policy, ActorCriticPolicy):
         return nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net), False
     if isinstance(policy, SACPolicy):
-        return nn.Sequential(policy.actor.latent_pi, policy.actor.mu), True
+        return nn.Sequential(policy.actor.latent_pi, policy.actor.mu, nn.Tanh()), True
     if isinstance(policy, TD3Policy):
         return policy.actor.mu, True
     raise DataFormatError(f"the model must be of PPO, A2C, SAC, TD3 or DDPG, got {type(model).__name__}")
@@ -130,45 +116,13 @@ def find_input_normalization(env: VecNormalize) -> InputNormalization | None:
     space = env.observation_space
     parts: dict[str, spaces.Space[Any]] = dict(space.spaces) if isinstance(space, spaces.Dict) else {"": space}
     normalized = set(parts) if env.norm_obs_keys is None else set(env.norm_obs_keys)
-    means, scales, clips = [], [], []
+    rows = []
     for key, part in parts.items():
         size = spaces.flatdim(part)
         if key in normalized:
             statistics = env.obs_rms[key] if isinstance(env.obs_rms, dict) else env.obs_rms
-            means.append(statistics.mean.ravel())
-            scales.append(np.sqrt(statistics.var + env.epsilon).ravel())
-            clips.append(np.full(size, env.clip_obs))
+            scale = np.sqrt(statistics.var + env.epsilon).ravel()
+            rows.append((statistics.mean.ravel(), scale, np.full(size, env.clip_obs)))
         else:
-            means.append(np.zeros(size))
-            scales.append(np.ones(size))
-            clips.append(np.full(size, np.inf))
-    mean, scale, clip = (np.concatenate(values).astype(np.float64) for values in (means, scales, clips))
-    return InputNormalization(mean, scale, clip)
-
-
-def _compare_outputs(model: BaseAlgorithm, network: DenseNetwork, where: str) -> None:
-    """Check that a converted network computes what the model's policy predicts."""
-    rng = np.random.default_rng(0)
-    inputs = (_SCALE * rng.standard_normal((_N_TRIALS, network.n_inputs))).astype(np.float32)
-    # The policy gets normalized inputs; the network normalizes them itself.
-    plain = replace(network, normalization=None)
-    try:
-        with use_default_torch_settings():
-            expected, _ = model.policy.predict(_unflatten(inputs, model.observation_space), deterministic=True)
-    except Exception as error:  # code of another library, for spaces of any kind
-        raise DataFormatError(
-            f"the {where} model does not take {network.n_inputs} numbers ({type(error).__name__}: {error})"
-        ) from error
-    found = np.stack([plain(row) for row in inputs])
-    if found.shape != expected.shape or not np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE):
-        raise DataFormatError(f"the {where} model computes something else than its dense layers do")
-
-
-def _unflatten(inputs: npt.NDArray[np.float32], space: spaces.Space[Any]) -> Any:
-    if not isinstance(space, spaces.Dict):
-        return inputs.reshape(len(inputs), *(space.shape or ()))
-    ends = np.cumsum([spaces.flatdim(part) for part in space.spaces.values()])[:-1]
-    parts = np.split(inputs, ends, axis=1)
-    return {
-        key: part.reshape(len(inputs), *(space[key].shape or ())) for key, part in zip(space.spaces, parts, strict=True)
-    }
+            rows.append((np.zeros(size), np.ones(size), np.full(size, np.inf)))
+    return InputNormalization(*(np.concatenate(values).astype(np.float64) for values in zip(*rows, strict=True)))

@@ -4,7 +4,6 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -15,6 +14,7 @@ from handover_marl.learning.networks.weights import SavedNetwork
 
 Network = TypeVar("Network", bound=SavedNetwork)
 Batch = TypeVar("Batch")
+_WEIGHT_DECAY = 1e-4
 
 
 class Batches(Protocol):
@@ -24,31 +24,6 @@ class Batches(Protocol):
         """Return a batch of randomly drawn and augmented samples."""
 
 
-@dataclass(frozen=True)
-class LearnerConfig:
-    """Hyperparameters of the optimizer.
-
-    Attributes:
-        learning_rate: Largest learning rate of AdamW.
-        final_share: Learning rate at the end of its cosine decay, as fraction of the largest.
-        warmup: Number of updates at the start in which the learning rate rises.
-        weight_decay: Weight decay.
-        epsilon: Number that AdamW adds to denominators.
-        max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
-        averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
-        use_bfloat16: Whether matrix products are computed in bfloat16.
-    """
-
-    learning_rate: float = 1e-3
-    final_share: float = 0.0
-    warmup: int = 1
-    weight_decay: float = 1e-4
-    epsilon: float = 1e-8
-    max_gradient_norm: float = 5.0
-    averaging: float = 0.0
-    use_bfloat16: bool = True
-
-
 class ImitationLearner(ABC, Generic[Network, Batch]):
     """Trainer of a network, with optimizer and exponentially averaged weights.
 
@@ -56,25 +31,30 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         network: Network to train.
         updates: Number of updates of the whole training, over which the learning rate decays.
         device: Device to train on.
-        config: Hyperparameters.
 
     Attributes:
+        learning_rate: Largest learning rate of AdamW.
+        final_share: Learning rate at the end of its cosine decay, as fraction of the largest.
+        warmup: Number of updates at the start in which the learning rate rises.
+        epsilon: Number that AdamW adds to denominators.
+        max_gradient_norm: Largest norm of the gradient; longer gradients are scaled down.
+        averaging: Decay of the exponential average of the weights; with 0 the weights are not averaged.
+        use_bfloat16: Whether matrix products are computed in bfloat16.
         done: Number of updates so far.
         averaged: Network with the averaged weights, for use after training.
     """
 
-    def __init__(
-        self, network: Network, updates: int, device: torch.device, config: LearnerConfig = LearnerConfig()
-    ) -> None:
-        self._config, self._updates, self._device = config, updates, device
+    learning_rate, final_share, warmup, epsilon = 1e-3, 0.0, 1, 1e-8
+    max_gradient_norm, averaging, use_bfloat16 = 5.0, 0.0, True
+
+    def __init__(self, network: Network, updates: int, device: torch.device) -> None:
+        self._updates, self._device = updates, device
         self._network = network.to(device)
         self.averaged = copy.deepcopy(self._network).eval()
         groups = [
             {"params": list(parameters), "rate": rate} for parameters, rate in self.list_parameter_groups(network)
         ]
-        self._optimizer = torch.optim.AdamW(
-            groups, lr=config.learning_rate, weight_decay=config.weight_decay, eps=config.epsilon
-        )
+        self._optimizer = torch.optim.AdamW(groups, lr=self.learning_rate, weight_decay=_WEIGHT_DECAY, eps=self.epsilon)
         self.done = 0
 
     @abstractmethod
@@ -87,7 +67,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
 
     def list_parameter_groups(self, network: Network) -> list[tuple[Iterable[nn.Parameter], float]]:
         """Return groups of the network's parameters with their largest learning rates."""
-        return [(network.parameters(), self._config.learning_rate)]
+        return [(network.parameters(), self.learning_rate)]
 
     def update(self, batch: Batch) -> dict[str, float]:
         """Update the network on a batch; return its losses before the update."""
@@ -97,7 +77,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         loss, losses = self.compute_losses(self._network, batch)
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._config.max_gradient_norm)
+        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self.max_gradient_norm)
         self._optimizer.step()
         self.done += 1
         self._update_average()
@@ -121,14 +101,13 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
 
     def _compute_rate_share(self) -> float:
         """Return the present learning rates as fraction of the largest ones."""
-        config = self._config
-        rise = min(1.0, (self.done + 1) / max(1, config.warmup))
+        rise = min(1.0, (self.done + 1) / max(1, self.warmup))
         fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
-        return rise * (config.final_share + (1.0 - config.final_share) * fall)
+        return rise * (self.final_share + (1.0 - self.final_share) * fall)
 
     def _update_average(self) -> None:
         # Averages over few updates at first, so that the initial weights are soon forgotten.
-        decay = min(self._config.averaging, (1.0 + self.done) / (10.0 + self.done))
+        decay = min(self.averaging, (1.0 + self.done) / (10.0 + self.done))
         with torch.no_grad():
             current, averaged = self._network.state_dict(), self.averaged.state_dict()
             for name, value in averaged.items():

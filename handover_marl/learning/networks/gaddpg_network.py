@@ -198,12 +198,12 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
         UnsafeFileError: A file contains Python objects other than tensors and plain numbers.
     """
     actor, features = _find_files(Path(path).expanduser())
-    contents = [_read_bytes(file) for file in (actor, features)]
+    (head, head_content), (encoder, encoder_content) = map(_read_weights, (actor, features))
     with untrained_networks():
         network = GaddpgNetwork()
-    _load_weights(actor, network.policy, _parse_weights(actor, contents[0]))
-    _load_weights(features, network.features, _rename_encoder(_parse_weights(features, contents[1])))
-    return network.eval(), hashlib.sha256(b"".join(contents)).hexdigest()[:8]
+    _load_weights(actor, network.policy, head)
+    _load_weights(features, network.features, _rename_encoder(encoder))
+    return network.eval(), hashlib.sha256(head_content + encoder_content).hexdigest()[:8]
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:
@@ -226,20 +226,13 @@ def _find_files(path: Path) -> tuple[Path, Path]:
     return path.with_name(name), path.with_name(name.replace(_ACTOR, _FEATURES))
 
 
-def _read_bytes(file: Path) -> bytes:
+def _read_weights(file: Path) -> tuple[dict[str, Tensor], bytes]:
+    """Return the weights in a file by name, and the content of the file."""
     try:
-        return read_plain_file(file)
-    except OSError as error:
-        raise DataNotFoundError(
-            f"{file}: cannot read one of the two files of a checkpoint ({error.strerror or error})"
-        ) from error
-    except ValueError as error:
-        raise DataFormatError(f"{file}: cannot read one of the two files of a checkpoint ({error})") from error
-
-
-def _parse_weights(file: Path, content: bytes) -> dict[str, Tensor]:
-    try:
+        content = read_plain_file(file)
         found = load_tensors(content)
+    except OSError as error:
+        raise DataNotFoundError(f"{file}: cannot read a file of a checkpoint ({error.strerror or error})") from error
     except pickle.UnpicklingError as error:
         raise UnsafeFileError(f"{file}: holds more than weights and was not loaded ({shorten_text(error)})") from error
     except Exception as error:  # Damaged files raise exceptions of many types.
@@ -247,7 +240,7 @@ def _parse_weights(file: Path, content: bytes) -> dict[str, Tensor]:
     net = found.get("net") if isinstance(found, Mapping) else None
     if not isinstance(net, Mapping) or not all(isinstance(value, Tensor) for value in net.values()):
         raise DataFormatError(f"{file}: not a checkpoint of GA-DDPG, which has weights by name under 'net'")
-    return {str(name): value for name, value in net.items()}
+    return {str(name): value for name, value in net.items()}, content
 
 
 def _rename_encoder(weights: dict[str, Tensor]) -> dict[str, Tensor]:

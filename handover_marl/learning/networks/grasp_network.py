@@ -13,7 +13,6 @@ import torch
 import torch.nn.functional as func
 from torch import Tensor, nn
 
-from handover_marl.learning.networks.point_encoders import max_pool_groups
 from handover_marl.learning.networks.weights import SavedNetwork
 
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
@@ -128,8 +127,14 @@ class GraspNetwork(SavedNetwork):
 
     @classmethod
     def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
-        """Create an untrained network from its arguments, as returned by `get_settings`."""
+        """Create an untrained network from its arguments, as returned by `get_settings`.
+
+        Raises:
+            ValueError: The network was trained without the points of the person's hand, as an ablation.
+        """
         named = {_OLD_NAMES.get(name, name): value for name, value in settings.items() if name != "hand"}
+        if not settings.get("hand", True):
+            raise ValueError("networks without points of the person's hand are not supported")
         return cls(GraspNetworkConfig(**(named | {"group_sizes": tuple(named["group_sizes"])})))
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
@@ -180,10 +185,11 @@ class GraspNetwork(SavedNetwork):
         with torch.no_grad():
             distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
             near = distances.topk(max(self.config.group_sizes), dim=-1, largest=False).indices
-        features = []
+        batch, features = torch.arange(len(points), device=points.device)[:, None, None], []
         for count, inner, outer in zip(self.config.group_sizes, self.inner, self.outer, strict=True):
             # Invalid points are never among the nearest, since the object has more points than a group.
-            pooled = max_pool_groups(inner(points) + outer(_NEAR_SCALE * positions), near[..., :count])
+            members = (inner(points) + outer(_NEAR_SCALE * positions))[batch, near[..., :count]]
+            pooled = members.max(dim=2).values
             features.append(func.relu(pooled - outer(_NEAR_SCALE * centers)))
         return features
 

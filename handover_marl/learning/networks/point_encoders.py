@@ -68,21 +68,6 @@ def gather_columns(values: Tensor, indices: Tensor) -> Tensor:
     return values.gather(2, flat).reshape(*values.shape[:2], *indices.shape[1:])
 
 
-def max_pool_groups(features: Tensor, groups: Tensor) -> Tensor:
-    """Return the maxima (B, G, F) of features (B, N, F) over groups (B, G, K) of indices.
-
-    Gradients flow to the maxima only, so that the tensor of all members need not be kept.
-    """
-    count, size, width = features.shape
-    offsets = size * torch.arange(count, device=groups.device)[:, None, None]
-    members = (groups + offsets).reshape(-1, groups.shape[-1])
-    rows = features.reshape(count * size, width)
-    with torch.no_grad():
-        neighbors = rows.index_select(0, members.reshape(-1)).reshape(*members.shape, width)
-        max_rows = members.gather(1, neighbors.max(dim=1).indices)
-    return rows.gather(0, max_rows).reshape(count, groups.shape[1], width)
-
-
 @dataclass(frozen=True)
 class BallGrouping:
     """Grouping of a set abstraction: balls around farthest points.

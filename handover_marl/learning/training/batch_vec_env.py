@@ -61,30 +61,18 @@ class BatchVecEnv(VecEnv):
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute `render_mode` of environments.
-
-        Raises:
-            AttributeError: `attr_name` is another attribute.
-        """
+        """Return the attribute `render_mode` of environments; others raise an AttributeError."""
         if attr_name != "render_mode":
-            raise AttributeError(f"attributes of environments in batches cannot be read: {attr_name}")
+            self.env_method(attr_name)
         return [self._envs.render_mode for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Raise an error; attributes of environments in batches cannot be set.
-
-        Raises:
-            AttributeError: Always.
-        """
-        raise AttributeError(f"attributes of environments in batches cannot be set: {attr_name}")
+        """Raise an AttributeError; attributes of environments in batches cannot be set."""
+        self.env_method(attr_name)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Raise an error; methods of environments in batches cannot be called.
-
-        Raises:
-            AttributeError: Always.
-        """
-        raise AttributeError(f"methods of environments in batches cannot be called: {method_name}")
+        """Raise an AttributeError; methods of environments in batches cannot be called."""
+        raise AttributeError(f"single environments of a batch are not accessible, got {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return False for every environment: none has a Gymnasium wrapper."""

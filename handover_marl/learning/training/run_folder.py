@@ -1,11 +1,13 @@
-"""Folder of a training run, its checkpoint, and choice of scenes. The module needs the extra `train`."""
+"""Folder of a training run, its checkpoint, choice of scenes, and networks. The module needs the extra `train`."""
 
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from torch import nn
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
@@ -137,3 +139,20 @@ def summarize_evaluation(report: Report, steps: str) -> str:
     rates = compute_outcome_rates(report)
     others = ", ".join(f"{name} {100 * rates[name]:.1f} %" for name in ("contact", "drop", "timeout"))
     return f"{steps}: success {success} %, {others} [{n} scenes of {metadata.dataset}, {metadata.physics} physics]"
+
+
+def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) -> nn.Sequential:
+    """Make a network with two hidden tanh layers and orthogonal initialization.
+
+    Args:
+        n_inputs: Number of inputs.
+        n_outputs: Number of outputs.
+        width: Width of the hidden layers.
+        gain: Gain of the last layer; a small one makes the first outputs nearly zero.
+    """
+    layers = [nn.Linear(n_inputs, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, n_outputs)]
+    for layer in layers:
+        if isinstance(layer, nn.Linear):
+            nn.init.orthogonal_(layer.weight, gain if layer is layers[-1] else np.sqrt(2.0))
+            nn.init.zeros_(layer.bias)
+    return nn.Sequential(*layers)

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from stable_baselines3.common.vec_env import VecMonitor
 
 from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.envs.arguments import AGENTS
@@ -121,9 +121,8 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     torch.set_num_threads(1)
     args = args.resolve_setup()
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
-    envs = make_vec_env(args, agent, partner)
     checkpoint = folder / _CHECKPOINT
-    model = make_ppo(args, envs)
+    model = _make_ppo(args, agent, partner)
     if args.resume and checkpoint.exists():
         # Without the pickled Python objects in the file, which `PPO.load` reads.
         model.set_parameters(str(checkpoint), device="cpu")
@@ -138,18 +137,12 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     remaining = max(0, args.decisions - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()
-    envs.close()
+    model.env.close()
     return folder / POLICY
 
 
-def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
-    """Make `args.resolved_num_envs` seeded environments of one learning agent, in a process per core.
-
-    Args:
-        args: Arguments of the training.
-        agent: Agent that learns, "giver" or "receiver".
-        partner: Name of the other agent's policy.
-    """
+def _make_ppo(args: PpoArgs, agent: str, partner: str) -> PPO:
+    """Make an untrained model, and its seeded environments in a process per core."""
     envs = vector_env(
         args.resolved_num_envs,
         agent,
@@ -163,14 +156,9 @@ def make_vec_env(args: PpoArgs, agent: str, partner: str) -> VecEnv:
     )
     monitored = VecMonitor(BatchVecEnv(envs))
     monitored.seed(args.seed)
-    return monitored
-
-
-def make_ppo(args: PpoArgs, envs: VecEnv) -> PPO:
-    """Make an untrained PPO model of Stable-Baselines3."""
     return PPO(
         "MlpPolicy",
-        envs,
+        monitored,
         learning_rate=args.learning_rate,
         n_steps=args.batch_size // args.resolved_num_envs,
         batch_size=128,

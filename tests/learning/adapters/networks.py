@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
@@ -18,11 +17,6 @@ SCALE = 1.0
 def stay(observation: dict[str, Any]) -> Any:
     """Return the present joint positions, times SCALE, as the action."""
     return SCALE * observation["robot_joint_position"]
-
-
-def replay(observation: dict[str, Any]) -> Any:
-    """Return the action of a giver that follows the recording."""
-    return np.zeros(8)
 
 
 class Counting:

@@ -10,8 +10,8 @@ import torch
 
 from handover_marl.assets.shipped import GADDPG_WEIGHTS, find_vision_weights
 from handover_marl.geometry.arrays import use_default_torch_settings
-from handover_marl.learning.adapters.export import dense_network_from_module
 from handover_marl.learning.adapters.function_policy import TorchFunction
+from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.networks.gaddpg_network import N_POINTS, GaddpgNetwork
 from handover_marl.learning.networks.weights import read_network_weights
 from handover_marl.receivers.vision.grasp_predictor import load_grasp_predictor

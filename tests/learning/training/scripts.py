@@ -2,11 +2,23 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
+from handover_marl.evaluation.benchmark import evaluate_pair
+from handover_marl.evaluation.config import ExecutionConfig
+from handover_marl.evaluation.reports.report import Report
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+
+#: Configuration that validates known grasps only, without tilts and offsets, for tests of other things.
+QUICK_REACTIVE = ReactiveConfig(
+    preparation=GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
+)
 #: Built-in and custom reward terms.
 REWARDS = "tests.envs.custom_rewards:SHAPED_AND_OWN"
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
@@ -26,3 +38,17 @@ def script(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def files(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
+
+
+def evaluate_hold(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Let trainings by imitation evaluate `hold`, whose episodes take less time; return the files of weights."""
+    from handover_marl.learning.imitation import run
+
+    evaluated: list[str] = []
+
+    def evaluate(config: Any, execution: ExecutionConfig) -> Report:
+        evaluated.append(Path(config.receiver[1]["weights"]).name)
+        return evaluate_pair(replace(config, receiver="hold"), execution=execution)
+
+    monkeypatch.setattr(run, "evaluate_pair", evaluate)
+    return evaluated

@@ -2,52 +2,30 @@
 
 import csv
 import functools
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from handover_marl import evaluate_pair, givers, receivers
+from handover_marl import givers, receivers
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
 from handover_marl.errors import ResultsError
-from handover_marl.learning.imitation import run
-from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig
 from handover_marl.learning.imitation.vision.views import GraspViewConfig
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
-from handover_marl.receivers.reactive.config import ReactiveConfig
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
-from tests.learning.training.scripts import REWARDS, files, script
+from tests.learning.training.scripts import QUICK_REACTIVE, REWARDS, evaluate_hold, files, script
 from tests.short_episodes import shorten_episodes
 
 sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra `train`")
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
 
 
-GIVER: dict[str, Any] = {
-    "receiver": "hold",
-    "dataset": "synthetic",
-    "num_envs": 1,
-    "batch_size": 4,
-    "demonstrations": 2,
-    "imitation_epochs": 2,
-    "eval_interval": 4,
-    "val_scenes": 1,
-    "time_limit": 3.0,
-}
-RECEIVER: dict[str, Any] = {
-    "dataset": "synthetic",
-    "physics": "fast",
-    "num_envs": 1,
-    "eval_interval": 16,
-    "val_scenes": 1,
-    "time_limit": 3.0,
-    "batch_size": 8,
-}
+SMALL: dict[str, Any] = {"dataset": "synthetic", "num_envs": 1, "val_scenes": 1, "eval_start": False}
+GIVER = {**SMALL, "receiver": "hold", "batch_size": 2, "demonstrations": 1, "imitation_epochs": 2, "eval_interval": 4}
+RECEIVER = {**SMALL, "batch_size": 8, "time_limit": 0.6, "eval_interval": 16, "rewards": REWARDS}
 MADE = {"arguments.json", "policy.npz", "checkpoint.zip", "progress.csv", "tensorboard"}
 
 
@@ -58,50 +36,48 @@ def read_column(file: Path, name: str) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def _short_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the episodes of evaluations be no longer than those of the trainings."""
-    shorten_episodes(monkeypatch, 3000)
+    """Let episodes be no longer than those of the trainings; a giver acts after 2 s."""
+    shorten_episodes(monkeypatch, 2800)
 
 
 @pytest.mark.slow
 def test_train_giver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     train = script("train_giver_sb3", monkeypatch)
-    args = {**GIVER, "out": str(tmp_path / "run")}
-    train.main(train.Args(**args, decisions=4))
+    args = {**GIVER, "out": str(tmp_path / "run"), "time_limit": 3.0}
+    train.main(train.Args(**args, decisions=2))
     assert files(tmp_path / "run") == MADE
     givers.make(f"learned:{tmp_path / 'run' / 'policy.npz'}")
     with pytest.raises(ResultsError, match="holds a run; pass --resume"):
-        train.main(train.Args(**args, decisions=8))
+        train.main(train.Args(**args, decisions=4))
     with pytest.raises(ResultsError, match=r"other arguments \(seed\)"):
-        train.main(train.Args(**args, decisions=8, seed=5, resume=True))
+        train.main(train.Args(**args, decisions=4, seed=5, resume=True))
     before = sb3.PPO.load(tmp_path / "run" / "checkpoint.zip", device="cpu").get_parameters()
     monkeypatch.setattr(sb3.PPO, "train", lambda model: None)
-    train.main(train.Args(**args, decisions=8, resume=True))
+    train.main(train.Args(**args, decisions=4, resume=True))
     after = sb3.PPO.load(tmp_path / "run" / "checkpoint.zip", device="cpu")
-    assert after.num_timesteps == 8
+    assert after.num_timesteps == 4
     for name, value in before["policy"].items():
         np.testing.assert_array_equal(after.get_parameters()["policy"][name], value)
-    assert "8" in read_column(tmp_path / "run" / "progress_4.csv", "time/total_timesteps")
-
-
-def test_first_decisions_do_not_depend_on_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    train = script("train_giver_sb3", monkeypatch)
-    args = train.Args(**GIVER | {"demonstrations": 3})
-    (inputs, outputs), again = (train.record_first_decisions(args, workers) for workers in (1, 2))
-    assert inputs.shape == (3, 39)
-    assert len(np.unique(outputs[:, :6], axis=0)) == 3
-    for one, other in zip((inputs, outputs), again, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert "4" in read_column(tmp_path / "run" / "progress_2.csv", "time/total_timesteps")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("physics", ["fast", "mujoco"])
-def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if physics == "mujoco":
-        pytest.importorskip("mujoco", reason="needs MuJoCo")
+def test_first_decisions_are_those_of_the_teacher(monkeypatch: pytest.MonkeyPatch) -> None:
+    train = script("train_giver_sb3", monkeypatch)
+    inputs, outputs = train.record_first_decisions(train.Args(**GIVER | {"demonstrations": 2}), 1)
+    assert inputs.shape == (2, 39)
+    assert len(np.unique(outputs[:, :6], axis=0)) == 2
+    again = train.record_first_decisions(train.Args(**GIVER | {"seed": 1}), 1)
+    np.testing.assert_array_equal([inputs[1], *again[0]], [again[0][0], inputs[1]])
+
+
+@pytest.mark.slow
+def test_train_receiver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
     train = script("train_receiver_sb3", monkeypatch)
     own = "tests.learning.custom"
-    args = {**RECEIVER, "out": str(tmp_path / "run"), "physics": physics, "rewards": REWARDS, "time_limit": 0.6}
-    args |= {"features": f"{own}:OffsetAndCount", "actions": f"{own}:FirstJoint"}
+    args = {**RECEIVER, "out": str(tmp_path / "run"), "actions": f"{own}:FirstJoint"}
+    args["features"] = f"{own}:OffsetAndCount"
     train.main(train.Args(**args, decisions=16))
     assert files(tmp_path / "run") == MADE
     terms = [*SHAPED.receiver, "approach"]
@@ -113,12 +89,11 @@ def test_train_receiver(physics: str, tmp_path: Path, monkeypatch: pytest.Monkey
     parse_policy("receiver", f"learned:{tmp_path / 'run' / 'policy.npz'}", trust=True).make(SyntheticDataset())
 
 
-@pytest.mark.parametrize("name", ["train_giver_sb3", "train_receiver_sb3"])
 def test_runs_are_not_resumed_on_another_dataset(
-    tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    tmp_path: Path, fake_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A run with the dataset "auto" is not resumed if an environment variable now selects another dataset."""
-    train = script(name, monkeypatch)
+    train = script("train_receiver_sb3", monkeypatch)
     args = train.Args(setup="s0", out=str(tmp_path / "run"), resume=True)
     open_run_folder(tmp_path / "run", args, False, "synthetic")
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
@@ -130,18 +105,9 @@ def test_runs_are_not_resumed_on_another_dataset(
 def test_train_vision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("embreex")
     train = script("train_vision", monkeypatch)
-    trials = GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
-    labels = GraspLabelConfig(receiver=ReactiveConfig(preparation=trials))
-    monkeypatch.setattr(train, "GraspViewConfig", functools.partial(GraspViewConfig, labels=labels))
-    evaluated = []
-
-    def evaluate_hold(config: Any, execution: Any) -> Any:
-        """Evaluate `hold`, whose episodes take less time."""
-        evaluated.append(Path(config.receiver[1]["weights"]).name)
-        return evaluate_pair(replace(config, receiver="hold"), execution=execution)
-
-    monkeypatch.setattr(run, "evaluate_pair", evaluate_hold)
-    few = {"dataset": "synthetic", "updates": 4, "views": 4, "stride": 400, "workers": 1}
+    monkeypatch.setattr(train, "GraspViewConfig", functools.partial(GraspViewConfig, reactive=QUICK_REACTIVE))
+    evaluated = evaluate_hold(monkeypatch)
+    few = {"dataset": "synthetic", "updates": 2, "views": 2, "batch_size": 8, "stride": 400, "workers": 1}
     few["extra_datasets"] = ("generated:n=30,seed=7,procedural=0",)
     out = tmp_path / "run"
     weights = train.main(train.Args(out=str(out), val_scenes=1, **few))

@@ -106,7 +106,7 @@ def test_missing_policy_of_a_pair_is_named(train: ModuleType, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"ego": "giver", "method": "history"}, "method must be best_response, population or fictitious_co_play"),
+        ({"ego": "giver", "method": "history"}, "method must be another one for a giver, got history"),
         ({"partner": "noisy"}, "partner must be left out with method population"),
         ({"seeds": (1000,)}, "seeds must be integers from 0 to 999"),
         ({"out": Path("a,b")}, "out must be a path without commas"),

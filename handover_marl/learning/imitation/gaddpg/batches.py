@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
+from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates
 from handover_marl.learning.imitation.gaddpg.expert import EXPERT_APPROACH
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, sample_farthest_points
 

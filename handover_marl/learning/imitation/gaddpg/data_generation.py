@@ -11,7 +11,7 @@ import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,8 +30,7 @@ from handover_marl.learning.imitation.gaddpg.scenarios import (
     ImitationScenarios,
     find_occluded_points,
 )
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates, StateRow, stack_states
-from handover_marl.learning.imitation.samples import generate_samples, join_samples
+from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.gaddpg import GRIPPER_POINTS, PointCloudMemory
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
@@ -53,6 +52,41 @@ _START_ON_PATH_PROBABILITY = 0.3
 _EXPERT_START_PROBABILITY, _EXPERT_DECISIONS = 0.5, 10
 # Probability of random noise on a step of the expert, and its standard deviation on translation (m) and rotation (rad).
 _NOISY_STEP_PROBABILITY, _POSITION_NOISE_STD, _ROTATION_NOISE_STD = 0.3, 0.025, 0.12
+# Number of points of a stored cloud: that of the network's input.
+_N_POINTS = 1024
+
+
+class ImitationStates(NamedTuple):
+    """Arrays of S imitation states.
+
+    Repeated points do not change the network's output and are not stored.
+
+    Attributes:
+        points: (S, 1024, 3) distinct points in the hand link's frame, in the network's order, then zeros (m).
+        n_points: (S,) numbers of distinct points.
+        goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link.
+        remaining: (S,) numbers of decisions that remain in the approach.
+    """
+
+    points: npt.NDArray[np.float16]
+    n_points: npt.NDArray[np.int32]
+    goals: npt.NDArray[np.float32]
+    remaining: npt.NDArray[np.int32]
+
+
+#: Values of one state: points (n, 3), goal (7,) and the number of remaining decisions.
+StateRow = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating], int]
+
+
+def stack_states(rows: list[StateRow]) -> ImitationStates:
+    """Return the imitation states with given values."""
+    columns: list[tuple[npt.DTypeLike, tuple[int, ...]]]
+    columns = [(np.float16, (_N_POINTS, 3)), (np.int32, ()), (np.float32, (7,)), (np.int32, ())]
+    padded: list[tuple[Any, ...]] = [
+        (np.pad(points, ((0, _N_POINTS - len(points)), (0, 0))), len(points), goal, remaining)
+        for points, goal, remaining in rows
+    ]
+    return stack_samples(ImitationStates, padded, columns)
 
 
 @dataclass(eq=False)

@@ -12,23 +12,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.config import ARM_DOF
+from handover_marl.config import ARM_DOF, TABLE_HEIGHT
 from handover_marl.geometry.distance_field import load_object_sdf
-from handover_marl.geometry.panda import OPEN
+from handover_marl.geometry.panda import HALF_TURN, OPEN
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.learning.imitation.gaddpg.grasp_costs import (
-    PAD_OFFSET,
-    compute_grasp_costs,
-    compute_travel_costs,
-    load_costed_grasps,
-)
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
 from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
+from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.ik_solvers import make_ik_stepper
 from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
+from handover_marl.receivers.reactive.config import ReactiveConfig
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
 
 Array = npt.NDArray[np.float64]
 
@@ -57,6 +55,17 @@ _SWITCH_MARGIN = 0.03
 # Distance of the standoff pose from the grasp (m), which the arm must reach too, and the largest difference of a joint
 # between standoff pose and grasp (rad).
 _STANDOFF, _MAX_JOINT_CHANGE = 0.06, 0.8
+# Distance of the point between the pads from the hand link's origin along its z axis (m).
+_PAD_OFFSET = 0.1
+# Cost of a rotation of the hand relative to that of the pads' travel (m/rad).
+_ROTATION_COST = 0.15
+# Factor that converts costs of loose grasps, as for the receiver `reactive`, from seconds to metres (m/s).
+_PACE = 0.1
+# Clearance of the gripper to the occluding sphere below which grasps cost more (m), at the grasp and on the straight
+# approach of a given length (m), and the cost per metre below it.
+_CLEARANCE, _SWEEP, _CLEARANCE_COST = 0.01, 0.08, 20.0
+# Clearance of the gripper to the table below which a grasp has an additional cost (m), and this cost (m).
+_TABLE_CLEARANCE, _TABLE_COST = 0.005, 3.0
 
 
 class KinematicArm:
@@ -179,14 +188,13 @@ class GraspExpert:
         Returns:
             (g, 7) world poses of the hand link and (g,) costs (m).
         """
-        config = self._config
-        grasps = load_costed_grasps(self._context, object_name, config.use_validation)
-        if grasps is None:
+        poses, hold_costs = load_costed_grasps(self._context, object_name, self._config.use_validation)
+        if not len(poses):
             return np.zeros((0, 7)), np.zeros(0)
-        world, hand = compose(object_pose, grasps.poses), self._arm.arm.compute_hand_pose(joints)
-        grasp_costs = compute_grasp_costs(grasps, world, hand, occluder)
+        world, hand = compose(object_pose, poses), self._arm.arm.compute_hand_pose(joints)
+        grasp_costs = hold_costs + compute_grasp_costs(world, hand, occluder)
         candidates = np.flatnonzero(self._are_reachable(world, joints))
-        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: config.candidates]
+        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: self._config.candidates]
         costs, best = np.full(len(world), np.inf), np.inf
         for number in candidates:
             # The cost of the approach is positive, so that more expensive grasps can be skipped.
@@ -238,5 +246,62 @@ class GraspExpert:
         """Return the distance of the pads between two poses (7,) of the hand, rotation included (m)."""
         relative = compose(invert_pose(goal), hand)
         rotation = Rotation.from_quat(relative[3:])
-        pads = relative[:3] + PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
+        pads = relative[:3] + _PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
         return float(np.linalg.norm(pads) + _ROTATION_WEIGHT * rotation.magnitude())
+
+
+def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: bool) -> tuple[Array, Array]:
+    """Return the usable grasps of an object class, with their copies rotated by half a turn, and their costs.
+
+    Args:
+        context: Known grasps of the objects, and the robot with which they are validated.
+        object_name: Class of the object.
+        is_validated: Whether grasps are validated and improved in simulation first (20 to 90 s per object, once);
+            otherwise the known grasps are used unchanged.
+
+    Returns:
+        (n, 7) poses of the hand link in the object's frame, and (n,) costs, higher the less likely a grasp holds the
+        object (m); n may be 0.
+
+    Raises:
+        SimulationError: The object's model cannot be loaded.
+    """
+    surface = ReactiveConfig(n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000)
+    found = load_graspable_object(context, object_name, surface, is_validated)
+    turned = compose(found.grasps.poses, np.array(HALF_TURN))
+    kept = is_usable_grasp(object_name, turned) | is_validated
+    costs = _PACE * compute_hold_costs(found.grasps.select(kept), found.pad_margins[kept], surface.selection)
+    return np.concatenate([found.grasps.poses[kept], turned[kept]]), np.tile(costs, 2)
+
+
+def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
+    """Return the costs (n,) in m of moving the hand to n grasps, and of low clearance there.
+
+    Args:
+        world: (n, 7) world poses of the hand link at the grasps.
+        hand: (7,) present world pose of the hand link.
+        occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
+    """
+    behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
+    heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))
+    costs = compute_travel_costs(hand, world) + _TABLE_COST * (heights < TABLE_HEIGHT + _TABLE_CLEARANCE)
+    if occluder[3] > 0.0:
+        clearances = compute_grasp_clearances(world, Spheres(occluder[None, :3], occluder[3:]), _SWEEP)
+        costs += _CLEARANCE_COST * np.maximum(0.0, _CLEARANCE - clearances)
+    return costs
+
+
+def compute_travel_costs(hand: Array, goals: Array) -> Array:
+    """Return the costs (n,) in m of moving the hand to each of n goals.
+
+    A cost is the distance that the finger pads travel plus the weighted rotation of the hand.
+
+    Args:
+        hand: (7,) present pose of the hand link.
+        goals: (n, 7) poses of the hand link at the goals, in the same frame.
+    """
+    to_pads = np.array([0.0, 0.0, _PAD_OFFSET, 0.0, 0.0, 0.0, 1.0])
+    distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)
+    angles = (Rotation.from_quat(hand[3:]).inv() * Rotation.from_quat(goals[:, 3:])).magnitude()
+    costs: Array = distances + _ROTATION_COST * angles
+    return costs

@@ -5,7 +5,7 @@ As in GA-DDPG, a loss is the mean L1 distance between six points of the gripper 
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,9 +14,9 @@ from torch import Tensor, nn
 
 from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.learning.imitation.gaddpg.batches import ImitationBatch, ImitationBatches
-from handover_marl.learning.imitation.learner import ImitationLearner, LearnerConfig
+from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.learning.networks.gaddpg_network import ActorOutput, GaddpgNetwork
-from handover_marl.learning.networks.point_encoders import PointNetPlusPlus, SetAbstraction
+from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 
 
 def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutput:
@@ -30,7 +30,7 @@ def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutp
 
 def _encode(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
     """Encode a batch as vectors (B, 512)."""
-    first, second, last = (_shared_layers(stage) for stage in encoder.stages)
+    first, second, last = encoder.stages
     centers = batch.points.gather(1, batch.centers[..., None].expand(-1, -1, 3))
     cloud, center, point = batch.neighbors.nonzero(as_tuple=True)
     points = batch.points[cloud, point]
@@ -48,27 +48,13 @@ def _encode(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
     return vector.float()
 
 
-def _shared_layers(stage: nn.Module) -> nn.Sequential:
-    layers = stage.mlps[0] if isinstance(stage, SetAbstraction) else stage
-    if not isinstance(layers, nn.Sequential):
-        raise TypeError(f"stage must be a SetAbstraction, got {type(stage).__name__}")
-    return layers
-
-
-def _apply_layers(layers: nn.Sequential, rows: Tensor) -> Tensor:
-    """Apply convolutions of width 1 with batch normalization to rows (n, c)."""
-    for convolution, norm in itertools.pairwise(layers):
+def _apply_layers(stage: Any, rows: Tensor) -> Tensor:
+    """Apply a stage's convolutions of width 1, with batch normalization, to rows (n, c)."""
+    for convolution, norm in itertools.pairwise(stage.mlps[0]):
         if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
-            rows = func.linear(rows, convolution.weight[:, :, 0, 0])
-            rows = func.relu(_normalize_rows(norm, rows.float()))
+            rows = func.linear(rows, convolution.weight[:, :, 0, 0]).float()
+            rows = func.relu(norm(rows[:, :, None, None])[:, :, 0, 0])
     return rows
-
-
-def _normalize_rows(norm: nn.BatchNorm2d, rows: Tensor) -> Tensor:
-    momentum = 0.1 if norm.momentum is None else norm.momentum
-    return func.batch_norm(
-        rows, norm.running_mean, norm.running_var, norm.weight, norm.bias, norm.training, momentum, norm.eps
-    )
 
 
 def _max_pool_rows(rows: Tensor, counts: Tensor) -> Tensor:
@@ -150,46 +136,28 @@ def _rotations_from_euler(angles: Tensor) -> Tensor:
     return torch.stack(rows, dim=1)
 
 
-@dataclass(frozen=True)
-class GaddpgLearnerConfig(LearnerConfig):
-    """Hyperparameters of the training of GA-DDPG's network.
-
-    Attributes:
-        encoder_rate: Largest learning rate of the point cloud encoder; `learning_rate` is that of the layers after it.
-        action: Weight of the loss of the actions relative to the loss of the predicted grasps.
-        half_distance: Distance from the hand to the target grasp at which the loss of the predicted
-            grasp has half its weight (m).
-        n_held_out: Largest number of held-out states on which losses are computed.
-    """
-
-    learning_rate: float = 6e-4
-    final_share: float = 0.01
-    warmup: int = 100
-    epsilon: float = 1e-5
-    max_gradient_norm: float = 1.0
-    averaging: float = 0.998
-    encoder_rate: float = 1e-3
-    action: float = 0.2
-    half_distance: float = 0.1
-    n_held_out: int = 256
+# Largest learning rate of the point cloud encoder; `learning_rate` is that of the layers after it.
+_ENCODER_RATE = 1e-3
+# Weight of the loss of the actions relative to the loss of the predicted grasps, and distance from the hand to the
+# target grasp at which the latter has half its weight (m).
+_ACTION_WEIGHT, _HALF_DISTANCE = 0.2, 0.1
+# Largest number of held-out states on which losses are computed.
+_N_HELD_OUT = 256
 
 
 class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
     """Trainer of GA-DDPG's network, see `ImitationLearner`."""
 
-    _config: GaddpgLearnerConfig
+    learning_rate, final_share, warmup, epsilon = 6e-4, 0.01, 100, 1e-5
+    max_gradient_norm, averaging = 1.0, 0.998
 
     def list_parameter_groups(self, network: GaddpgNetwork) -> list[tuple[Iterable[nn.Parameter], float]]:
         """Return the parameters of encoder and head with their largest learning rates."""
-        config = self._config
-        return [
-            (network.features.parameters(), config.encoder_rate),
-            (network.policy.parameters(), config.learning_rate),
-        ]
+        return [(network.features.parameters(), _ENCODER_RATE), (network.policy.parameters(), self.learning_rate)]
 
     def evaluate(self, held_out: ImitationBatches) -> dict[str, float]:
         """Return the losses "action" and "goal" of the averaged network on held-out states (m)."""
-        some = np.random.default_rng(0).permutation(len(held_out))[: self._config.n_held_out]
+        some = np.random.default_rng(0).permutation(len(held_out))[:_N_HELD_OUT]
         with torch.no_grad():
             _, losses = self.compute_losses(self.averaged, held_out.select(some, None))
         return {name: float(value) for name, value in losses.items()}
@@ -197,11 +165,10 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
     def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss to minimize, and the mean losses "action" and "goal" (m)."""
         moved = batch.to(self._device)
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.use_bfloat16):
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             output = evaluate_network(network, moved)
         action = compute_action_losses(output.action.float(), moved.steps).mean()
         goals = compute_goal_losses(output.goal.float(), moved.goals)
         # Distant goals are predicted again from nearer by.
-        distance = self._config.half_distance
-        weights = distance / (distance + moved.goals[:, :3].norm(dim=1))
-        return self._config.action * action + (weights * goals).mean(), {"action": action, "goal": goals.mean()}
+        weights = _HALF_DISTANCE / (_HALF_DISTANCE + moved.goals[:, :3].norm(dim=1))
+        return _ACTION_WEIGHT * action + (weights * goals).mean(), {"action": action, "goal": goals.mean()}

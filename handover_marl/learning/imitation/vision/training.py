@@ -1,33 +1,55 @@
-"""Training and metrics of the grasp network. The module needs the extra `train`."""
+"""Training, losses and metrics of the grasp network. The module needs the extra `train`.
+
+The distance of two grasps is the mean over three points of the gripper (hand and both finger pads). A rotation of the
+gripper by pi about its z axis does not change it.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as func
 from torch import Tensor
 
+from handover_marl.geometry.panda import PAD_DISTANCE
+from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.learning.imitation.vision.views import GraspViews
-from handover_marl.learning.networks.grasp_losses import (
-    GraspLosses,
-    GraspTargets,
-    compute_grasp_distances,
-    compute_grasp_losses,
-    grasp_targets_from_poses,
-)
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspOutputs, PointCloudBatch
 
+# Distance of two finger points from the point between the pads, which makes rotations count (m).
+_FINGER_OFFSET = 0.04
+# Half sizes of the box between the closed pads: object points in it belong to the grasp (m).
+_PAD_VOLUME_HALF_SIZES = (0.015, 0.045, 0.025)
+# Distance by which a grasp of quality 1 may be farther away than one of quality 0 (m).
+_QUALITY_BONUS = 0.03
+# Distance at which the quality of a prediction has decayed to 1/e of that of the good grasp (m).
+_QUALITY_DECAY = 0.02
 # Number of points per view at which grasps are predicted.
 _N_CENTERS = 48
 # Weights of the losses of the predicted grasps (1/m), of their quality, and of the object's predicted center (1/m) and
 # displacement (1/m).
-_GRASP_WEIGHT, _QUALITY_WEIGHT, _CENTER_WEIGHT, _MOTION_WEIGHT = 10.0, 2.0, 2.0, 1.0
+_LOSS_WEIGHTS = {"grasp": 10.0, "quality": 2.0, "object_center": 2.0, "object_motion": 1.0}
 # Standard deviations of the random rotation of each view about the line of sight (rad), and of the noise that is added
 # to the coordinates of points (m).
 _ROLL_STD, _POINT_NOISE_STD = 0.6, 0.001
-# Number of held-out views that are evaluated together.
-_N_EVALUATED = 256
+# Number of held-out views that are evaluated together, and smallest quality of a good grasp in metrics.
+_N_EVALUATED, _GOOD_QUALITY = 256, 0.3
+
+
+class GraspTargets(NamedTuple):
+    """Targets of the grasp network: K good grasps for each of B clouds, in the cloud's frame.
+
+    Attributes:
+        positions: (B, K, 3) points between the pads (m).
+        rotations: (B, K, 3, 3) orientations of the hand link.
+        quality: (B, K) quality from 0 (padding) to 1.
+    """
+
+    positions: Tensor
+    rotations: Tensor
+    quality: Tensor
 
 
 class LabelledClouds(NamedTuple):
@@ -45,10 +67,80 @@ class LabelledClouds(NamedTuple):
     object_center: Tensor
     object_motion: Tensor
 
-    def compute_losses(self, outputs: GraspOutputs) -> GraspLosses:
-        """Compute the losses of the grasp network's outputs on this batch."""
-        centers = self.clouds.get_center_points()
-        return compute_grasp_losses(outputs, centers, self.targets, self.object_center, self.object_motion)
+
+def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
+    """Return targets of the grasp network, made from hand poses at good grasps and their qualities.
+
+    Args:
+        poses: (B, K, 7) poses of the hand link at the grasps, in the cloud's frame: xyz (m) and quaternion xyzw; zeros
+            for padding.
+        quality: (B, K) quality from 0 (padding) to 1.
+    """
+    is_padding = (poses[..., 3:] == 0.0).all(dim=-1, keepdim=True)
+    quaternions = poses[..., 3:] + is_padding * poses.new_tensor([0.0, 0.0, 0.0, 1.0])
+    rotations = matrices_from_quaternions(quaternions).to(poses.dtype)
+    return GraspTargets(poses[..., :3] + PAD_DISTANCE * rotations[..., 2], rotations, quality)
+
+
+def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
+    """Return the distance (B, C, K) in m of each predicted grasp, at C centers, from each good grasp."""
+    return _gripper_distances(
+        outputs.positions[:, :, None],
+        outputs.rotations[:, :, None],
+        targets.positions[:, None],
+        targets.rotations[:, None],
+    )
+
+
+def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
+    """Return a mask (B, C, K) of the good grasps whose closing pads enclose each object point (B, C, 3)."""
+    offsets = centers[:, :, None] - targets.positions[:, None]
+    local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
+    is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
+    return is_enclosed & (targets.quality > 0.0)[:, None]
+
+
+def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[str, Tensor]:
+    """Return the losses of the grasp network, averaged over a batch of clouds.
+
+    Each center is matched to the nearest good grasp whose closing pads enclose it, where grasps of higher quality are
+    preferred. Centers without such a grasp only contribute to the loss of the quality.
+
+    Returns:
+        "grasp", the distance of predicted grasps from those matched to them (m); "quality", the binary cross entropy
+        of the predicted quality; "object_center" and "object_motion", distances from the true ones (m).
+    """
+    targets = batch.targets
+    with torch.no_grad():
+        distances = compute_grasp_distances(outputs, targets)
+        costs = distances - _QUALITY_BONUS * targets.quality[:, None]
+        enclosed = find_enclosed_centers(batch.clouds.get_center_points(), targets)
+        nearest = costs.masked_fill(~enclosed, torch.inf).min(dim=-1)
+        quality = (targets.quality[:, None] * torch.exp(-((distances / _QUALITY_DECAY) ** 2))).amax(dim=-1)
+    is_matched = torch.isfinite(nearest.values)
+    matched = _gripper_distances(
+        outputs.positions,
+        outputs.rotations,
+        targets.positions.gather(1, nearest.indices[..., None].expand(-1, -1, 3)),
+        targets.rotations.gather(1, nearest.indices[..., None, None].expand(-1, -1, 3, 3)),
+    )
+    return {
+        "grasp": (matched * is_matched).sum() / is_matched.sum().clamp(min=1),
+        "quality": func.binary_cross_entropy_with_logits(outputs.quality, quality),
+        "object_center": (outputs.object_center - batch.object_center).norm(dim=-1).mean(),
+        "object_motion": (outputs.object_motion - batch.object_motion).norm(dim=-1).mean(),
+    }
+
+
+def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
+    """Return mean distances (...) of three gripper points for positions (..., 3) and rotations (..., 3, 3)."""
+    offset = positions - targets
+    wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
+    finger, target_finger = _FINGER_OFFSET * rotations[..., 1], _FINGER_OFFSET * target_rotations[..., 1]
+    same = (offset + finger - target_finger).norm(dim=-1) + (offset - finger + target_finger).norm(dim=-1)
+    flipped = (offset + finger + target_finger).norm(dim=-1) + (offset - finger - target_finger).norm(dim=-1)
+    distances: Tensor = (wrist.norm(dim=-1) + torch.minimum(same, flipped)) / 3.0
+    return distances
 
 
 class ViewBatches:
@@ -115,20 +207,15 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
     """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
     def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss to minimize, and the losses in `GraspLosses` by name."""
+        """Return the loss to minimize, and the losses of `compute_grasp_losses`."""
         # Half precision suffices for training and takes a third of the time.
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._config.use_bfloat16):
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             outputs = network(batch.clouds)
-        losses = batch.compute_losses(outputs)
-        total = _GRASP_WEIGHT * losses.grasp + _QUALITY_WEIGHT * losses.quality
-        total = total + _CENTER_WEIGHT * losses.object_center
-        return total + _MOTION_WEIGHT * losses.object_motion, losses._asdict()
+        losses = compute_grasp_losses(outputs, batch)
+        return torch.stack([_LOSS_WEIGHTS[name] * loss for name, loss in losses.items()]).sum(), losses
 
-    def evaluate(self, held_out: ViewBatches, min_quality: float = 0.3) -> dict[str, float]:
+    def evaluate(self, held_out: ViewBatches) -> dict[str, float]:
         """Return the accuracy of the predicted grasps on held-out views.
-
-        A grasp is good if its quality is at least `min_quality`. Distances are those of
-        `handover_marl.learning.networks.grasp_losses.compute_grasp_distances`.
 
         Returns:
             views: Number of views with at least one good grasp.
@@ -142,20 +229,21 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
             for numbers in torch.split(torch.arange(len(held_out)), _N_EVALUATED):
                 batch = held_out.select(numbers, 2 * _N_CENTERS, generator)
                 outputs = self.averaged(batch.clouds)
-                losses.append(torch.stack([*batch.compute_losses(outputs)]) * len(numbers))
-                distances.append(_compute_best_distances(outputs, batch.targets, min_quality))
-        best = torch.cat(distances)
-        best = best[torch.isfinite(best)]
-        means = torch.stack(losses).sum(dim=0) / max(1, len(held_out))
-        median = float(best.median()) if len(best) else math.nan
-        shares = {f"within_{n}cm": float((best < 0.01 * n).float().mean()) for n in (1, 2)}
-        found = {"views": len(best), **shares, "median_distance": median}
-        return {**found, "grasp_loss": float(means[0]), "quality_loss": float(means[1])}
-
-
-def _compute_best_distances(outputs: GraspOutputs, targets: GraspTargets, min_quality: float) -> Tensor:
-    """Return distances (B,) of the best predicted grasps from good ones (m); infinite without a good one."""
-    best = outputs.quality.argmax(dim=1)
-    distances = compute_grasp_distances(outputs, targets)[torch.arange(len(best), device=best.device), best]
-    nearest: Tensor = distances.masked_fill(targets.quality < min_quality, torch.inf).amin(dim=1)
-    return nearest
+                found = compute_grasp_losses(outputs, batch)
+                losses.append(torch.stack([found["grasp"], found["quality"]]) * len(numbers))
+                best = outputs.quality.argmax(dim=1)
+                all_distances = compute_grasp_distances(outputs, batch.targets)
+                of_best = all_distances[torch.arange(len(best), device=best.device), best]
+                distances.append(of_best.masked_fill(batch.targets.quality < _GOOD_QUALITY, torch.inf).amin(dim=1))
+        nearest = torch.cat(distances)
+        nearest = nearest[torch.isfinite(nearest)]
+        grasp, quality = (torch.stack(losses).sum(dim=0) / max(1, len(held_out))).tolist()
+        shares = {f"within_{n}cm": float((nearest < 0.01 * n).float().mean()) for n in (1, 2)}
+        median = float(nearest.median()) if len(nearest) else math.nan
+        return {
+            "views": len(nearest),
+            **shares,
+            "median_distance": median,
+            "grasp_loss": grasp,
+            "quality_loss": quality,
+        }

@@ -1,7 +1,9 @@
 """Rendered views of objects in persons' hands with good grasps: training data of `vision`.
 
-Frames come from recordings. The camera is where receivers wait, or on the way to a grasp with
-random offsets. Views are ray cast without physics. Quaternions are xyzw.
+Frames come from recordings. The camera is where receivers wait, or on the way to a grasp with random offsets. Views are
+ray cast without physics. The quality of a grasp follows from the grasp cost of the receiver `reactive` without the
+terms that depend on the arm: whether the grasp held in simulation, how well the pads enclose the object, and the
+clearance to the hand. Next to a hand, offset copies of the grasps are candidates too. Quaternions are xyzw.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -20,12 +22,13 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
 from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
-from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller, LabelledGrasps
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.clearance import Spheres
+from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
 from handover_marl.planning.hand_tracker import HandTracker
 from handover_marl.policies.policy import make_policy_context
+from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.controller import LIMIT_PADDING
+from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, find_offset_grasps, load_graspable_object
 from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import deproject
@@ -36,6 +39,14 @@ Array = npt.NDArray[np.float64]
 Half = npt.NDArray[np.float16]
 Rng = np.random.Generator
 
+# Numbers of points of the object that a view stores, and largest ones of points of the hand and of good grasps.
+_N_OBJECT_POINTS, _MAX_HAND_POINTS, _MAX_GRASPS = 256, 64, 96
+# Cost of a grasp at which its quality is 1/e (s), and clearance to the hand below which its quality is 0 (m).
+_COST_SCALE, _MIN_CLEARANCE = 3.0, 0.003
+#: Quality up to which a grasp is not a target of the network.
+MIN_QUALITY = 0.02
+#: Largest number of offset copies of grasps that are added next to a hand.
+MAX_OFFSET_GRASPS = 120
 _IK_ITERATIONS = 12
 # Smallest number of visible object points; views with fewer are discarded.
 _MIN_POINTS = 30
@@ -68,10 +79,7 @@ class GraspViewConfig:
         robot: Robot model that carries the camera: panda or panda_camera.
         count: Number of views per scene.
         seed: Seed of all random numbers.
-        n_object_points: Number of the object's points that a view stores.
-        max_hand_points: Largest number of the person's hand's points that a view stores.
-        max_grasps: Largest number of good grasps that a view stores, the best ones.
-        labels: Configuration of the qualities of grasps.
+        reactive: Configuration of the receiver `reactive`, whose costs of grasps are used.
     """
 
     dataset: str = "auto"
@@ -79,10 +87,7 @@ class GraspViewConfig:
     robot: str = "panda_camera"
     count: int = 100
     seed: int = 0
-    n_object_points: int = 256
-    max_hand_points: int = 64
-    max_grasps: int = 96
-    labels: GraspLabelConfig = field(default_factory=GraspLabelConfig)
+    reactive: ReactiveConfig = field(default_factory=ReactiveConfig)
 
 
 class GraspViews(NamedTuple):
@@ -110,6 +115,21 @@ class GraspViews(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Grasps:
+    """Grasps of one object with their costs, in the object's frame.
+
+    Attributes:
+        poses: (n, 7) poses of the hand link.
+        costs: (n,) costs of the grasps if no hand is nearby (s).
+        object_center: (3,) center of the object's bounding box (m).
+    """
+
+    poses: Array
+    costs: Array
+    object_center: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LabelledFrame:
     """Frame of a recording with the object's grasps and their qualities.
 
@@ -122,15 +142,17 @@ class LabelledFrame:
 
     frame: int
     object_pose: Array
-    known: LabelledGrasps
+    known: Grasps
     quality: Array
 
 
 class ViewRenderer:
     """Renderer of wrist-camera views of recorded scenes, labelled with good grasps.
 
+    Grasps are validated in simulation at first use.
+
     Args:
-        config: Data set, number and size of the views.
+        config: Data set and number of the views.
 
     Raises:
         HandoverError: The dataset cannot be opened.
@@ -141,7 +163,6 @@ class ViewRenderer:
         self._data = open_dataset(config.dataset, config.data_dir, config.robot)
         self._context = make_policy_context(self._data)
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
-        self._labels = GraspLabeller(self._context, config.labels)
 
     def render_scene(self, number: int) -> GraspViews:
         """Return up to `count` random views of a scene; views with few object points are discarded.
@@ -160,30 +181,65 @@ class ViewRenderer:
     def label_frames(self, scene: Scene, frames: Sequence[int]) -> dict[int, LabelledFrame]:
         """Return frames with the grasps of the object; those beside its final pose are offset ones, too."""
         name, last = scene.info.target_name, scene.n_frames - 1
-        known = self._labels.load_grasps_near_hand(name, read_hand_spheres(scene, last), read_object_pose(scene, last))
+        known = self.load_grasps(name, read_hand_spheres(scene, last), read_object_pose(scene, last))
         labelled = {}
         for frame in sorted(set(frames)):
             pose, hand = read_object_pose(scene, frame), read_hand_spheres(scene, frame)
-            quality = self._labels.compute_qualities(known, hand, pose)
-            labelled[frame] = LabelledFrame(frame, pose, known, quality)
+            labelled[frame] = LabelledFrame(frame, pose, known, self.compute_qualities(known, hand, pose))
         return labelled
+
+    def load_grasps(self, object_name: str, hand: Spheres | None, object_pose: Array) -> Grasps:
+        """Return an object's known grasps, and offset copies of them that are clear of the person's hand.
+
+        Args:
+            object_name: Class of the object.
+            hand: Spheres that cover the person's hand in the world; None adds no copies.
+            object_pose: (7,) pose of the object in the world.
+        """
+        config = self._config.reactive
+        found = load_graspable_object(self._context, object_name, config)
+        poses, costs = found.grasps.poses, compute_hold_costs(found.grasps, found.pad_margins, config.selection)
+        if hand is None or not len(poses):
+            return Grasps(poses, costs, found.center)
+        offset, margins = find_offset_grasps(found, hand.transform_to_frame(object_pose), config)
+        offset_costs = config.selection.offset_cost + compute_hold_costs(offset, margins, config.selection)
+        qualities = self.compute_qualities(Grasps(offset.poses, offset_costs, found.center), hand, object_pose)
+        kept = np.flatnonzero(qualities > MIN_QUALITY)
+        kept = kept[:: max(1, -(-len(kept) // MAX_OFFSET_GRASPS))]
+        poses, costs = np.concatenate([poses, offset.poses[kept]]), np.concatenate([costs, offset_costs[kept]])
+        return Grasps(poses, costs, found.center)
+
+    def compute_qualities(self, grasps: Grasps, hand: Spheres | None, object_pose: Array) -> Array:
+        """Return the qualities (n,), from 0 (bad) to 1 (good), of an object's grasps next to a hand.
+
+        Args:
+            grasps: Grasps of the object.
+            hand: Spheres that cover the person's hand in the world, or None without a hand.
+            object_pose: (7,) pose of the object in the world.
+        """
+        config, costs = self._config.reactive, grasps.costs
+        if hand is None or not len(costs):
+            return np.exp(-costs / _COST_SCALE)
+        in_object = hand.transform_to_frame(object_pose)
+        clearances = compute_grasp_clearances(grasps.poses, in_object, config.approach.standoff)
+        lack = np.maximum(0.0, config.selection.desired_clearance - clearances)
+        qualities = np.exp(-(costs + config.selection.clearance_cost * lack) / _COST_SCALE)
+        return np.where(clearances < _MIN_CLEARANCE, 0.0, qualities)
 
     def render(self, scene: Scene, poses: Iterable[tuple[LabelledFrame, Array]], rng: Rng) -> GraspViews:
         """Return views of frames of a scene, rendered with the arm at given joints (7,) in rad."""
         camera = RayCamera(scene.assets, self._context.config.physics)
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
-        config, half = self._config, np.float16
-        hands = [(half, (config.max_hand_points, 3)), (np.uint8, ())]
-        grasps = [(half, (config.max_grasps, 7)), (half, (config.max_grasps,))]
-        columns = [(half, (config.n_object_points, 3)), *hands, *grasps, *[(half, (3,))] * 3]
+        shapes = ((_N_OBJECT_POINTS, 3), (_MAX_HAND_POINTS, 3), (), (_MAX_GRASPS, 7), (_MAX_GRASPS,), (3,), (3,), (3,))
+        columns = [(np.float16 if shape else np.uint8, shape) for shape in shapes]
         return stack_samples(GraspViews, views, columns)
 
     def _render_view(
         self, scene: Scene, camera: RayCamera, labelled: LabelledFrame, joints: Array, rng: Rng
     ) -> tuple[Any, ...] | None:
         """Return the fields of `GraspViews` for one view, or None if too little of the object is visible."""
-        config, frame, known = self._config, labelled.frame, labelled.known
+        frame, known = labelled.frame, labelled.known
         has_hand = bool(scene.is_hand_present(np.array([frame]))[0])
         robot = np.array([*joints, OPEN, OPEN], dtype=np.float32)
         snapshot = JointSnapshot(robot, scene.hand_dof[frame] if has_hand else None, scene.object_dof[frame])
@@ -195,11 +251,11 @@ class ViewRenderer:
         if len(object_points) < _MIN_POINTS:
             return None
         world_from_link = self._arm.compute_hand_pose(np.asarray(joints, dtype=np.float64))
-        hands, n_hands = np.zeros((config.max_hand_points, 3)), min(len(hand_points), config.max_hand_points)
+        hands, n_hands = np.zeros((_MAX_HAND_POINTS, 3)), min(len(hand_points), _MAX_HAND_POINTS)
         hands[:n_hands] = hand_points[rng.choice(len(hand_points), n_hands, replace=False)]
-        best = np.argsort(-labelled.quality, kind="stable")[: config.max_grasps]
-        best = best[labelled.quality[best] > self._labels.config.min_quality]
-        grasps, quality = np.zeros((config.max_grasps, 7)), np.zeros(config.max_grasps)
+        best = np.argsort(-labelled.quality, kind="stable")[:_MAX_GRASPS]
+        best = best[labelled.quality[best] > MIN_QUALITY]
+        grasps, quality = np.zeros((_MAX_GRASPS, 7)), np.zeros(_MAX_GRASPS)
         link_from_object = compose(invert_pose(world_from_link), labelled.object_pose)
         grasps[: len(best)] = compose(link_from_object, known.poses[best])
         quality[: len(best)] = labelled.quality[best]
@@ -207,8 +263,7 @@ class ViewRenderer:
         center = inverse_transform_points(world_from_link, center[None])[0]
         to_link = Rotation.from_quat(world_from_link[3:]).inv()
         velocity, motion = (to_link.apply(vector) for vector in _read_motion(scene, frame))
-        wanted = config.n_object_points
-        chosen = rng.choice(len(object_points), wanted, replace=len(object_points) < wanted)
+        chosen = rng.choice(len(object_points), _N_OBJECT_POINTS, replace=len(object_points) < _N_OBJECT_POINTS)
         return object_points[chosen], hands, n_hands, grasps, quality, center, velocity, motion
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
@@ -216,7 +271,7 @@ class ViewRenderer:
         kind = rng.random()
         waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
         start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, _JOINT_NOISE_STD, ARM_DOF)
-        good = labelled.quality > self._labels.config.min_quality
+        good = labelled.quality > MIN_QUALITY
         if kind < _WAITING_POSE_SHARE or not good.any():
             return start
         goal = _sample_pose(labelled, int(rng.choice(np.flatnonzero(good))), rng)

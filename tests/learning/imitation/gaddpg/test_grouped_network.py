@@ -1,7 +1,5 @@
 """Tests of training GA-DDPG's network on stored groups: equality with the deployed network, losses, resuming."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,107 +7,72 @@ from scipy.spatial.transform import Rotation
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches  # noqa: E402
-from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates, stack_states  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402
     GaddpgLearner,
-    GaddpgLearnerConfig,
     compute_action_losses,
     compute_goal_losses,
     evaluate_network,
 )
-from handover_marl.learning.imitation.gaddpg.states import ImitationStates, stack_states  # noqa: E402
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig  # noqa: E402
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
 
 
-def cloud(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
-    points = rng.uniform(-size, size, (count, 3)) + np.array([0.0, 0.0, 0.3])
-    return points.astype(np.float16)
-
-
-def some_states(seed: int = 0) -> tuple[ImitationStates, list[np.ndarray]]:
-    rng = np.random.default_rng(seed)
-    clouds = [cloud(rng, count, size) for count, size in ((3, 0.05), (40, 0.1), (700, 0.03), (1024, 0.12))]
-    goals = [np.array([*rng.uniform(-0.1, 0.3, 3), *Rotation.random(random_state=seed).as_quat()]) for _ in clouds]
-    return stack_states([(points, goal, 9) for points, goal in zip(clouds, goals, strict=True)]), clouds
-
-
-def filled(points: np.ndarray) -> np.ndarray:
-    """Return the receiver's cloud (4, 1024): the points, and then randomly chosen points again."""
-    more = np.random.default_rng(1).integers(len(points), size=1024 - len(points))
-    columns = np.zeros((4, 1024), dtype=np.float32)
-    columns[:3] = points[np.concatenate([np.arange(len(points)), more])].T
-    return columns
-
-
-def network() -> GaddpgNetwork:
-    torch.manual_seed(0)
-    made = GaddpgNetwork().eval()
-    for module in made.modules():
-        if isinstance(module, (torch.nn.BatchNorm1d, torch.nn.BatchNorm2d)):
-            module.running_mean.normal_(0.0, 0.1)
-            module.running_var.uniform_(0.5, 1.5)
-    return made
+def draw_states() -> tuple[ImitationStates, np.ndarray]:
+    """Return states of four clouds, and the receiver's clouds (4, 4, 1024): the points, then some of them again."""
+    rng, rows, filled = np.random.default_rng(0), [], np.zeros((4, 4, 1024), dtype=np.float32)
+    for number, (count, size) in enumerate(((3, 0.05), (40, 0.1), (700, 0.03), (1024, 0.12))):
+        points = (rng.uniform(-size, size, (count, 3)) + np.array([0.0, 0.0, 0.3])).astype(np.float16)
+        goal = np.array([*rng.uniform(-0.1, 0.3, 3), *Rotation.random(random_state=0).as_quat()])
+        rows.append((points, goal, 9))
+        filled[number, :3] = points[np.r_[:count, rng.integers(count, size=1024 - count)]].T
+    return stack_states(rows), filled
 
 
 def test_grouped_network_equals_the_network() -> None:
-    states, clouds = some_states()
-    batch = ImitationBatches(states, max_neighbors=64).select(np.arange(4), None)
-    made = network()
+    states, clouds = draw_states()
+    torch.manual_seed(0)
+    network = GaddpgNetwork().eval()
+    for module in network.modules():
+        if isinstance(module, (torch.nn.BatchNorm1d, torch.nn.BatchNorm2d)):
+            module.running_mean.normal_(0.0, 0.1)
+            module.running_var.uniform_(0.5, 1.5)
     with torch.no_grad():
-        shown = torch.from_numpy(np.stack([filled(points) for points in clouds]))
-        whole, grouped = made(shown, torch.full((4,), 9.0)), evaluate_network(made, batch)
+        whole = network(torch.from_numpy(clouds), torch.full((4,), 9.0))
+        grouped = evaluate_network(network, ImitationBatches(states, max_neighbors=64).select(np.arange(4), None))
     torch.testing.assert_close(grouped.action, whole.action, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(grouped.goal, whole.goal, atol=1e-5, rtol=1e-4)
 
 
-def test_goals_are_equal_up_to_a_rotation_by_pi() -> None:
-    rng = np.random.default_rng(0)
-    turn = Rotation.random(random_state=0)
-    place = rng.normal(size=3)
-    reported = np.array([[*turn.as_quat()[[3, 0, 1, 2]], *place]])
+def test_losses_are_in_metres_and_goals_equal_up_to_a_rotation_by_pi() -> None:
+    turn, place = Rotation.random(random_state=0), [0.1, -0.2, 0.3]
+    reported = torch.tensor(np.array([[*turn.as_quat()[[3, 0, 1, 2]], *place]])).float()
     for other in (turn, turn * Rotation.from_euler("z", np.pi)):
-        wanted = np.array([[*place, *other.as_quat()]])
-        assert float(compute_goal_losses(torch.tensor(reported).float(), torch.tensor(wanted).float())) < 1e-5
-
-
-def test_action_losses_are_in_metres() -> None:
+        assert float(compute_goal_losses(reported, torch.tensor(np.array([[*place, *other.as_quat()]])).float())) < 1e-5
     steps = torch.tensor([[0.01, 0.0, -0.02, 0.3, -0.2, 0.1]])
-    assert float(compute_action_losses(steps, steps)) == 0.0
     moved = steps + torch.tensor([[0.01, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    assert float(compute_action_losses(steps, steps)) == 0.0
     assert float(compute_action_losses(moved, steps)) == pytest.approx(0.01, rel=1e-4)
 
 
-@pytest.fixture
-def one_thread() -> Iterator[None]:
-    """Use one thread, because the rounding of several threads varies from run to run."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("one_thread")
-def test_resumed_learner_continues_exactly() -> None:
-    states, _ = some_states()
+def test_resumed_learner_continues_exactly(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads, (states, _) = torch.get_num_threads(), draw_states()
     batches = ImitationBatches(states)
+    monkeypatch.setattr(GaddpgLearner, "use_bfloat16", False)
+    monkeypatch.setattr(GaddpgLearner, "warmup", 1)
 
     def make_learner(seed: int) -> GaddpgLearner:
         torch.manual_seed(seed)
-        config = GaddpgLearnerConfig(use_bfloat16=False, warmup=1)
-        return GaddpgLearner(GaddpgNetwork(ApproachFieldConfig()), 12, torch.device("cpu"), config)
+        return GaddpgLearner(GaddpgNetwork(), 8, torch.device("cpu"))
 
-    def learned(learner: GaddpgLearner, first: int, last: int) -> dict[str, float]:
-        reported = {}
-        for number in range(first, last):
-            reported = learner.update(batches.sample(8, np.random.default_rng(number)))
-        return reported
+    def learn(learner: GaddpgLearner, first: int, last: int) -> list[dict[str, float]]:
+        return [learner.update(batches.sample(4, np.random.default_rng(number))) for number in range(first, last)]
 
-    whole = make_learner(0)
-    before = learned(whole, 0, 1)
-    after = learned(whole, 1, 12)
-    assert after["action"] < before["action"]
-    half, rest = make_learner(0), make_learner(5)
-    learned(half, 0, 6)
+    torch.set_num_threads(1)  # because the rounding of several threads varies from run to run
+    whole, half, rest = make_learner(0), make_learner(0), make_learner(5)
+    losses = learn(whole, 0, 8)
+    assert losses[-1]["action"] < losses[0]["action"]
+    learn(half, 0, 5)
     rest.restore(half.get_state())
-    assert learned(rest, 6, 12) == after
+    assert learn(rest, 5, 8) == losses[5:]
+    torch.set_num_threads(threads)
