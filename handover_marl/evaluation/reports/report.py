@@ -37,7 +37,7 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     TIMES,
     WAIT,
-    MeanEstimate,
+    Estimate,
     ReportTable,
     TabularResult,
     compute_wilson_interval,
@@ -88,7 +88,7 @@ class Report(TabularResult):
         return self.compute_rate(EpisodeStatus.SUCCESS)
 
     @functools.cached_property
-    def official_means(self) -> dict[str, MeanEstimate]:
+    def official_means(self) -> dict[str, Estimate]:
         """Means of average success over all episodes and of times (s) over successes, by key."""
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
@@ -192,10 +192,6 @@ class Report(TabularResult):
             lines += [f"{SOURCES[source]}." for source in dict.fromkeys(row.source for row in comparable)]
         return "\n".join(lines)
 
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of official metrics, outcomes by object class and fluency metrics."""
-        return [self._build_official_table(), build_object_table(self.episodes), build_fluency_table(self.episodes)]
-
     def _build_official_table(self) -> ReportTable:
         """Build the table of official metrics with 95 % intervals, and of published results."""
         n, means = len(self.episodes), self.official_means
@@ -218,9 +214,9 @@ class Report(TabularResult):
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and notes."""
-        official, objects, fluency = self.build_tables()
-        note = FLUENCY_NOTE if fluency.rows else ""
-        return [self.heading, official, objects, self.format_notes(), fluency, note]
+        fluency = build_fluency_table(estimate_fluency(self.episodes))
+        tables = [self._build_official_table(), build_object_table(self.episodes)]
+        return [self.heading, *tables, self.format_notes(), fluency, FLUENCY_NOTE if fluency.rows else ""]
 
     def to_markdown(self) -> str:
         """Return the report as a Markdown page, with a table that has one row per scene."""
