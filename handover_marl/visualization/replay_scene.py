@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from PIL import ImageColor
-from scipy.spatial import cKDTree
 
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
 from handover_marl.execution.options import require_modules
@@ -39,7 +38,7 @@ _POSITION_STEP, _ROTATION_STEP = 2.0**-13, 2.0**-12
 _ROBOT_COLOR, _GOAL_COLOR, _PLAN_COLOR = (205, 208, 214), (60, 160, 90), (190, 60, 200)
 _GROUND_COLOR = (120, 120, 130)  # of the light from below
 _FINGER_CONTACT_COLOR, _HAND_CONTACT_COLOR = (255, 200, 0), (230, 30, 40)
-_FINGER_CONTACT_RADIUS, _HAND_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.025, 0.002  # m
+_FINGER_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.002  # m
 # Largest number of triangles of a link of the robot and of other bodies; more make the page large without a visible
 # difference.
 _MAX_ROBOT_FACES, _MAX_FACES = 3000, 900
@@ -135,7 +134,6 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
         elements = [
             *(_add_link(scene, link) for link in links),
             _add_finger_contacts(scene, log),
-            _add_hand_contact(scene, links),
             _add_planned_path(scene),
             _add_observed_points(scene, log),
             _add_status(scene, log),
@@ -160,12 +158,14 @@ def build_color_legend(log: EpisodeLog) -> list[tuple[str, str]]:
     ]
     if len(log.scene.assets.objects) > 1:
         legend.append((LABEL_COLORS[SegmentationLabel.OTHER_OBJECT], "other objects"))
-    legend.append((_html_from_rgb(_FINGER_CONTACT_COLOR), "contacts of fingers and object"))
-    legend.append((_html_from_rgb(_GOAL_COLOR), "goal region"))
+    legend += [
+        (f"rgb{_FINGER_CONTACT_COLOR}", "contacts of fingers and object"),
+        (f"rgb{_GOAL_COLOR}", "goal region"),
+    ]
     if any(frame.touches_hand for frame in log.frames):
-        legend.append((_html_from_rgb(_HAND_CONTACT_COLOR), "contact of robot and hand (approximate)"))
+        legend.append((f"rgb{_HAND_CONTACT_COLOR}", "hand that the robot touches"))
     if any(frame.planned_path is not None for frame in log.frames):
-        legend.append((_html_from_rgb(_PLAN_COLOR), "planned path of the gripper"))
+        legend.append((f"rgb{_PLAN_COLOR}", "planned path of the gripper"))
     if log.clouds:
         legend.append((LABEL_COLORS[SegmentationLabel.TARGET], "dots: observed point cloud"))
     return legend
@@ -218,7 +218,9 @@ def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
 
     def show(index: int, frame: ReplayFrame) -> None:
         row = min(index, len(positions) - 1)
+        is_touched = frame.touches_hand and link.label is SegmentationLabel.HAND
         element.set(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
+        element.set(color=_HAND_CONTACT_COLOR if is_touched else color)
 
     return show
 
@@ -235,22 +237,6 @@ def _add_finger_contacts(scene: "SceneApi", log: EpisodeLog) -> _Show:
     return show
 
 
-def _add_hand_contact(scene: "SceneApi", links: Sequence[LinkTrajectory]) -> _Show:
-    """Add a sphere at the contact of robot and person; its position is approximated by the meshes."""
-    sphere = scene.add_icosphere("/touch", _HAND_CONTACT_RADIUS, _HAND_CONTACT_COLOR, opacity=0.6, visible=False)
-    element = _Element(sphere)
-
-    def show(index: int, frame: ReplayFrame) -> None:
-        point = None
-        if frame.touches_hand:
-            point = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, index)
-        if point is not None:
-            element.set(position=point)
-        element.set(visible=point is not None)
-
-    return show
-
-
 def _add_planned_path(scene: "SceneApi") -> _Show:
     """Add the planned path of the hand link, with the gripper's outline at its end."""
     empty = np.zeros((1, 2, 3), dtype=np.float32)
@@ -261,7 +247,8 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
         path = frame.planned_path
         if path is not None:
             outline = transform_points(path[-1], np.array(GRIPPER_OUTLINE))
-            lines = np.concatenate([_segments(path[:, :3]), _segments(outline)])
+            # Line segments (n - 1, 2, 3) between successive points (n, 3).
+            lines = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in (path[:, :3], outline)])
             element.set(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
         element.set(visible=path is not None)
 
@@ -308,18 +295,9 @@ def _add_status(scene: "SceneApi", log: EpisodeLog) -> _Show:
     return lambda index, frame: element.set(text=describe_frame(log, frame))
 
 
-def _segments(points: Array) -> Array:
-    """Return the line segments (n - 1, 2, 3) between successive points (n, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
-
-
 def _quantize(values: Array, step: float) -> Array:
     quantized: Array = np.round(values / step) * step
     return quantized
-
-
-def _html_from_rgb(color: Color) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
@@ -345,38 +323,6 @@ def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
         absent = np.zeros(HAND_DOF)
         joints = np.array([absent if snapshot.hand is None else snapshot.hand for snapshot in snapshots])
         yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
-
-
-def find_nearest_point(
-    links: Sequence[LinkTrajectory], label: SegmentationLabel, other: SegmentationLabel, frame: int
-) -> Array | None:
-    """Return the vertex of a body that is nearest to another body.
-
-    Args:
-        links: All links of the replay.
-        label: Label of the body on which the vertex is searched.
-        other: Label of the other body.
-        frame: Index of the frame.
-
-    Returns:
-        (3,) world position (m), or None if one of the bodies does not exist.
-    """
-    vertices, others = (_collect_vertices(links, each, frame) for each in (label, other))
-    if not len(vertices) or not len(others):
-        return None
-    distances, _ = cKDTree(others).query(vertices)
-    point: Array = vertices[int(np.argmin(distances))]
-    return point
-
-
-def _collect_vertices(links: Sequence[LinkTrajectory], label: SegmentationLabel, frame: int) -> Array:
-    """Return the world positions (n, 3) of all vertices of a body at a frame (m)."""
-    found = [np.zeros((0, 3))]
-    for link in links:
-        row = min(frame, len(link.poses) - 1)
-        if link.label is label and link.is_present[row]:
-            found.append(transform_points(link.poses[row], link.mesh.vertices.astype(np.float64)))
-    return np.concatenate(found)
 
 
 def get_robot_base_pose(log: EpisodeLog) -> Array:
