@@ -23,7 +23,7 @@ from handover_marl.evaluation.config import (
     resolve_config,
 )
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
-from handover_marl.evaluation.metadata import ResultMetadata
+from handover_marl.evaluation.metadata import ResultMetadata, format_config
 from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.report import Report, write_report
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
@@ -179,7 +179,8 @@ def _prepare(
     metadata = ResultMetadata.from_config(config, recorded, shard, len(split_ids))
     folder = None
     if execution.folder is not None:
-        folder = ResultFolder(execution.folder, metadata, config.world_config, execution.fresh)
+        text = format_config(metadata, config.world_config)
+        folder = ResultFolder(execution.folder, metadata, text, execution.fresh)
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks

@@ -5,10 +5,10 @@ from pathlib import Path
 from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import (
+    REPLAYS,
     EpisodeRecorder,
     EpisodeResult,
     EpisodeWriter,
-    get_replay_path,
     prepare_subfolder,
 )
 from handover_marl.policies.policy import Policy
@@ -50,8 +50,8 @@ class ReplayWriter(EpisodeWriter):
     """
 
     def __init__(self, folder: Path, replays: str) -> None:
-        self._folder, self._include_successes = folder, replays == REPLAYS_ALL
-        prepare_subfolder(get_replay_path(folder, 0).parent)
+        self._folder, self._include_successes = folder / REPLAYS, replays == REPLAYS_ALL
+        prepare_subfolder(self._folder)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
@@ -70,4 +70,4 @@ class ReplayWriter(EpisodeWriter):
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the replay page of an episode."""
-        return get_replay_path(self._folder, result.scene_id or 0)
+        return self._folder / f"{result.scene_id or 0:03d}.html"

@@ -67,24 +67,11 @@ def mine(shift: object = "0.0", imports: str = "") -> str:
     return MINE.format(shift=shift, imports=imports)
 
 
-def goes_on(fake_data: Path, out: Path, receiver: Any) -> None:
-    """Check that another evaluation takes over the stored result."""
-    assert run(fake_data, out, receiver=receiver, scenes=[9]).n_resumed == 1
-
-
-def is_refused(fake_data: Path, out: Path, receiver: Any, what: str = "receiver hash") -> None:
-    reported = rf"holds another evaluation \({what}.*choose another folder, or delete its results with fresh=True"
-    with pytest.raises(ResultsError, match=reported):
-        run(fake_data, out, receiver=receiver, scenes=[9])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("by_name", [False, True])
-def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Write, by_name: bool) -> None:
+def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Write) -> None:
     out = tmp_path / "out"
 
     def play(kind: type[Receiver], **options: Any) -> Any:
-        return run(fake_data, out, receiver="robots_of_mine:Mine" if by_name else kind, **options)
+        return run(fake_data, out, receiver=kind, **options)
 
     play(write(robots_of_mine=mine(0.0)), scenes=[14])
     (out / "notes.txt").write_text("precious")
@@ -112,9 +99,10 @@ def test_changed_code_cannot_resume(fake_data: Path, tmp_path: Path, write: Writ
 def test_options_are_part_of_the_identity(fake_data: Path, tmp_path: Path, write: Write) -> None:
     kind = write(robots_of_mine=mine())
     run(fake_data, tmp_path / "out", receiver=(kind, {"more": 0.01}), scenes=[9])
-    goes_on(fake_data, tmp_path / "out", "robots_of_mine:Mine:more=0.01")
-    for other in (kind, (kind, {"more": 0.02}), "robots_of_mine:Mine"):
-        is_refused(fake_data, tmp_path / "out", other, "receiver 'mine:more=0.01' in the folder")
+    assert run(fake_data, tmp_path / "out", receiver="robots_of_mine:Mine:more=0.01", scenes=[9]).n_resumed == 1
+    for other in ((kind, {"more": 0.02}), "robots_of_mine:Mine"):
+        with pytest.raises(ResultsError, match=r"another evaluation \(receiver 'mine:more=0.01' in the folder"):
+            run(fake_data, tmp_path / "out", receiver=other, scenes=[9])
 
 
 SCRIPT = """
@@ -122,7 +110,7 @@ import sys
 import handover_marl
 from handover_marl.config import ProtocolConfig, WorldConfig
 {mine}
-config = WorldConfig(protocol=ProtocolConfig(horizon_steps=700))
+config = WorldConfig(protocol=ProtocolConfig(horizon_steps=300))
 try:
     report = handover_marl.evaluate_pair(
         "replay", Mine, split="val", scenes=[9], data_dir=sys.argv[1], out=sys.argv[2], world_config=config, workers=1,
@@ -141,6 +129,5 @@ def test_code_of_a_script_is_hashed(fake_data: Path, tmp_path: Path) -> None:
         (tmp_path / "script.py").write_text(SCRIPT.format(mine=mine(shift)))
         command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
         said.append(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    assert said[0].strip() == "earlier 0"
-    assert said[1].strip() == "earlier 1"
+    assert [line.strip() for line in said[:2]] == ["earlier 0", "earlier 1"]
     assert "another evaluation (receiver hash" in said[2]

@@ -153,7 +153,7 @@ def test_an_unchanged_folder_is_verified(folder: Path) -> None:
 @pytest.mark.parametrize("forgery", ACTION_FORGERIES)
 def test_forged_actions_are_found(forgery: str, folder: Path, runner: EpisodeRunner) -> None:
     change_arrays(folder, ACTION_FORGERIES[forgery])
-    assert check_episode(runner, folder, SceneTask(INDEX, SCENE), same_version=True)
+    assert check_episode(runner, folder, True, SceneTask(INDEX, SCENE))
 
 
 @pytest.mark.slow

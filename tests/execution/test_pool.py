@@ -12,7 +12,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import LocalPool, map_with_progress, open_pool
+from handover_marl.execution.pool import Pool, map_with_progress, open_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -133,7 +133,7 @@ def test_shared_pool_keeps_its_processes() -> None:
         time.sleep(0.2)
         return os.getpid()
 
-    with closing(LocalPool(2)) as pool:
+    with closing(Pool(2)) as pool:
         first = set(run_shared(get_process))
         assert len(first) == 2
         assert run_shared(lambda task: task + 1) == [1, 2, 3, 4]

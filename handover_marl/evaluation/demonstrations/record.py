@@ -45,7 +45,6 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 #: Choices of the episodes to record.
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
-_TRAIN = "train"
 #: Largest frame rate: one frame for each physics step.
 MAX_FPS = round(1.0 / TIME_STEP)
 
@@ -53,7 +52,7 @@ MAX_FPS = round(1.0 / TIME_STEP)
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def demonstrate(
     setup: str | EvaluationConfig | None = None,
-    split: str = _TRAIN,
+    split: str = "train",
     receiver: PolicyLike = "reactive",
     giver: PolicyLike = REPLAY,
     *,
@@ -88,9 +87,9 @@ def demonstrate(
     check_name("keep", keep, KEEP_CHOICES)
     check_obs_mode(obs_mode)
     check_name("split", config.split, SPLITS)
-    if config.split != _TRAIN:
+    if config.split != "train":
         raise OptionError(
-            f"split must be {_TRAIN!r}, got {config.split!r}: results on a split are invalid if its episodes were used "
+            f"split must be 'train', got {config.split!r}: results on a split are invalid if its episodes were used "
             "for training"
         )
     if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int) or not 1 <= fps <= MAX_FPS):

@@ -57,6 +57,7 @@ from handover_marl.evaluation.results import (
     read_results,
 )
 from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.version import __version__
@@ -258,7 +259,7 @@ class Report(TabularResult):
             values = describe_episode(episode)
             fluency = values.pop("fluency") or {column.key: None for column in FLUENCY}
             rows.append({**identity, **values, **fluency})
-        return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
+        return format_csv([[*rows[0]], *([*row.values()] for row in rows)])
 
 
 def _format_published_row(row: PublishedResult) -> list[object]:
@@ -276,18 +277,15 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     Raises:
         ResultsError: The path does not exist, or a file is not an official result.
     """
-    try:
-        path = Path(folder).expanduser()
-        is_file, exists = path.is_file(), path.exists()
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise ResultsError(f"{folder!r} is no result folder ({error})") from error
-    if not exists:
+    path = check_path("folder", folder)
+    if not path.exists():
         raise ResultsError(f"result folder {path} does not exist")
-    metadata, results = read_episode_file(path) if is_file else (read_result_metadata(path), read_results(path))
-    setup, split = metadata.setup, metadata.split
+    metadata, results = read_episode_file(path) if path.is_file() else (read_result_metadata(path), read_results(path))
     size = metadata.split_size
     if results[-1].index >= size:
-        raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
+        raise ResultsError(
+            f"{path}: {results[-1].index:03d}.npz exceeds {metadata.setup} {metadata.split}, which has {size} scenes"
+        )
     # HandoverSim's code may count the step in which the time is up.
     longest = OFFICIAL_CONFIG.protocol.horizon_steps + 1
     for result in results if metadata.world == OFFICIAL_WORLD else ():
@@ -357,9 +355,10 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         report: Report to render.
         replays: Links to replay pages by scene number, relative to the page.
     """
-    links = dict(replays or {})
-    metadata = report.metadata
+    links, metadata = dict(replays or {}), report.metadata
     official, objects, fluency = report.build_tables()
+    settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}
+    settings |= {"data": report.data_label, "n episodes": report.extent, "machine": report.machine_label}
     return render_page(
         "report.html",
         version=__version__,
@@ -370,7 +369,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         n_replays=sum(episode.scene_id in links for episode in report.episodes),
         official=official,
         notes=report.format_notes().splitlines(),
-        settings=_list_settings(report),
+        settings=settings.items(),
         objects=objects,
         fluency=fluency,
         fluency_note=FLUENCY_NOTE,
@@ -381,15 +380,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
 
 
 def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
-    """Find the replay pages of a result folder, as links relative to a page.
-
-    Args:
-        results: Result folder whose replay pages are searched.
-        page_folder: Folder of the page that links to them.
-
-    Returns:
-        Relative links by scene number.
-    """
+    """Return links to the replay pages of a result folder, relative to the folder of a page, by scene number."""
     relative = os.path.relpath(results.resolve(), page_folder.resolve())
     replays = find_numbered(results / REPLAYS, ".html").items()
     return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}
@@ -398,24 +389,13 @@ def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
 def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
     """Return count, rate (%) and episodes with a status flag, for the page's template."""
     n, count = len(report.episodes), report.count(flag)
-    interval = compute_wilson_interval(count, n)
-    low, high = (100 * end for end in interval)
+    low, high = (100 * end for end in compute_wilson_interval(count, n))
     return {
         "label": flag.label,
         "count": count,
         "percent": f"{100 * count / n:.1f}",
-        "interval": format_interval(interval),
+        "interval": format_percent_interval(count, n),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",
         "episodes": [(each, format_scene_cells(each)) for each in report.episodes if each.status & flag],
     }
-
-
-def _list_settings(report: Report) -> list[tuple[str, str]]:
-    stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
-    computed = {
-        "data": report.data_label,
-        "n episodes": report.extent,
-        "machine": report.machine_label,
-    }
-    return list({**stored, **computed}.items())
