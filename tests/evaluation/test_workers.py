@@ -35,8 +35,8 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy"}
     run(fake_data, 1, out=tmp_path / "one", **drawing)
     run(fake_data, 2, out=tmp_path / "two", **drawing)
-    run(fake_data, 1, out=tmp_path / "apart", **drawing, scenes=[14])
-    run(fake_data, 2, out=tmp_path / "apart", **drawing, scenes=[9])
+    for scene in (14, 9):
+        run(fake_data, 1, out=tmp_path / "apart", **drawing, scenes=[scene])
     alone = files(tmp_path / "one")
     assert list(alone) == ["000.npz", "001.npz"]
     for name in ("two", "apart"):
@@ -165,7 +165,7 @@ class MyGiver(Giver):
     def act(self, observation):
         return make_giver_action(displacement=(0.0, 0.0, SHIFT))
 
-config = WorldConfig(protocol=ProtocolConfig(horizon_steps=700))
+config = WorldConfig(protocol=ProtocolConfig(horizon_steps=310))
 for workers in (1, 2):
     report = handover_marl.evaluate_pair(
         MyGiver, Mine, split="val", scenes=[9, 14], data_dir=sys.argv[1], world_config=config, physics="fast",
@@ -184,8 +184,8 @@ def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
     once, alone, together = finished.stdout.splitlines()
     assert once == "once"
     assert alone == together
-    assert alone.count("'timeout', 700") == 2
+    assert alone.count("'timeout', 310") == 2
     for name, expected in files(tmp_path / "out" / "1").items():
         for key, value in expected.items():
             np.testing.assert_array_equal(files(tmp_path / "out" / "2")[name][key], value, err_msg=key)
-        assert len(np.unique(expected["action"], axis=0)) == 3
+        assert len(np.unique(expected["action"], axis=0)) == 2
