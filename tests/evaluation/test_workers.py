@@ -167,25 +167,36 @@ class MyGiver(Giver):
 
 config = WorldConfig(protocol=ProtocolConfig(horizon_steps=310))
 for workers in (1, 2):
-    report = handover_marl.evaluate_pair(
-        MyGiver, Mine, split="val", scenes=[9, 14], data_dir=sys.argv[1], world_config=config, physics="fast",
-        workers=workers, progress=False, out=f"{sys.argv[2]}/{workers}",
-    )
-    print("report", [(e.scene_id, e.status.label, e.steps, e.release_step, e.fluency) for e in report.episodes])
+    try:
+        report = handover_marl.evaluate_pair(
+            MyGiver, Mine, split="val", scenes=[9, 14], data_dir=sys.argv[1], world_config=config, physics="fast",
+            workers=workers, progress=False, out=f"{sys.argv[2]}/{workers}",
+        )
+        print(report.n_resumed, [(e.scene_id, e.status.label, e.steps, e.fluency) for e in report.episodes])
+    except handover_marl.errors.ResultsError as error:
+        print(error)
 """
 
 
 def test_script_policies_in_workers(fake_data: Path, tmp_path: Path) -> None:
-    """Workers use policies of a script without running it again, so that it needs no `__main__` guard."""
-    (tmp_path / "script.py").write_text(SCRIPT)
-    command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
-    finished = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert finished.returncode == 0, finished.stderr
-    once, alone, together = finished.stdout.splitlines()
+    """Workers use policies of a script without running it again, so that it needs no `__main__` guard.
+
+    Its results are resumed, but not with other code.
+    """
+
+    def run_script(text: str) -> list[str]:
+        (tmp_path / "script.py").write_text(text)
+        command = [sys.executable, str(tmp_path / "script.py"), str(fake_data), str(tmp_path / "out")]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+
+    once, alone, together = run_script(SCRIPT)
     assert once == "once"
     assert alone == together
-    assert alone.count("'timeout', 310") == 2
+    assert alone.startswith("0 [(9, 'timeout', 310")
     for name, expected in files(tmp_path / "out" / "1").items():
         for key, value in expected.items():
             np.testing.assert_array_equal(files(tmp_path / "out" / "2")[name][key], value, err_msg=key)
         assert len(np.unique(expected["action"], axis=0)) == 2
+    assert run_script(SCRIPT)[1:] == [f"2{alone[1:]}"] * 2
+    for refusal in run_script(SCRIPT.replace("np.float32(0.01)", "np.float32(0.02)"))[1:]:
+        assert "another evaluation (receiver hash" in refusal

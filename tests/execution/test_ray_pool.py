@@ -155,24 +155,6 @@ def assert_same(one: Path, other: Path) -> None:
             np.testing.assert_array_equal(second[name][key], array, err_msg=f"{name} {key}", strict=True)
 
 
-def test_nodes_that_join_later(cluster: Any, alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run waits for nodes if it requests more workers than there are cores, also if there are none at first."""
-    wait, added = ray.wait, []
-
-    def wait_and_add(references: list[Any]) -> Any:
-        if not added:
-            assert not wait(references, timeout=0.1)[0]
-            added.append(add_node(cluster))
-        return wait(references)
-
-    monkeypatch.setattr(ray, "wait", wait_and_add)
-    try:
-        play(cluster, tmp_path / "out", workers=3)
-        assert_same(tmp_path / "out", alone)
-    finally:
-        cluster.remove_node(added[0])
-
-
 def test_data_folders_of_nodes(
     cluster: Any, fake_data: Path, own_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
