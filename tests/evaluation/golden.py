@@ -5,6 +5,7 @@ the differences. The figures in README and docs then have to be computed again, 
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,16 @@ EXACT = (9, 14, 19, 64)
 Outcomes = dict[str, list[Any]]
 
 
-def outcomes(physics: str) -> Outcomes:
-    """Return status, steps and release step of every scene, by its number."""
+def list_scenes(physics: str) -> Sequence[int]:
+    """Return the scenes whose outcomes are written."""
     data = handover_marl.EvaluationConfig(dataset="synthetic").open_dataset()
-    scenes = data.list_scenes("s0", "val")[:N_FAST] if physics == "fast" else EXACT
-    report = handover_marl.benchmark(
-        "s0",
-        "val",
-        "yang2021",
-        scenes=scenes,
-        dataset="synthetic",
-        physics=physics,
-        workers=1,
-        progress=False,
-    )
+    return data.list_scenes("s0", "val")[:N_FAST] if physics == "fast" else EXACT
+
+
+def outcomes(physics: str, scenes: Sequence[int]) -> Outcomes:
+    """Return status, steps and release step of scenes, by their number."""
+    options: Any = {"dataset": "synthetic", "physics": physics, "workers": 1, "progress": False}
+    report = handover_marl.benchmark("s0", "val", "yang2021", scenes=scenes, **options)
     return {
         str(episode.scene_id): [episode.status.label, episode.steps, episode.release_step]
         for episode in report.episodes
@@ -51,7 +48,7 @@ def text(by_physics: dict[str, Outcomes]) -> str:
 def main() -> None:
     """Simulate the scenes, write their outcomes and print them."""
     FILE.parent.mkdir(exist_ok=True)
-    FILE.write_text(text({physics: outcomes(physics) for physics in ("fast", "exact")}))
+    FILE.write_text(text({physics: outcomes(physics, list_scenes(physics)) for physics in ("fast", "exact")}))
     print(FILE.read_text(), end="")
 
 
