@@ -19,7 +19,7 @@ from handover_marl.evaluation.reports.episode_tables import (
     build_rate_table,
 )
 from handover_marl.evaluation.reports.report import Report, evaluate
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, format_percent_interval
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, estimate_rate
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
@@ -93,7 +93,7 @@ class Agreement(Comparison):
             f"{metadata.setup} {metadata.split}, {self.first.extent}. Receiver {self.first.policies_label}, "
             f"data: {self.first.data_label}.\n"
             f"Exact and {name} physics agree on the outcome of {len(steps)} of {n} "
-            f"scenes: {100 * len(steps) / n:.2f} % (95 % interval {format_percent_interval(len(steps), n)}).",
+            f"scenes: {100 * len(steps) / n:.2f} % (95 % interval {estimate_rate(len(steps), n).format_interval()}).",
             ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
             build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
             sentence,

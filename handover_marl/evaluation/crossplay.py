@@ -28,7 +28,6 @@ from handover_marl.evaluation.reports.tables import (
     Estimate,
     ReportTable,
     TabularResult,
-    compute_wilson_interval,
     estimate_paired_difference,
     format_csv,
     format_percent_rate,
@@ -43,7 +42,7 @@ SUCCESS = EpisodeStatus.SUCCESS
 CROSSPLAY_CSV = "crossplay.csv"
 _NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
-_CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
+_CSV_COLUMNS = (*RATES, AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
 _MAX_NAME_BYTES = 200
 
@@ -76,19 +75,14 @@ class CrossPlay(TabularResult):
         """
         rows = []
         for (giver, receiver), report in self.reports.items():
-            n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
             row: dict[str, Any] = {"giver": giver, "receiver": receiver}
             row |= {key: getattr(report.metadata, key) for key in _CSV_IDENTITY}
-            row |= {"data": report.data_label, N_EPISODES.key: n}
-            for column, flag in zip(RATES, REPORTED_STATUSES, strict=True):
-                interval = compute_wilson_interval(report.count(flag), n)
-                row[column.key] = report.compute_rate(flag)
-                row |= {f"{column.key}_low": interval[0], f"{column.key}_high": interval[1]}
-            row[WAIT.key] = report.metadata.wait_s
-            for key in (column.key for column in _CSV_MEANS):
-                found = means.get(key, Estimate(None, None, 0))
-                low, high = found.interval_95 or (None, None)
-                row |= {key: found.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": found.n}
+            row |= {"data": report.data_label, N_EPISODES.key: len(report.episodes), WAIT.key: report.metadata.wait_s}
+            found = report.rates | report.official_means | estimate_fluency(report.episodes)
+            for key in (column.key for column in _CSV_COLUMNS):
+                estimate = found.get(key, Estimate(None, None, 0))
+                low, high = estimate.interval_95 or (None, None)
+                row |= {key: estimate.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": estimate.n}
             rows.append({key: f"{value:.6f}" if isinstance(value, float) else value for key, value in row.items()})
         return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 

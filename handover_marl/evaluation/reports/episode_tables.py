@@ -15,7 +15,6 @@ from handover_marl.evaluation.reports.tables import (
     ReportTable,
     estimate_mean,
     estimate_paired_difference,
-    format_interval,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
@@ -128,13 +127,10 @@ def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> R
     """
     rows: list[list[object]] = []
     for column in FLUENCY if means else ():
-        mean, interval = means[column.key].mean, means[column.key].interval_95
-        if mean is None:
-            rows.append([column.title, NO_VALUE, NO_VALUE, 0])
-            continue
+        found = means[column.key]
         # Three digits, without exponents.
-        sizes = [column.scale * abs(value) for value in (mean, *(interval or ()))]
+        sizes = [column.scale * abs(value) for value in (found.mean or 0.0, *(found.interval_95 or ()))]
         spec = ".0f" if max(sizes) >= 999.5 else ".4f" if any(0.0 < size < 1e-4 for size in sizes) else ".3g"
-        cells = [f"{column.scale * mean:{spec}}", format_interval(interval, spec, column.scale)]
-        rows.append([column.title, *cells, means[column.key].n])
+        cell = NO_VALUE if found.mean is None else f"{column.scale * found.mean:{spec}}"
+        rows.append([column.title, cell, found.format_interval(spec, column.scale), found.n])
     return ReportTable(["metric", title, "95 % interval", "n"], rows)

@@ -40,11 +40,9 @@ from handover_marl.evaluation.reports.tables import (
     Estimate,
     ReportTable,
     TabularResult,
-    compute_wilson_interval,
     estimate_mean,
+    estimate_rate,
     format_csv,
-    format_interval,
-    format_percent_interval,
     format_seconds,
 )
 from handover_marl.evaluation.results import (
@@ -87,6 +85,11 @@ class Report(TabularResult):
     def success_rate(self) -> float:
         """Share of episodes with success and no failure (0..1)."""
         return self.compute_rate(EpisodeStatus.SUCCESS)
+
+    @functools.cached_property
+    def rates(self) -> dict[str, Estimate]:
+        """Rates of the reported outcomes (0..1), by key."""
+        return {flag.label: estimate_rate(self.count(flag), len(self.episodes)) for flag in REPORTED_STATUSES}
 
     @functools.cached_property
     def official_means(self) -> dict[str, Estimate]:
@@ -195,19 +198,17 @@ class Report(TabularResult):
 
     def _build_official_table(self) -> ReportTable:
         """Build the table of official metrics with 95 % intervals, and of published results."""
-        n, means = len(self.episodes), self.official_means
-        score, times = means[AVERAGE_SUCCESS.key], [means[column.key] for column in TIMES]
-        counts = [self.count(flag) for flag in REPORTED_STATUSES]
-        rates = [f"{100 * count / n:.2f} ({count}/{n})" for count in counts]
+        n, (score, *times), rates = len(self.episodes), self.official_means.values(), list(self.rates.values())
+        counts = [f"{100 * self.compute_rate(flag):.2f} ({self.count(flag)}/{n})" for flag in REPORTED_STATUSES]
         wait = self.metadata.wait_s or NO_VALUE
         cells = [f"{100 * self.average_success:.2f}", wait, *(format_seconds(each.mean) for each in times)]
-        rate_intervals = [format_percent_interval(count, n) for count in counts]
+        intervals = [*(each.format_interval() for each in (*rates, score)), NO_VALUE]
         # The interval of the total would not fit into the width.
-        time_intervals = [*(format_interval(each.interval_95, ".3f", 1.0) for each in times[:-1]), NO_VALUE]
+        intervals += [*(each.format_interval(".3f", 1.0) for each in times[:-1]), NO_VALUE]
         rows: list[list[object]] = [
-            [self.metadata.receiver, *rates, *cells],
-            ["95 % interval", *rate_intervals, format_interval(score.interval_95), NO_VALUE, *time_intervals],
-            ["n", *[n] * len(RATES), score.n, NO_VALUE, *(each.n for each in times)],
+            [self.metadata.receiver, *counts, *cells],
+            ["95 % interval", *intervals],
+            ["n", *(each.n for each in (*rates, score)), NO_VALUE, *(each.n for each in times)],
             *(_format_published_row(row) for row in find_published_results(self.metadata)),
         ]
         header = ["receiver", *(column.title for column in (*RATES, AVERAGE_SUCCESS, WAIT, *TIMES))]
@@ -234,12 +235,7 @@ class Report(TabularResult):
             "n_resumed": self.n_resumed,
             "n_split_scenes": self.metadata.split_size,
             "rates": {
-                flag.label: {
-                    "rate": self.compute_rate(flag),
-                    "interval_95": compute_wilson_interval(self.count(flag), n),
-                    "n": n,
-                }
-                for flag in REPORTED_STATUSES
+                key: {"rate": rate.mean, "interval_95": rate.interval_95, "n": n} for key, rate in self.rates.items()
             },
             AVERAGE_SUCCESS.key: asdict(means[AVERAGE_SUCCESS.key]),
             "times": {column.key: asdict(means[column.key]) for column in TIMES},
@@ -388,13 +384,13 @@ def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
 
 def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
     """Return count, rate (%) and episodes with a status flag, for the page's template."""
-    n, count = len(report.episodes), report.count(flag)
-    low, high = (100 * end for end in compute_wilson_interval(count, n))
+    rate = report.rates[flag.label]
+    low, high = (100 * end for end in rate.interval_95 or (0.0, 1.0))
     return {
         "label": flag.label,
-        "count": count,
-        "percent": f"{100 * count / n:.1f}",
-        "interval": format_percent_interval(count, n),
+        "count": report.count(flag),
+        "percent": f"{100 * report.compute_rate(flag):.1f}",
+        "interval": rate.format_interval(),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",
         "episodes": [(each, format_scene_cells(each)) for each in report.episodes if each.status & flag],

@@ -48,6 +48,12 @@ class Estimate:
     interval_95: tuple[float, float] | None
     n: int
 
+    def format_interval(self, spec: str = ".1f", scale: float = 100.0) -> str:
+        """Format the ends of the interval, by default of a share in percent."""
+        return (
+            NO_VALUE if self.interval_95 is None else " to ".join(f"{scale * end:{spec}}" for end in self.interval_95)
+        )
+
     def format(self, spec: str = ".1f", interval_spec: str = "", scale: float = 100.0) -> str:
         """Format the value, by default a share in percent, with its interval.
 
@@ -58,7 +64,8 @@ class Estimate:
         """
         if self.mean is None:
             return NO_VALUE
-        return append_interval(f"{scale * self.mean:{spec}}", self.interval_95, interval_spec or spec, scale)
+        text = f"{scale * self.mean:{spec}}"
+        return f"{text} ({self.format_interval(interval_spec or spec, scale)})" if self.interval_95 else text
 
 
 def estimate_mean(values: Sequence[float]) -> Estimate:
@@ -86,6 +93,11 @@ def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
     """
     interval = scipy.stats.binomtest(count, n).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
+
+
+def estimate_rate(count: int, n: int) -> Estimate:
+    """Estimate a rate (0..1) with Wilson's 95 % interval from its number of occurrences in n trials."""
+    return Estimate(count / n, compute_wilson_interval(count, n), n)
 
 
 def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
@@ -280,27 +292,6 @@ def format_seconds(value: float | None) -> str:
     return NO_VALUE if value is None else f"{value:.3f}"
 
 
-def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
-    """Format the ends of an interval, by default of shares in percent.
-
-    Args:
-        interval: Lower and upper end, or None for no interval.
-        spec: Format specification of a number.
-        scale: Factor of the ends.
-    """
-    return NO_VALUE if interval is None else " to ".join(f"{scale * end:{spec}}" for end in interval)
-
-
-def append_interval(text: str, interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
-    """Append an interval, if there is one, to a formatted value; see `format_interval` for the arguments."""
-    return text if interval is None else f"{text} ({format_interval(interval, spec, scale)})"
-
-
-def format_percent_interval(count: int, n: int) -> str:
-    """Format Wilson's 95 % interval of a rate, in percent."""
-    return format_interval(compute_wilson_interval(count, n))
-
-
 def format_percent_rate(count: int, n: int, digits: int = 1) -> str:
     """Format a rate in percent with Wilson's 95 % interval."""
-    return Estimate(count / n, compute_wilson_interval(count, n), n).format(f".{digits}f", ".1f")
+    return estimate_rate(count, n).format(f".{digits}f", ".1f")
