@@ -139,8 +139,7 @@ def test_folders_of_another_evaluation_are_unchanged(fake_data: Path, own_data: 
 
 
 def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write = os.fsync
-    calls = []
+    write, calls = os.fsync, []
 
     def full_after_two(handle: int) -> None:
         calls.append(handle)
@@ -148,11 +147,11 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
             raise OSError(28, "No space left on device")
         write(handle)
 
-    monkeypatch.setattr(os, "fsync", full_after_two)
-    with pytest.raises(ResultsError, match=r"001\.npz.*No space left.*same command"):
-        run(fake_data, tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full_after_two)
+        with pytest.raises(ResultsError, match=r"001\.npz.*No space left.*same command"):
+            run(fake_data, tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["000.npz", "config.yaml"]
-    monkeypatch.setattr(os, "fsync", write)
     assert len(run(fake_data, tmp_path).episodes) == 2
 
 
@@ -175,17 +174,15 @@ def test_errors_leave_no_output(
     assert not (tmp_path / "out").exists()
 
 
-class FailsToAct(QuickReceiver):
-    name = "fails_to_act"
+class Failing(QuickReceiver):
+    name = "failing"
+
+    def __init__(self, context: Any, at_once: bool = False) -> None:
+        super().__init__(context)
+        if at_once:
+            raise KeyError("nonsense")
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        raise KeyError("nonsense")
-
-
-class FailsToBeMade(QuickReceiver):
-    name = "fails_to_be_made"
-
-    def __init__(self, context: object) -> None:
         raise KeyError("nonsense")
 
 
@@ -201,13 +198,13 @@ class FailingGiver(Giver):
 
 @pytest.mark.slow
 def test_errors_of_policies_are_reported_with_their_names(fake_data: Path, tmp_path: Path) -> None:
-    with pytest.raises(PolicyError, match=r"(?s)receiver 'fails_to_act' in scene (9|14): .*KeyError.*nonsense"):
-        run(fake_data, tmp_path / "out", receiver=FailsToAct, workers=2)
+    with pytest.raises(PolicyError, match=r"(?s)receiver 'failing' in scene (9|14): .*KeyError.*nonsense"):
+        run(fake_data, tmp_path / "out", receiver=Failing, workers=2)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["config.yaml"]
     with pytest.raises(PolicyError, match=r"(?s)giver 'failing' in scene 9: .*'failing'.*LookupError.*nonsense"):
         run(fake_data, giver=FailingGiver)
-    with pytest.raises(PolicyError, match=r"receiver 'FailsToBeMade' cannot be made .*KeyError.*nonsense"):
-        run(fake_data, tmp_path / "none", receiver=FailsToBeMade)
+    with pytest.raises(PolicyError, match=r"receiver 'Failing' cannot be made .*KeyError.*nonsense"):
+        run(fake_data, tmp_path / "none", receiver=(Failing, {"at_once": True}))
     assert not (tmp_path / "none").exists()
 
 

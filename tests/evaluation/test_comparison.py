@@ -41,26 +41,17 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
     other = folder(tmp_path / "other", "theirs", {0: 1, 1: 4, 2: 2, 7: 1})
     found = handover_marl.compare(one, other)
     assert [(a.index, b.index) for a, b in found.pairs] == [(0, 0), (1, 1), (2, 2)]
+    rates, changes, _ = found.build_tables()
+    assert [str(cell).split()[0] for cell in rates.rows[0]] == ["success", "66.67", "33.33", "+33.33", "3"]
+    # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
+    assert [str(cell).split()[0] for cell in rates.rows[-1]] == ["AS", "66.15", "33.08", "+33.07", "3"]
+    titles = ("outcome", "steps", "release step")
+    assert [*changes.header[2:]] == [f"{name} {title}" for title in titles for name in "AB"]
+    assert [*map(list, changes.rows)] == [["214", "-", "success", "drop", "101", "101", "-", "-"]]
     assert main(["compare", str(one), str(other)]) == 0
     text = capsys.readouterr().out
     assert "Receiver mine" in text
     assert "3 scenes that both folders have" in text
-    (success,) = [line for line in text.splitlines() if line.startswith("| success ")]
-    assert [cell.split()[0] for cell in success.strip("| ").split(" | ")] == [
-        "success",
-        "66.67",
-        "33.33",
-        "+33.33",
-        "3",
-    ]
-    (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
-    # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
-    assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07", "3"]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if "|" in line]
-    assert ["scene id", "object name", "A outcome", "B outcome", "A steps", "B steps"] in rows
-    assert ["scene id", "object name", "A release step", "B release step"] in rows
-    changed = [row for row in rows if row[0] == "214"]
-    assert changed == [["214", "-", "success", "drop", "101", "101"], ["214", "-", "-", "-"]]
 
 
 def test_incomparable_folders_are_refused(tmp_path: Path) -> None:

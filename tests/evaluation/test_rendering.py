@@ -81,19 +81,14 @@ def test_rendering_does_not_change_the_episode() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
-def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if suffix == ".mp4":
-        pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
+def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
     for module in (video_module, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
-    path = draw(tmp_path / f"video{suffix}")
-    head = path.read_bytes()[:12]
-    assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
-    if suffix == ".gif":
-        with Image.open(path) as video:
-            assert video.n_frames >= 3
-            assert video.size == (96, 72)
+    assert draw(tmp_path / "video.mp4").read_bytes()[4:8] == b"ftyp"
+    with Image.open(draw(tmp_path / "video.gif")) as video:
+        assert (video.format, video.size) == ("GIF", (96, 72))
+        assert video.n_frames >= 3
 
 
 @pytest.mark.parametrize(
@@ -125,19 +120,7 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     place = ["--position", "1.0", "-0.5", "2.0", "--target", "0.4", "0", "1.1", "--vertical-fov", "30"]
     assert main([*command, *place, "--width", "320", "--no-caption"]) == 0
     assert main(command) == 0
-    assert calls[0]["camera"] == CameraConfig(
-        width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0
-    )
-    assert [(options["camera"] is None, options["caption"]) for options in calls] == [(False, False), (True, True)]
+    camera = CameraConfig(width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0)
+    assert [(options["camera"], options["caption"]) for options in calls] == [(camera, False), (None, True)]
     assert main([*command, "--receiver", "omg", "--plan", *place]) == 2
     assert "do not apply to --plan" in capsys.readouterr().err
-    assert main([*command, "--vertical-fov", "180"]) == 2
-    assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
-
-
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["render", "--scene", "33", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
-    assert main([*command, "--physics", "fast", "--key-frames", "1", "--width", "64", "--height", "48"]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / "x.png")
-    assert main([*command[:-1], str(tmp_path / "x.tiff")]) == 2
-    assert ".tiff" in capsys.readouterr().err

@@ -47,7 +47,7 @@ def play(env: gymnasium.Env[Any, Any]) -> None:
 
 
 def check_duration(folder: Path, control_period: float) -> None:
-    """The images before the first and after each control period, of which the last may be shorter."""
+    """Check that a video has images before the first and after each control period; the last may be shorter."""
     (video,) = folder.glob("*.mp4")
     duration, episode = imageio_ffmpeg.count_frames_and_secs(str(video))[1], HORIZON_STEPS * TIME_STEP
     assert control_period - 1e-2 < duration - episode < 2.0 * control_period + 1e-2
@@ -75,15 +75,13 @@ def test_videos_have_the_duration_of_the_episode(tmp_path: Path) -> None:
     check_duration(tmp_path, 0.15)
 
 
-def test_videos_of_schemes_that_wait_have_it_too(tmp_path: Path) -> None:
+def test_videos_of_schemes_that_wait(tmp_path: Path) -> None:
+    """Videos have the duration of the episode, too, or a warning names the wrapper that records such ones."""
     env = make_env(0.1)
     recorded = RecordVideoParallel(env, str(tmp_path), fps=env.metadata["render_fps"])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         play(encode(recorded))
     check_duration(tmp_path, 0.1)
-
-
-def test_images_of_schemes_that_wait_are_not_taken_for_a_video(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="RecordVideoParallel"):
-        play(gymnasium.wrappers.RecordVideo(encode(make_env(0.1)), str(tmp_path)))
+        play(gymnasium.wrappers.RecordVideo(encode(make_env(0.1)), str(tmp_path / "other")))

@@ -80,15 +80,13 @@ def measure_width(scores: np.ndarray, families: list[str] | None) -> float:
     return found.interval_95[1] - found.interval_95[0]
 
 
-def test_intervals_cover_the_variation_between_trainings() -> None:
+def test_intervals_cover_trainings_and_partners_unless_they_are_fixed() -> None:
     """Three trainings with very different scores have a wide interval, however many scenes there are."""
-    scores = np.array([0.1, 0.5, 0.9])[:, None, None] * np.ones((3, 4, 500))
+    values = np.array([0.1, 0.5, 0.9])
+    scores = values[:, None, None] * np.ones((3, 4, 500))
     assert measure_width(scores, ["a", "a", "b", "b"]) > 0.4
     assert measure_width(np.full((3, 4, 500), 0.5), ["a", "a", "b", "b"]) == pytest.approx(0.0)
-
-
-def test_fixed_partners_add_no_variation() -> None:
-    scores = np.array([0.1, 0.5, 0.9])[None, :, None] * np.ones((1, 3, 50))
+    scores = values[None, :, None] * np.ones((1, 3, 50))
     assert measure_width(scores, None) == pytest.approx(0.0)
     # Partners of a single family vary one by one.
     assert measure_width(scores, ["a", "a", "a"]) == measure_width(scores, ["a", "b", "c"]) > 0.5
@@ -96,8 +94,7 @@ def test_fixed_partners_add_no_variation() -> None:
 
 def test_differences_are_paired_by_scene() -> None:
     """A constant gain in scenes of very different difficulty has a narrow interval."""
-    rng = np.random.default_rng(0)
-    first = np.round(rng.random((1, 4, 30)), 3)
+    first = np.round(np.random.default_rng(0).random((1, 4, 30)), 3)
     found = estimate_difference(compute_mean, first + 0.1, first, ["a", "a", "b", "b"])
     assert found.mean == pytest.approx(0.1)
     assert found.interval_95 == pytest.approx((0.1, 0.1))
