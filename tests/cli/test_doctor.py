@@ -60,15 +60,9 @@ def test_damaged_models_and_grasps_are_named(own_data: Path, monkeypatch: pytest
         assert part in text
 
 
-@pytest.mark.slow
-def test_real_data_are_complete(real_data: Path) -> None:
-    (level, _, text), *_ = check_data_folder(real_data)
-    assert (level, text) == ("ok", f"1000 of 1000 in {real_data}")
-
-
 def test_installation() -> None:
-    found = {name: (level, text) for level, name, text in check_installation()}
-    assert found["physics"][0] == "ok"
+    found = {name: level for level, name, _ in check_installation()}
+    assert found["physics"] == "ok"
     assert {"extra train", "extra planning", "extra import"} <= set(found)
 
 

@@ -87,10 +87,9 @@ def light() -> dict[str, Any]:
 
 
 def without_waiting(start: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that starts a node without waiting for the ports of its dashboard agent.
+    """Return a function that starts a node and reports beforehand that its agent has no ports.
 
-    Ray waits 15 s for the agent to report that these services have no ports. This is too short if other tests use the
-    cores, so the function reports it beforehand.
+    Ray waits 15 s for the agent itself to report it, which is too short if other tests use the cores.
     """
 
     def started(*args: Any, **kwargs: Any) -> Any:

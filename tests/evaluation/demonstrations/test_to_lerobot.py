@@ -28,16 +28,15 @@ METADATA = {"scene_id": 5, "object_name": "025_mug", "outcome": "success"}
 
 @pytest.mark.parametrize("obs_mode", OBS_MODES)
 def test_every_observation_is_a_column(obs_mode: str) -> None:
-    rng = np.random.default_rng(0)
-    space = receiver_observation_space(obs_mode)
+    rng, space = np.random.default_rng(0), receiver_observation_space(obs_mode)
+    observations = {key: rng.integers(0, 255, (3, *part.shape)).astype(part.dtype) for key, part in space.items()}
+    flags = np.array([False, True])
     demonstration = Demonstration(
-        observations={
-            key: rng.integers(0, 255, (3, *(part.shape or ()))).astype(part.dtype) for key, part in space.items()
-        },
+        observations=observations,
         actions=rng.normal(size=(2, 9)).astype(np.float32),
-        rewards=np.array([0.0, 1.0]),
-        terminations=np.array([False, True]),
-        truncations=np.array([False, False]),
+        rewards=flags.astype(float),
+        terminations=flags,
+        truncations=flags & False,
         steps=np.array([0, 50, 90]),
         giver_steps=np.array([40]),
         giver_actions=np.ones((1, 8), np.float32),
