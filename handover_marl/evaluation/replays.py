@@ -60,7 +60,7 @@ class ReplayWriter(EpisodeWriter):
         def encode(result: EpisodeResult) -> bytes:
             if result.success and not self._include_successes:
                 return b""
-            return build_replay_page(recorder.log, format_replay_facts(config, result.models or "")).encode()
+            return build_replay_page(recorder, format_replay_facts(config, result.models or "")).encode()
 
         return recorder, encode
 

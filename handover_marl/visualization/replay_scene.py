@@ -23,7 +23,7 @@ from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LIN
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
 from handover_marl.simulation.camera.images import LABEL_COLORS, JointSnapshot, SegmentationLabel
 from handover_marl.version import __version__
-from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame, list_events
+from handover_marl.visualization.replay_recorder import ReplayFrame, ReplayRecorder, describe_frame, list_events
 from handover_marl.visualization.web_page import render_page
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def require_replay_extra() -> None:
     require_modules("a replay (.html)", "replay", *_REQUIRED_MODULES)
 
 
-def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None = None) -> str:
+def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
     """Return a self-contained HTML page with the replay of an episode.
 
     Args:
@@ -103,21 +103,12 @@ def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None =
         facts=facts,
         events=list_events(log),
         key=build_color_legend(log),
-        stage=build_viser_page(log, camera or _CAMERA),
+        stage=_build_viser_page(log, camera or _CAMERA),
     )
 
 
-def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
-    """Return viser's HTML page with the animated episode, which needs no network.
-
-    Args:
-        log: Recorded episode.
-        camera: Initial camera.
-
-    Raises:
-        OptionError: The extra `replay` is not installed.
-        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
-    """
+def _build_viser_page(log: ReplayRecorder, camera: CameraConfig) -> str:
+    """Return viser's HTML page with the animated episode, which needs no network."""
     require_replay_extra()
     links = list(compute_link_trajectories(log))
     with _run_server() as server:
@@ -150,7 +141,7 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
     return page.replace("{darkMode:false}", dark_mode, 1).replace("</head>", f"{_SHOW_AT_ONCE}</head>", 1)
 
 
-def build_color_legend(log: EpisodeLog) -> list[tuple[str, str]]:
+def build_color_legend(log: ReplayRecorder) -> list[tuple[str, str]]:
     """Return the HTML colors in an episode's 3D scene, with their meanings."""
     legend = [
         (LABEL_COLORS[SegmentationLabel.TARGET], "object"),
@@ -225,7 +216,7 @@ def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
     return show
 
 
-def _add_finger_contacts(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_finger_contacts(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the contact points of fingers and object."""
     poses = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], FINGER_LINKS)
     show_points = _add_points(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
@@ -255,9 +246,10 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
     return show
 
 
-def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the latest observed points of the object and of the person's hand."""
-    snapshots, steps = [cloud.snapshot for cloud in log.clouds], np.array([cloud.step for cloud in log.clouds])
+    steps = np.array([step for step, *_ in log.clouds])
+    snapshots = [snapshot for _, snapshot, *_ in log.clouds]
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
     colors = {label: ImageColor.getrgb(LABEL_COLORS[label])[:3] for label in _CLOUD_LABELS}
     clouds = [
@@ -268,8 +260,7 @@ def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
     def show(index: int, frame: ReplayFrame) -> None:
         latest = int(np.searchsorted(steps, frame.step, side="right")) - 1
         if latest >= 0:
-            parts = log.clouds[latest].object_points, log.clouds[latest].hand_points
-            for show_points, points in zip(clouds, parts, strict=True):
+            for show_points, points in zip(clouds, log.clouds[latest][2:], strict=True):
                 show_points(transform_points(hands[latest], points))
 
     return show
@@ -288,7 +279,7 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
     return show
 
 
-def _add_status(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the time and the state of the episode, above the goal region."""
     x, y, z = log.config.protocol.goal_center
     element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
@@ -300,7 +291,7 @@ def _quantize(values: Array, step: float) -> Array:
     return quantized
 
 
-def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
+def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
     """Yield the trajectories of all links with a visual mesh in a recorded episode.
 
     Raises:
@@ -325,23 +316,14 @@ def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
         yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
 
 
-def get_robot_base_pose(log: EpisodeLog) -> Array:
+def get_robot_base_pose(log: ReplayRecorder) -> Array:
     """Return the world pose (7,) of the robot base in an episode, xyz (m) and quaternion xyzw."""
     panda = log.config.physics.panda
     return np.array([*panda.base_position, *panda.base_orientation])
 
 
-def compute_robot_link_poses(log: EpisodeLog, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
-    """Return the world poses (m, k, 7) of k links of the robot in m snapshots.
-
-    Args:
-        log: Recorded episode, with the models and the robot's base pose.
-        snapshots: Joint positions at m times.
-        names: Names of the k links.
-
-    Returns:
-        Positions xyz (m) and quaternions xyzw.
-    """
+def compute_robot_link_poses(log: ReplayRecorder, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
+    """Return the world poses (m, k, 7) of k links of the robot, xyz (m) and quaternions xyzw, in m snapshots."""
     trajectory = compute_link_trajectory(log.scene.assets.panda, _stack_robot(snapshots), get_robot_base_pose(log))
     chosen = [trajectory.names.index(name) for name in names]
     return poses_from_rotations(trajectory.origins[:, chosen], trajectory.rotations[:, chosen])
