@@ -27,62 +27,50 @@ from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
 
-def test_the_official_benchmark_has_the_official_rules_and_giver(fake_data: Path, tmp_path: Path) -> None:
-    whole = EvaluationConfig(split="val", data_dir=str(fake_data), receiver=QuickReceiver, world_config=SHORT)
-    with pytest.raises(OptionError, match=r"official world and rules.*evaluate_pair"):
-        handover_marl.benchmark(whole, execution=ExecutionConfig(out=str(tmp_path / "out")))
-    with pytest.raises(OptionError, match=r"official giver is 'replay'.*evaluate_pair"):
-        handover_marl.benchmark(EvaluationConfig(split="val", data_dir=str(fake_data), giver="noisy"))
-    assert not (tmp_path / "out").exists()
-
-
-def test_start_noise_is_recorded(fake_data: Path, tmp_path: Path) -> None:
-    noisy = replace(SHORT, initial_joint_noise=0.1)
-    report = run(fake_data, tmp_path, world_config=noisy)
-    assert report.metadata.world.endswith(" initial_joint_noise=0.1")
-    assert [episode.fluency for episode in report.episodes] != [episode.fluency for episode in run(fake_data).episodes]
-    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
-        run(fake_data, tmp_path, world_config=replace(SHORT, initial_joint_noise=0.2))
-
-
 def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) -> None:
     fields: dict[str, Any] = {"split": "val", "scenes": SCENES, "physics": "fast"}
-    fields |= {"receiver": QuickReceiver, "world_config": SHORT}
+    fields |= {"receiver": QuickReceiver, "world_config": SHORT, "data_dir": str(fake_data)}
+    config = EvaluationConfig(**fields)
     described = handover_marl.evaluate_pair(
-        EvaluationConfig(data_dir=str(fake_data), **fields),
-        execution=ExecutionConfig(workers=1, progress=False, out=str(tmp_path)),
+        config, execution=ExecutionConfig(workers=1, progress=False, out=str(tmp_path))
     )
     again = run(fake_data, tmp_path)
     assert again.n_resumed == 2
     assert again.metadata == described.metadata
     assert untimed(again) == untimed(described)
-    with pytest.raises(OptionError, match="pass either a config or keyword arguments"):
-        handover_marl.evaluate_pair(EvaluationConfig(data_dir=str(fake_data), **fields), scenes=[9])
-    with pytest.raises(OptionError, match="pass either a config or keyword arguments"):
-        handover_marl.benchmark(execution=ExecutionConfig(), workers=1)
-    for name, advice in (("colour", "$"), ("scene", "; did you mean 'scenes'\\?$")):
-        with pytest.raises(UnknownArgumentError, match=f"unexpected keyword argument '{name}'{advice}"):
-            handover_marl.benchmark(**{name: [9]})
+    noisy = replace(SHORT, initial_joint_noise=0.1)
+    assert run(fake_data, world_config=noisy).metadata.world.endswith(" initial_joint_noise=0.1")
+    with pytest.raises(ResultsError, match=r"another evaluation .*world"):
+        run(fake_data, tmp_path, world_config=noisy)
+    official: Any = handover_marl.benchmark
+    for call, error, message in (
+        (lambda: handover_marl.evaluate_pair(config, scenes=[9]), OptionError, "pass either a config or keyword arg"),
+        (lambda: official(execution=ExecutionConfig(), workers=1), OptionError, "pass either a config or keyword arg"),
+        (lambda: official(colour=[9]), UnknownArgumentError, "unexpected keyword argument 'colour'$"),
+        (lambda: official(scene=[9]), UnknownArgumentError, "argument 'scene'; did you mean 'scenes'\\?$"),
+        (lambda: official(config), OptionError, r"official world and rules.*evaluate_pair"),
+        (lambda: official(data_dir=fake_data, giver="noisy"), OptionError, "official giver is 'replay'"),
+    ):
+        with pytest.raises(error, match=message):
+            call()
 
 
 def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
-    report = run(fake_data, tmp_path / "out")
+    report = run(fake_data, tmp_path)
     assert [episode.scene_id for episode in report.episodes] == [9, 14]
     assert all(episode.status.label == "timeout" and episode.steps == HORIZON for episode in report.episodes)
-    with np.load(tmp_path / "out" / "001.npz") as file:
+    with np.load(tmp_path / "001.npz") as file:
         assert file["action"].shape == (HORIZON, 9)
         assert file["elapsed_time"].shape == (HORIZON,)
         assert np.count_nonzero(file["elapsed_time"]) == 2
         assert (file["elapsed_frame"], file["result"], file["scene_id"]) == (HORIZON, 8, 14)
         np.testing.assert_array_equal(file["action"][:300], file["action"][:1].repeat(300, axis=0))
-    config = yaml.safe_load((tmp_path / "out" / "config.yaml").read_text())
-    assert config["BENCHMARK"]["SETUP"] == "s0"
-    assert config["BENCHMARK"]["SPLIT"] == "val"
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["rates"]["timeout"]["rate"] == 1.0
-    assert "| 14 " in (tmp_path / "out" / "report.md").read_text()
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("000.npz", "001.npz", "config.yaml", "episodes.csv", "report.html", "report.json", "report.md"),
-    ]
+    benchmark = yaml.safe_load((tmp_path / "config.yaml").read_text())["BENCHMARK"]
+    assert (benchmark["SETUP"], benchmark["SPLIT"]) == ("s0", "val")
+    assert json.loads((tmp_path / "report.json").read_text())["rates"]["timeout"]["rate"] == 1.0
+    assert "| 14 " in (tmp_path / "report.md").read_text()
+    reports = ("episodes.csv", "report.html", "report.json", "report.md")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["000.npz", "001.npz", "config.yaml", *reports]
 
 
 def test_an_interrupted_evaluation_resumes(
@@ -128,10 +116,6 @@ def test_folders_of_another_evaluation_are_unchanged(fake_data: Path, own_data: 
     meta.write_text(meta.read_text() + " ")
     with pytest.raises(ResultsError, match=r"000\.npz was computed from data that differ"):
         run(own_data, out, scenes=[9])
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "thesis.tex").write_text("precious")
-    with pytest.raises(ResultsError, match="no result folder"):
-        run(fake_data, tmp_path / "full")
     (tmp_path / "file").write_text("")
     with pytest.raises(ResultsError, match="cannot use"):
         run(fake_data, tmp_path / "file")

@@ -1,5 +1,4 @@
 import functools
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -75,13 +74,9 @@ def shorten(arrays: Arrays) -> None:
     arrays.update(action=arrays["action"][:n], elapsed_time=arrays["elapsed_time"][:n], elapsed_frame=np.int64(n))
 
 
-def open_fingers(arrays: Arrays) -> None:
-    arrays["action"][:, 7:] = 0.04
-
-
 ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
     "shortened": shorten,
-    "open fingers": open_fingers,
+    "open fingers": lambda arrays: arrays["action"].__setitem__((slice(None), slice(7, None)), 0.04),
     "missing": lambda arrays: arrays.pop("action"),
     "one row less": lambda arrays: arrays.update(action=arrays["action"][:-1]),
     "integers": lambda arrays: arrays.update(action=arrays["action"].astype(np.int64)),
@@ -90,7 +85,6 @@ ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
 VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
     **{f"status {status}": replaced("result", np.int64(status)) for status in (2, 8)},
     "fewer steps": lambda arrays: arrays.update(elapsed_frame=arrays["elapsed_frame"] - 1),
-    "earlier release": lambda arrays: arrays.update(release_step=arrays["release_step"] - 1),
     "no release": lambda arrays: arrays.pop("release_step"),
     "other scene": replaced("scene_id", 14),
     "other models": replaced("models", "MANO hands"),
@@ -100,30 +94,18 @@ VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
 }
 
 
-def change_json(folder: Path, change: Callable[[Any], object]) -> None:
-    path = folder / "report.json"
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
+def edited(name: str, old: str, new: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / name).write_text((folder / name).read_text().replace(old, new))
 
 
 REPORT_FORGERIES: dict[str, Callable[[Path], object]] = {
-    "rate": lambda folder: change_json(folder, lambda report: report["rates"]["success"].update(rate=0.5)),
-    "an episode": lambda folder: change_json(folder, lambda report: report["episodes"][0].update(steps=1)),
+    "rate": edited("report.json", '"rate": 1.0', '"rate": 0.5'),
+    "steps of an episode": edited("report.json", '"steps": ', '"steps": 1'),
     "no JSON": lambda folder: (folder / "report.json").write_text("{"),
-    "an episode in CSV": lambda folder: (folder / "episodes.csv").write_text(
-        (folder / "episodes.csv").read_text().replace("success", "contact")
-    ),
-    "text": lambda folder: (folder / "report.md").write_text(
-        (folder / "report.md").read_text().replace("0.00", "0.01")
-    ),
-    "text without a report": lambda folder: [
-        (folder / "report.json").unlink(),
-        (folder / "report.md").write_text("# 98.6 %"),
-    ],
-    "web page": lambda folder: (folder / "report.html").write_text(
-        (folder / "report.html").read_text().replace("100.0", "99.0")
-    ),
+    "an episode in CSV": edited("episodes.csv", "success", "contact"),
+    "text": edited("report.md", "0.00", "0.01"),
+    "text without a report": lambda folder: (folder / "report.json").unlink(),
+    "web page": edited("report.html", "100.0", "99.0"),
 }
 
 
