@@ -3,22 +3,17 @@
 import re
 from html import unescape
 
-_ATTRIBUTE = re.compile(
-    r"""(?<![\w-])(?:action|background|cite|data|formaction|href|longdesc|poster|src|srcset)\s*=\s*["']([^"']*)"""
+_REFERENCE = re.compile(
+    r"""(?<![\w-])(?:href|src|data|poster|action)\s*=\s*["']([^"']*)|url\(\s*["']?([^)"']+)"""
 )
-_IN_STYLE = re.compile(r"url\(\s*[\"']?([^)\"']+)|@import\s+[\"']?([^\"';]+)", re.IGNORECASE)
 
 
 def references(page: str) -> list[str]:
-    """Return all references of a page and of the pages embedded in it, in order; scripts are left out."""
-    found = []
-    for part in (page, *(unescape(embedded) for embedded in re.findall(r'srcdoc="(.*?)"', page, re.DOTALL))):
-        plain = re.sub(r"<script.*?</script>", "", part, flags=re.DOTALL)
-        styles = " ".join(re.findall(r'<style.*?</style>|style="[^"]*"', plain, re.DOTALL))
-        sources = re.findall(r"<script\b[^>]*>", part)
-        found += _ATTRIBUTE.findall(re.sub(r'srcdoc=".*?"', "", plain, flags=re.DOTALL) + " ".join(sources))
-        found += [one or other for one, other in _IN_STYLE.findall(styles)]
-    return found
+    """Return all references of a page and of the pages embedded in it, in order; the code of scripts is left out."""
+    parts = [re.sub(r'srcdoc=".*?"', "", page, flags=re.DOTALL)]
+    parts += [unescape(embedded) for embedded in re.findall(r'srcdoc="(.*?)"', page, re.DOTALL)]
+    plain = [re.sub(r"(<script[^>]*>).*?</script>", r"\1", part, flags=re.DOTALL) for part in parts]
+    return [one or other for part in plain for one, other in _REFERENCE.findall(part)]
 
 
 def outside(page: str) -> list[str]:

@@ -103,13 +103,12 @@ def make_changed_leaderboard(
     """Make a leaderboard of copies of an evaluation, each with other metadata or other episodes of all pairs."""
     reports = []
     for change in changes:
-        report = read_report(folder, load_population(population))
-        fields = {key: change[key] for key in change if key == "fingerprint"}
-        metadata = {key: change[key] for key in change if key != "fingerprint"}
-        pairs = {}
+        report, pairs = read_report(folder, load_population(population)), {}
+        data = {"fingerprint": change["fingerprint"]} if "fingerprint" in change else {}
         for key, pair in report.reports.items():
-            episodes = tuple(replace(episode, **fields) for episode in pair.episodes)
-            pairs[key] = replace(pair, metadata=replace(pair.metadata, **metadata), episodes=episodes)
+            episodes = tuple(replace(episode, **data) for episode in pair.episodes)
+            metadata = replace(pair.metadata, **{name: change[name] for name in change.keys() - data.keys()})
+            pairs[key] = replace(pair, metadata=metadata, episodes=episodes)
         reports.append(replace(report, reports=pairs))
     found = iter(reports)
     monkeypatch.setattr(protocol, "read_report", lambda *_: next(found))
@@ -180,18 +179,16 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     content = json.loads((out / "strangers.json").read_text())
     for name in content["folders"]["hold"].values():
         next((second / name).glob("*.npz")).unlink()
-    message = "must have the data and scenes of the other folders"
-    check(ResultsError, message, evaluated, second, names=["one", "other"])
-    folder = out / content["folders"]["hold"]["fast"]
-    next(folder.glob("*.npz")).unlink()
+    names = ["one", "other"]
+    check(ResultsError, "must have the data and scenes of the other folders", evaluated, second, names=names)
+    next((out / content["folders"]["hold"]["fast"]).glob("*.npz")).unlink()
     check(ResultsError, "must have the scenes and data of the other pairs", out)
-    shutil.rmtree(folder)
-    check(ResultsError, "does not exist", out)
     for folders, message in (
-        ({"hold": {"slow": "x"}}, "must have the partners of 'test', got others"),
-        ({"hold": {"fast": "../other", "slow": "x"}}, "not a readable evaluation"),
+        ({"slow": "x"}, "must have the partners of 'test', got others"),
+        ({"fast": "../other", "slow": "x"}, "not a readable evaluation"),
+        ({"fast": "x", "slow": "x"}, "does not exist"),
     ):
-        (out / "strangers.json").write_text(json.dumps(content | {"folders": folders}))
+        (out / "strangers.json").write_text(json.dumps(content | {"folders": {"hold": folders}}))
         check(ResultsError, message, out)
 
 
