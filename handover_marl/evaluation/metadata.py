@@ -121,13 +121,7 @@ class ResultMetadata:
         return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
-        """Describe each field in which this evaluation and another one differ.
-
-        Args:
-            other: Identity of the other evaluation.
-            here: Place of this evaluation, e.g. "in the folder".
-            there: Place of the other evaluation.
-        """
+        """Describe each field in which this evaluation and another one differ; both places are named, e.g. "now"."""
         return [
             f"{key.replace('_', ' ')} {value!r} {here}, {vars(other)[key]!r} {there}"
             for key, value in vars(self).items()
@@ -210,10 +204,6 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
     """Check the identity of an evaluation that was read from a file.
-
-    Args:
-        metadata: Identity of the evaluation.
-        path: The file, for error messages.
 
     Raises:
         ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no

@@ -297,21 +297,12 @@ def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
             raise ResultsError(f"{path}: {count} results are of scene {scene}; delete those that were copied")
 
 
-def check_scalar(name: str, value: Any, kind: type) -> Any:
-    """Convert a value that was read from a file to a Python number or text.
-
-    Raises:
-        TypeError: The value is of another type.
-        ValueError: The text has control characters or is too long.
-    """
+def _check_scalar(name: str, value: Any, kind: type) -> Any:
+    """Return a value that was read from a file as a Python number or text; raise a `TypeError` for another type."""
     scalar = value.item() if isinstance(value, np.generic) else value
-    if type(scalar) is not kind:
-        raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
     # Control characters could change a terminal that prints the report.
-    if isinstance(scalar, str) and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT):
-        raise ValueError(
-            f"{name} must be text without control characters, at most {_MAX_TEXT} characters, got {ascii(scalar)[:100]}"
-        )
+    if type(scalar) is not kind or (kind is str and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT)):
+        raise TypeError(f"{name} must be a printable {kind.__name__}, got {ascii(scalar)[:100]}")
     return scalar
 
 
@@ -344,18 +335,14 @@ def read_result_and_actions(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]
 
 
 def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
-    """Return the result of an episode from values that were read from a file.
-
-    Args:
-        values: Fields of `EpisodeResult` and of `FluencyMetrics` by name, as Python or NumPy scalars; unknown ones may
-            be None or missing.
+    """Return the result of an episode from values of `EpisodeResult` and `FluencyMetrics` that were read from a file.
 
     Raises:
         KeyError, TypeError, ValueError: A value is missing, of another type or impossible.
     """
     status, steps, plan_s = EpisodeStatus(int(values["status"])), int(values["steps"]), float(values["plan_s"])
     kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
-    known = {key: check_scalar(key, values[key], kind) for key, kind in kinds.items()}
+    known = {key: _check_scalar(key, values[key], kind) for key, kind in kinds.items()}
     if not 0 < status < 16 or (status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS):
         raise ValueError(f"impossible status {int(status)}")
     numbers = steps, plan_s, *(value for value in known.values() if isinstance(value, int))

@@ -202,14 +202,7 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate the stored actions of a scene and compare the result with the stored one.
-
-    Args:
-        runner: Runner of the evaluation's scenes.
-        folder: Result folder.
-        same_version: Whether the present version of the library made the folder.
-        task: Scene to simulate.
-    """
+    """Simulate the stored actions of a scene and compare the result with the stored one; see `compare_results`."""
     file = get_result_path(folder, task.index)
     try:
         stored, actions = read_result_and_actions(file)

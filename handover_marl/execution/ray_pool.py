@@ -154,10 +154,9 @@ def get_installed_versions() -> dict[str, str]:
 
 
 def _check_server(address: str) -> None:
-    """Check that something listens at an address; Ray itself would try for a quarter of an hour.
+    """Check that something listens at "host:port" or "ray://host:port"; Ray itself would try for a quarter of an hour.
 
-    Args:
-        address: "host:port" or "ray://host:port"; other addresses such as "auto" are left to Ray.
+    Other addresses such as "auto" are left to Ray.
 
     Raises:
         OSError: Nothing listens.

@@ -3,9 +3,7 @@
 import re
 from html import unescape
 
-_REFERENCE = re.compile(
-    r"""(?<![\w-])(?:href|src|data|poster|action)\s*=\s*["']([^"']*)|url\(\s*["']?([^)"']+)"""
-)
+_REFERENCE = re.compile(r"""(?<![\w-])(?:href|src|data|poster|action)\s*=\s*["']([^"']*)|url\(\s*["']?([^)"']+)""")
 
 
 def references(page: str) -> list[str]:

@@ -233,11 +233,7 @@ class Demonstrations:
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}, np.concatenate(actions)
 
     def _read(self, number: int, names: Iterable[str]) -> Demonstration:
-        """Read an episode with some of its observations.
-
-        Raises:
-            DataFormatError: An array is missing or damaged, or the arrays differ in length.
-        """
+        """Read an episode with some of its observations; see `__getitem__` for errors."""
         path, keys = self._paths[number], {_OBSERVATION_PREFIX + name: name for name in names}
         with _report_damage(path):
             arrays = read_arrays(path, (*keys, *_ARRAYS), _MAX_BYTES)

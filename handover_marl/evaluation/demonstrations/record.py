@@ -115,10 +115,7 @@ class DemonstrationRecorder(EpisodeCallback):
     A frame has the observation at the physics step nearest to its time, and the actions that are in effect
     from this step on.
 
-    Args:
-        config: Resolved configuration of the evaluation.
-        obs_mode: Observation mode of the recorded observations, independent of the receiver's own mode.
-        fps: Frames per second; None records the receiver's decisions.
+    See `demonstrate` for observation mode and frame rate; without one, the receiver's decisions are recorded.
     """
 
     def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:
@@ -181,14 +178,7 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file per recorded episode, and of the file that describes all of them.
-
-    Args:
-        folder: Result folder of the evaluation.
-        config: Resolved configuration of the evaluation.
-        obs_mode: Observation mode of the recorded observations.
-        keep: Episodes to record, "all" or "success".
-        fps: Frames per second; None records the receiver's decisions.
+    """Writer of one file per recorded episode, and of the file that describes all of them; see `demonstrate`.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.

@@ -92,11 +92,12 @@ def strangers(
         raise OptionError(
             "world_config must be the official one for strangers, got another; use crossplay for other worlds and rules"
         )
-    if (receiver is None) == (giver is None):
+    policies = giver if receiver is None else receiver
+    if policies is None or (receiver is not None and giver is not None):
         raise OptionError("pass exactly one of receiver and giver; the population has partners for both")
     if execution.shard is not None:
         raise OptionError(f"shard must be left out, got {execution.shard!r}; use workers, or a Ray cluster")
-    agent, policies = ("receiver", receiver) if giver is None else ("giver", giver)
+    agent = "receiver" if giver is None else "giver"
     found = load_population(population, execution.trust)
     chosen = found.select(OTHER_AGENT[agent], partners)
     dataset = config.open_dataset()

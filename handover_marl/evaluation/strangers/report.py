@@ -244,10 +244,9 @@ class StrangersReport(TabularResult):
 
 
 def read_entry(folder: Path) -> dict[str, Any]:
-    """Read the content of `strangers.json`, which identifies an evaluation.
+    """Read the content of `strangers.json`: `population`, `partner_split`, `agent`, and names of result folders.
 
-    Returns:
-        Texts `population`, `partner_split` and `agent`, and `folders`, names of result folders by policy and partner.
+    The key `folders` has these names by policy and partner.
 
     Raises:
         ResultsError: The file is missing or malformed.

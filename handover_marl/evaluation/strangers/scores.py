@@ -28,15 +28,9 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities (policies, partners).
+    """Compute best-response proximities of returns (policies, partners) to those of the best policies (partners,).
 
-    Args:
-        returns: Returns (policies, partners).
-        references: Returns (partners,) of the best policy known for each partner.
-
-    Returns:
-        Proximities, above 1 where a policy exceeds the reference; 1 for partners with whom no policy has a positive
-        return.
+    They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
     return np.divide(returns, references, out=np.ones_like(returns), where=references > 0.0)
 
