@@ -1,120 +1,31 @@
 """Worker pools, and functions that apply them to tasks.
 
-A job is a function that a process creates once and then applies to its tasks. Jobs, tasks and results are pickled by
-value, so that functions and classes of scripts and notebooks work. Processes on this machine are started by the library
-loky. Unlike with multiprocessing, the caller's script is not imported again in the workers, so that it needs no
-`if __name__ == "__main__"`.
+Processes on this machine are started by the library loky. Unlike with multiprocessing, the caller's script is not
+imported again in the workers, so that it needs no `if __name__ == "__main__"`.
 """
 
 import os
-import pickle
 import re
 import signal
 import threading
 import time
-import traceback
 import uuid
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from contextlib import closing, nullcontext
+from typing import Any, TypeAlias
 
-from loky import wrap_non_picklable_objects
 from loky.process_executor import ProcessPoolExecutor
 
-from handover_marl.errors import HandoverError, PolicyError, WorkerError
+from handover_marl.errors import WorkerError
 from handover_marl.execution.options import RAY, PoolConfig, check_pool, resolve_worker_count
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-#: Factory of the function that a worker process applies to its tasks; entered once per process.
-OpenWorker: TypeAlias = Callable[[], AbstractContextManager[Callable[[Task], Result]]]
+from handover_marl.execution.ray_pool import RayPool
+from handover_marl.execution.tasks import OpenWorker, Result, Task, pickle_by_value, run_pickled_task, unpickle_result
 
 _EXIT_CODES = re.compile(r"\{(.*)\}")
 _PARENT_CHECK_S = 0.2
-
-
-class _ProcessState:
-    """State of a worker process: its present job, and the function that the job has created."""
-
-    job_id: ClassVar[str] = ""
-    job: ClassVar[tuple[OpenWorker[Any, Any], Callable[[Any], str]]]
-    function: ClassVar[Callable[[Any], Any] | None] = None
-    resources: ClassVar[ExitStack] = ExitStack()
-
-
-def pickle_by_value(value: object) -> bytes:
-    """Return a pickled value, with the code of functions and classes that another process cannot import."""
-    return pickle.dumps(wrap_non_picklable_objects((value,), keep_wrapper=False))
-
-
-def unpickle(pickled: bytes) -> Any:
-    """Return the value that `pickle_by_value` pickled."""
-    (value,) = pickle.loads(pickled)
-    return value
-
-
-def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
-    """Run a task of a job in the current process and return its result, or the error that ended it, pickled.
-
-    Args:
-        job_id: Unique label of the job; the resources of another job are freed.
-        pickled_job: Job, the pair (open_worker, describe), pickled by `pickle_by_value`.
-        pickled_task: Task, pickled likewise.
-    """
-    state, description = _ProcessState, "a task"
-    try:
-        if state.job_id != job_id:
-            state.function = None
-            state.resources.close()
-            state.job_id, state.job = job_id, unpickle(pickled_job)
-        task = unpickle(pickled_task)
-        open_worker, describe = state.job
-        description = describe(task)
-        if state.function is None:
-            state.function = state.resources.enter_context(open_worker())
-        answer: object = state.function(task)
-    except PolicyError as error:
-        # The cause is lost when an exception is pickled, so its traceback goes into the text.
-        answer = PolicyError(f"{error}\n{traceback.format_exc()}")
-    except HandoverError as error:
-        answer = error
-    except Exception as error:
-        # As text, since the class of a foreign exception may not exist in the main process.
-        answer = WorkerError(f"{description}: {type(error).__name__}: {error}\n{traceback.format_exc()}")
-    return pickle_result(answer)
-
-
-def pickle_result(result: object) -> bytes:
-    """Return the pickled result of a task, or the error that ended it."""
-    try:
-        return pickle_by_value(result)
-    except Exception as error:  # pickling a user's object may raise anything
-        message = f"a task's result cannot be pickled ({type(error).__name__}: {error})"
-        return pickle_by_value(WorkerError(message))
-
-
-def unpickle_result(pickled: bytes) -> Any:
-    """Return the result of a task from `run_pickled_task`.
-
-    Raises:
-        HandoverError: The task failed.
-    """
-    result = unpickle(pickled)
-    if isinstance(result, HandoverError):
-        raise result
-    return result
-
-
-def make_picklable(error: Exception) -> Exception:
-    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
-    try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return WorkerError(f"{type(error).__name__}: {error}")
-    return error
 
 
 class Pool:
@@ -239,7 +150,10 @@ def _exit_with_parent(parent: int) -> None:
     os._exit(1)
 
 
-def open_pool(config: PoolConfig) -> Pool:
+AnyPool: TypeAlias = Pool | RayPool
+
+
+def open_pool(config: PoolConfig) -> AnyPool:
     """Return a worker pool with a configuration; close it after its last job.
 
     Processes are started, and Ray clusters connected to, for the first task.
@@ -249,11 +163,7 @@ def open_pool(config: PoolConfig) -> Pool:
         OptionError: The configuration is invalid.
     """
     check_pool(config)
-    if config.backend != RAY:
-        return Pool(resolve_worker_count(config.workers))
-    from handover_marl.execution.ray_pool import RayPool
-
-    return RayPool(config)
+    return RayPool(config) if config.backend == RAY else Pool(resolve_worker_count(config.workers))
 
 
 def map_with_progress(

@@ -18,9 +18,8 @@ from typing import Any
 
 from handover_marl.errors import WorkerError
 from handover_marl.execution.options import PoolConfig, resolve_worker_count
-from handover_marl.execution.pool import (
+from handover_marl.execution.tasks import (
     OpenWorker,
-    Pool,
     Result,
     Task,
     pickle_by_value,
@@ -36,8 +35,8 @@ _RETRIES = 1
 _CONNECTION_TIMEOUT_S = 20.0
 
 
-class RayPool(Pool):
-    """Pool of workers on a Ray cluster.
+class RayPool:
+    """Pool of workers on a Ray cluster; see `handover_marl.execution.pool.Pool`.
 
     Args:
         config: Number of tasks that run at a time, and the cluster's address.
@@ -50,7 +49,7 @@ class RayPool(Pool):
         self._config = config
 
     @functools.cached_property
-    def n_workers(self) -> int:  # type: ignore[override]
+    def n_workers(self) -> int:
         """Number of tasks that run at a time, on the cluster to which this connects.
 
         Raises:

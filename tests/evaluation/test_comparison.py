@@ -80,21 +80,18 @@ def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     assert "Every scene has the same outcome." in str(handover_marl.compare(one, one))
 
 
-SUCCESS, CONTACT, DROP = EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP
-
-
-def report(physics: str, ends: list[tuple[EpisodeStatus, int]]) -> Report:
+def report(physics: str, ends: list[tuple[int, int]]) -> Report:
     settings = ResultMetadata("s0", "val", "mine", "replay", physics, "dexycb", "0")
     episodes = tuple(
-        EpisodeResult(index, status, steps, 0.0, scene_id=100 + index, object_name="024_bowl", n_objects=1)
+        EpisodeResult(index, EpisodeStatus(status), steps, 0.0, 100 + index, object_name="024_bowl", n_objects=1)
         for index, (status, steps) in enumerate(ends)
     )
     return Report(settings, episodes)
 
 
 def test_text_of_an_agreement() -> None:
-    exact = report("exact", [(SUCCESS, 4000), (CONTACT, 3500), (DROP, 4100), (SUCCESS, 4200)])
-    fast = report("fast", [(SUCCESS, 4003), (CONTACT, 3500), (SUCCESS, 4900), (SUCCESS, 4199)])
+    exact = report("exact", [(1, 4000), (2, 3500), (4, 4100), (1, 4200)])
+    fast = report("fast", [(1, 4003), (2, 3500), (1, 4900), (1, 4199)])
     text = str(Agreement(exact, fast))
     assert "3 of 4 scenes: 75.00 % (95 % interval 30.1 to 95.4)" in text
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]

@@ -62,15 +62,10 @@ def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path
     assert len(contents(tmp_path / "merged")) == 5 + len(SCENES)
     # The merged folder is resumed like that of a single evaluation.
     assert run(tmp_path / "merged").n_resumed == len(SCENES)
-
-
-def test_folders_store_their_shard(shards: list[Path]) -> None:
-    reported = yaml.safe_load((shards[1] / "config.yaml").read_text())["HANDOVER_MARL"]["shard"]
-    assert reported == "2/3 of 9,14,19,24"
+    shard = "2/3 of 9,14,19,24"
+    assert yaml.safe_load((shards[1] / "config.yaml").read_text())["HANDOVER_MARL"]["shard"] == shard
     assert "(partial, shard 2/3)" in (shards[1] / "report.md").read_text()
-    found = sorted(result.scene_id or 0 for folder in shards for result in read_results(folder))
-    assert found == list(SCENES)
-    with pytest.raises(ResultsError, match=r"another evaluation \(shard '2/3 of 9,14,19,24' in the folder, '1/3 of"):
+    with pytest.raises(ResultsError, match=rf"another evaluation \(shard '{shard}' in the folder, '1/3 of"):
         run(shards[1], shard="1/3")
 
 

@@ -4,15 +4,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import handover_marl
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.metadata import read_result_metadata
-from handover_marl.receivers import Receiver
-from tests.evaluation.quick import SHORT
+from tests.evaluation.quick import SHORT, QuickReceiver
 
 OPTIONS: dict[str, Any] = {
     "dataset": "synthetic",
@@ -23,11 +21,10 @@ OPTIONS: dict[str, Any] = {
 }
 
 
-class Seeing(Receiver):
+class Seeing(QuickReceiver):
     """Receiver that observes point clouds and holds still."""
 
     name = "seeing"
-    control_period = 0.3
     obs_mode = "state+pointcloud"
 
     def __init__(self, context: Any, wait: float = 0.0) -> None:
@@ -38,15 +35,8 @@ class Seeing(Receiver):
     def wait(self) -> float:
         return self._wait
 
-    def reset(self, seed: int | None = None) -> None:
-        pass
 
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        assert observation["wrist_object_points"].shape == (1024, 3)
-        return observation["robot_joint_position"]
-
-
-def test_rendering_time_is_not_planning_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_store_robot_observation_mode_and_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = Episode.observe_camera
 
     def slowly(self: Episode, obs_mode: str) -> Any:
@@ -54,23 +44,15 @@ def test_rendering_time_is_not_planning_time(monkeypatch: pytest.MonkeyPatch) ->
         return draw(self, obs_mode)
 
     monkeypatch.setattr(Episode, "observe_camera", slowly)
-    report = handover_marl.evaluate_pair(receiver=Seeing, scenes=[9], workers=1, **OPTIONS)
-    assert report.episodes[0].plan_s < 0.2
-
-
-def test_results_store_robot_observation_mode_and_wait(tmp_path: Path) -> None:
-    run = {"receiver": (Seeing, {"wait": 1.5}), "scenes": [9], "workers": 1, "out": tmp_path, **OPTIONS}
+    run: dict[str, Any] = {"receiver": (Seeing, {"wait": 1.5}), "scenes": [9], "workers": 1, "out": tmp_path, **OPTIONS}
     report = handover_marl.evaluate_pair(**run, robot="panda_camera", camera_model="pinhole")
+    assert report.episodes[0].plan_s < 0.2, "rendering time is not planning time"
     settings = read_result_metadata(tmp_path)
     assert (settings.robot, settings.wait_s) == ("panda_camera", "1.5")
     assert (settings.obs_mode, settings.camera) == ("state+pointcloud", "renderer rays, camera model pinhole")
-    assert "(wait 1.5 s, obs_mode state+pointcloud, renderer rays, camera model pinhole, robot panda_camera)" in str(
-        report
-    )
-    for other in (
-        {},
-        {"robot": "panda_camera"},
-        {"robot": "panda_camera", "renderer": "bullet", "camera_model": "pinhole"},
-    ):
+    label = "(wait 1.5 s, obs_mode state+pointcloud, renderer rays, camera model pinhole, robot panda_camera)"
+    assert label in str(report)
+    bullet = {"robot": "panda_camera", "renderer": "bullet", "camera_model": "pinhole"}
+    for other in ({}, {"robot": "panda_camera"}, bullet):
         with pytest.raises(ResultsError, match="holds another evaluation"):
-            handover_marl.evaluate_pair(**run, **other)
+            handover_marl.evaluate_pair(**run | other)

@@ -10,8 +10,9 @@ import pytest
 from handover_marl.errors import WorkerError
 from handover_marl.execution import ray_pool
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import open_pool, pickle_by_value, unpickle_result
+from handover_marl.execution.pool import open_pool
 from handover_marl.execution.ray_pool import get_installed_versions, run_ray_task
+from handover_marl.execution.tasks import pickle_by_value, unpickle_result
 
 
 def test_ray_that_does_not_run_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
