@@ -14,6 +14,7 @@ from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from tests.datasets.dexycb.mano_files import made_up_hand, official, write
 
 
+@pytest.mark.slow
 def test_faults_are_listed(own_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     poses = [own_data / f"dex-ycb-cache/pose_{scene:03d}.npz" for scene in (5, 6)]
     poses[0].write_bytes(poses[0].read_bytes()[:-100])
@@ -49,6 +50,7 @@ def test_installation() -> None:
     assert {"extra train", "extra planning", "extra import"} <= set(found)
 
 
+@pytest.mark.slow
 def test_command_and_exit_status(
     fake_data: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,6 +73,7 @@ def test_results_are_official_files(fake_data: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["000.npz", "001.npz", "config.yaml", *reports]
 
 
+@pytest.mark.slow
 def test_an_interrupted_evaluation_resumes(
     fake_data: Path, tmp_path: Path, played: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -106,6 +106,7 @@ def test_text_of_an_agreement() -> None:
     assert "3 at most" in text
 
 
+@pytest.mark.slow
 def test_commands(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

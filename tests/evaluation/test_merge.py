@@ -54,6 +54,7 @@ def shards(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
+@pytest.mark.slow
 def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path) -> None:
     whole = run(tmp_path / "whole")
     merged = handover_marl.merge([shards[2], shards[0], shards[1]], tmp_path / "merged")
@@ -69,6 +70,7 @@ def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path
         run(shards[1], shard="1/3")
 
 
+@pytest.mark.slow
 def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Commands merge the shards of a whole split, and refuse to do so while a result is missing."""
     shorten_episodes(monkeypatch, 20)
@@ -90,6 +92,7 @@ def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_folders_that_do_not_fit_are_refused(shards: list[Path], tmp_path: Path) -> None:
     def check(message: str, *folders: Path, out: Path = tmp_path / "out") -> None:
         with pytest.raises(ResultsError, match=message):
@@ -131,6 +134,7 @@ def merge_two(evaluate: Callable[..., Any], folder: Path, **options: Any) -> Any
     return merged
 
 
+@pytest.mark.slow
 def test_cross_play(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     options = {**OPTIONS, "scenes": SCENES[:2], "givers": ["replay", "noisy"], "receivers": ["hold", QuickReceiver]}
@@ -142,12 +146,14 @@ def test_cross_play(tmp_path: Path) -> None:
         handover_marl.merge([tmp_path / "1", tmp_path / "2"], tmp_path / "again")
 
 
+@pytest.mark.slow
 def test_agreement(tmp_path: Path) -> None:
     options = {**OPTIONS, "scenes": SCENES[:2]}
     del options["physics"]
     merge_two(handover_marl.compare_physics, tmp_path, **options)
 
 
+@pytest.mark.slow
 def test_demonstrations(tmp_path: Path) -> None:
     merged = merge_two(record, tmp_path, giver="noisy")
     assert isinstance(merged, handover_marl.Demonstrations)

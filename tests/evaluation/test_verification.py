@@ -136,6 +136,7 @@ def test_forged_actions_are_found(forgery: str, folder: Path, runner: EpisodeRun
     assert check_episode(runner, folder, True, SceneTask(INDEX, SCENE))
 
 
+@pytest.mark.slow
 def test_forged_values_are_found(folder: Path, simulated: EpisodeResult) -> None:
     path = folder / "002.npz"
     assert compare_results(read_result(path), simulated, same_version=True) == []
@@ -146,6 +147,7 @@ def test_forged_values_are_found(folder: Path, simulated: EpisodeResult) -> None
         assert compare_results(read_result(path), simulated, same_version=True), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", REPORT_FORGERIES)
 def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
     assert check_reports(folder) == []
@@ -163,6 +165,7 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert "Not equal: 1 of 1 episodes" in printed
 
 
+@pytest.mark.slow
 def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
     options = {**OPTIONS, "world_config": NOISY}
     evaluate_pair("hesitant", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, **options)

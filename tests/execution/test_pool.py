@@ -38,6 +38,7 @@ def test_one_worker_is_this_process() -> None:
     assert len(events) == 2
 
 
+@pytest.mark.slow
 def test_errors_of_tasks_are_raised_here() -> None:
     def work(kind: type[Exception]) -> None:
         raise kind("nonsense")

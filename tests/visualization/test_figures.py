@@ -21,6 +21,7 @@ def near(pixels: np.ndarray, color: tuple[int, int, int]) -> int:
     return int((np.abs(pixels.astype(int) - color).max(axis=2) < 12).sum())
 
 
+@pytest.mark.slow
 def test_wrist_view() -> None:
     episode = Episode("fast")
     episode.reset(SyntheticDataset().load_scene(209))

@@ -29,12 +29,14 @@ from tests.evaluation.demonstrations.recording import (
 from tests.short_episodes import shorten_episodes
 
 
+@pytest.mark.slow
 def test_data_do_not_depend_on_workers(out: Path, tmp_path: Path) -> None:
     record(tmp_path, workers=2, **OPTIONS)
     assert contents(tmp_path) == contents(out)
     assert sorted(contents(tmp_path)) == ["000.npz", "072.npz", "metadata.json"]
 
 
+@pytest.mark.slow
 def test_damaged_and_missing_episodes_are_simulated_again(out: Path, tmp_path: Path, played: list[int]) -> None:
     copy = shutil.copytree(out, tmp_path / "copy")
     path, whole = copy / "demonstrations" / "072.npz", contents(out)
@@ -47,6 +49,7 @@ def test_damaged_and_missing_episodes_are_simulated_again(out: Path, tmp_path: P
         assert contents(copy) == whole
 
 
+@pytest.mark.slow
 def test_recording_does_not_change_the_results(tmp_path: Path) -> None:
     """Results equal those of an evaluation without recording, although frames are observed between decisions."""
     options: dict[str, Any] = {"scenes": [5], "physics": "fast", "giver": "noisy"}
@@ -59,6 +62,7 @@ def test_recording_does_not_change_the_results(tmp_path: Path) -> None:
             np.testing.assert_array_equal(plain[key], recorded[key], err_msg=key)
 
 
+@pytest.mark.slow
 def test_frames_are_those_of_the_nearest_step(tmp_path: Path) -> None:
     """Frames at 30 per second, which fall between physics steps, equal those of a recording of every step."""
     options: dict[str, Any] = {"giver": "noisy", "scenes": SCENES[:1]}

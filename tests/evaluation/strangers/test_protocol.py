@@ -42,6 +42,7 @@ def run(data: Path, population: Path, **options: Any) -> StrangersReport:
     return handover_marl.strangers(population=population, data_dir=data, **chosen | options)
 
 
+@pytest.mark.slow
 def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tmp_path: Path) -> None:
     # Two scenes for each of two partners; the rate with the worst partner is one of two episodes.
     for key, n in (("success", 4), ("worst_partner_success", 2), ("largest_partner_contact", 2)):
@@ -63,6 +64,7 @@ def test_report_and_files(fake_data: Path, population: Path, evaluated: Path, tm
         run(fake_data, population, out=out, partners="all")
 
 
+@pytest.mark.slow
 def test_references_of_evaluations(fake_data: Path, evaluated: Path, tmp_path: Path) -> None:
     population = write_population(tmp_path)
     summary = update_references([evaluated], population)
@@ -143,6 +145,7 @@ def test_both_splits_of_a_method_are_side_by_side(
     assert "2 scenes of val and 2 scenes of test each, fast physics, seed 0" in str(table)
 
 
+@pytest.mark.slow
 def test_leaderboard(population: Path, evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = shutil.copytree(evaluated, tmp_path / "other")
     named = ["strangers-table", f"one={evaluated}", f"another={other}", "--population", str(population)]
@@ -165,6 +168,7 @@ def test_leaderboard(population: Path, evaluated: Path, tmp_path: Path, capsys: 
     assert "must all have names, or none" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_path: Path) -> None:
     out, second = (shutil.copytree(evaluated, tmp_path / name) for name in ("out", "second"))
 
