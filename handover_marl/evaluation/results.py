@@ -299,9 +299,10 @@ def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
 
 def _check_scalar(name: str, value: Any, kind: type) -> Any:
     """Return a value that was read from a file as a Python number or text; raise a `TypeError` for another type."""
-    scalar = value.item() if isinstance(value, np.generic) else value
+    scalar: Any = value.item() if isinstance(value, np.generic) else value
     # Control characters could change a terminal that prints the report.
-    if type(scalar) is not kind or (kind is str and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT)):
+    text = scalar if isinstance(scalar, str) else ""
+    if type(scalar) is not kind or not text.isprintable() or len(text) > _MAX_TEXT:
         raise TypeError(f"{name} must be a printable {kind.__name__}, got {ascii(scalar)[:100]}")
     return scalar
 

@@ -35,8 +35,8 @@ def test_random_policies_are_independent_of_workers(fake_data: Path, tmp_path: P
     drawing: dict[str, Any] = {"receiver": "random", "giver": "noisy"}
     run(fake_data, 1, out=tmp_path / "one", **drawing)
     run(fake_data, 2, out=tmp_path / "two", **drawing)
-    for scene in (14, 9):
-        run(fake_data, 1, out=tmp_path / "apart", **drawing, scenes=[scene])
+    for number in (14, 9):
+        run(fake_data, 1, out=tmp_path / "apart", **drawing, scenes=[number])
     alone = files(tmp_path / "one")
     assert list(alone) == ["000.npz", "001.npz"]
     for name in ("two", "apart"):

@@ -30,7 +30,7 @@ def test_spaces_are_the_environments(out: Path) -> None:
     for demonstration in demonstrations:
         for name, array in demonstration.observations.items():
             space = demonstrations.observation_space[name]
-            assert (array.shape, array.dtype) == ((len(demonstration) + 1, *space.shape), space.dtype)
+            assert (array.shape, array.dtype) == ((len(demonstration) + 1, *(space.shape or ())), space.dtype)
 
 
 def test_round_trip(out: Path) -> None:
@@ -67,9 +67,9 @@ def test_transitions_are_those_of_the_episodes(out: Path) -> None:
 def test_metadata(out: Path) -> None:
     first, second = Demonstrations(out).read_metadata()
     assert (first["scene_id"], second["scene_id"]) == SCENES
-    named = {"object_name": "003_cracker_box", "subject": "synthetic-subject-01", "side": "right", "outcome": "timeout"}
-    named |= {"status": 8, "release_step": -1, "receiver": "moving", "giver": "noisy", "seed": 0, "physics": "fast"}
-    named |= {"dataset": "synthetic", "robot": "panda_camera", "version": handover_marl.__version__}
+    named: dict[str, Any] = {"object_name": "003_cracker_box", "subject": "synthetic-subject-01", "side": "right"}
+    named |= {"outcome": "timeout", "status": 8, "release_step": -1, "receiver": "moving", "giver": "noisy", "seed": 0}
+    named |= {"physics": "fast", "dataset": "synthetic", "robot": "panda_camera", "version": handover_marl.__version__}
     assert {**first, **named, "fingerprint": "synthetic-1"} == first
 
 
