@@ -9,7 +9,6 @@ from handover_marl.evaluation.results import (
     EpisodeRecorder,
     EpisodeResult,
     EpisodeWriter,
-    prepare_subfolder,
 )
 from handover_marl.policies.policy import Policy
 from handover_marl.version import __version__
@@ -50,8 +49,8 @@ class ReplayWriter(EpisodeWriter):
     """
 
     def __init__(self, folder: Path, replays: str) -> None:
-        self._folder, self._include_successes = folder / REPLAYS, replays == REPLAYS_ALL
-        prepare_subfolder(self._folder)
+        super().__init__(folder / REPLAYS)
+        self._include_successes = replays == REPLAYS_ALL
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
@@ -70,4 +69,4 @@ class ReplayWriter(EpisodeWriter):
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the replay page of an episode."""
-        return self._folder / f"{result.scene_id or 0:03d}.html"
+        return self.path / f"{result.scene_id or 0:03d}.html"

@@ -121,7 +121,21 @@ class EpisodeWriter(ABC):
     """Writer of one file for each episode.
 
     The main process writes; worker processes hold a pickled copy, which only creates recorders.
+
+    Args:
+        path: Folder of the files; created if missing. Files that killed processes left there are removed.
+
+    Raises:
+        ResultsError: The folder cannot be created.
     """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            remove_stale_temporaries(path)
+        except OSError as error:
+            raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
 
     @abstractmethod
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
@@ -132,9 +146,9 @@ class EpisodeWriter(ABC):
             receiver: The robot's policy in this process.
         """
 
-    @abstractmethod
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the file of an episode."""
+        return get_result_path(self.path, result.index)
 
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the file of an episode exists already or is not needed.
@@ -172,19 +186,6 @@ def find_recordings(folder: Path) -> list[Path]:
     return [*paths, *demonstrations.glob(DEMONSTRATIONS_METADATA)]
 
 
-def prepare_subfolder(path: Path) -> None:
-    """Create the folder of recordings in a result folder; remove files that killed processes left there.
-
-    Raises:
-        ResultsError: The folder cannot be created.
-    """
-    try:
-        path.mkdir(exist_ok=True)
-        remove_stale_temporaries(path)
-    except OSError as error:
-        raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
-
-
 class ResultFolder(EpisodeWriter):
     """Result folder of one evaluation, and the writer of its official result files.
 
@@ -199,9 +200,8 @@ class ResultFolder(EpisodeWriter):
     """
 
     def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", fresh: bool = False) -> None:
-        self.path = path
+        super().__init__(path)
         try:
-            path.mkdir(parents=True, exist_ok=True)
             entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
             if entries and CONFIG_FILE not in entries:
                 raise ResultsError(
@@ -247,10 +247,6 @@ class ResultFolder(EpisodeWriter):
         """Create the recorder of actions and policy times in one worker process."""
         recorder = ActionRecorder()
         return recorder, lambda result: encode_result(result, recorder.actions, recorder.times)
-
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the official result file of a scene."""
-        return get_result_path(self.path, result.index)
 
 
 def encode_result(

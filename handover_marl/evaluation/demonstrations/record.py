@@ -33,7 +33,6 @@ from handover_marl.evaluation.results import (
     EpisodeResult,
     EpisodeWriter,
     get_result_path,
-    prepare_subfolder,
     read_results,
 )
 from handover_marl.execution.files import write_atomically
@@ -185,12 +184,11 @@ class DemonstrationWriter(EpisodeWriter):
     """
 
     def __init__(self, folder: Path, config: EvaluationConfig, obs_mode: str, keep: str, fps: int | None) -> None:
-        self._folder, self._config, self._keep = folder / DEMONSTRATIONS, config, keep
-        self._obs_mode, self._fps = obs_mode, fps
-        prepare_subfolder(self._folder)
+        super().__init__(folder / DEMONSTRATIONS)
+        self._config, self._keep, self._obs_mode, self._fps = config, keep, obs_mode, fps
         largest_class = max(config.open_dataset().object_names)
         description = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
-        write_atomically(self._folder / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
+        write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
@@ -209,7 +207,3 @@ class DemonstrationWriter(EpisodeWriter):
 
     def _includes(self, result: EpisodeResult) -> bool:
         return result.success or self._keep == ALL
-
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the file of an episode."""
-        return get_result_path(self._folder, result.index)
