@@ -252,12 +252,9 @@ class ResultFolder(EpisodeWriter):
 def encode_result(
     result: EpisodeResult, actions: npt.NDArray[np.float32], elapsed_time: npt.NDArray[np.float64]
 ) -> bytes:
-    """Return the content of a scene's official result file.
+    """Return the content of a scene's official result file: its result, and arrays with a row for every physics step.
 
-    Args:
-        result: Outcome of the episode.
-        actions: (T, 9) action of every physics step.
-        elapsed_time: (T,) policy time at every physics step (s), zero between decisions.
+    These are the actions (T, 9), and the times (T,) in the receiver's policy (s), zero between decisions.
     """
     arrays: dict[str, Any] = {
         "action": actions,
@@ -361,10 +358,6 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
     """Return the content of an episode file.
 
     Planning times are rounded to 0.1 ms, and metrics to four significant digits.
-
-    Args:
-        metadata: Identity of the evaluation.
-        episodes: One result per scene.
     """
     rows = []
     for episode in episodes:

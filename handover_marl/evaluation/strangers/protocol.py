@@ -17,9 +17,10 @@ from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, b
 from handover_marl.evaluation.crossplay import crossplay, resolve_policies
 from handover_marl.evaluation.metadata import CONFIG_FILE, OFFICIAL_WORLD
 from handover_marl.evaluation.reports.report import Report, evaluate
-from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.reports.tables import N_EPISODES, NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
 from handover_marl.evaluation.strangers.report import (
+    COLUMNS,
     ENTRY_FILE,
     NO_REFERENCES_NOTE,
     NOTE,
@@ -38,14 +39,6 @@ from handover_marl.policies.reference import PolicyLike, parse_policy
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
-_COLUMNS = {
-    "success": "success %",
-    "contact": "contact %",
-    AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
-    "br_prox": "BR-Prox %",
-    "worst_partner_success": "worst success %",
-    "largest_partner_contact": "largest contact %",
-}
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -274,9 +267,9 @@ class Leaderboard(TabularResult):
         rows = []
         for name, report in zip(self.names, self.reports, strict=True):
             found, metadata = report.estimate_all(), report.first_report.metadata
-            cells = [found[key].format() if key in found else NO_VALUE for key in _COLUMNS]
+            cells = [found[key].format() if key in found else NO_VALUE for key in COLUMNS]
             rows.append([name, metadata.split, len(report.policies), metadata.robot, *cells, report.scores.size])
-        header = ["method", "split", "trainings", "robot", *_COLUMNS.values(), N_EPISODES.title]
+        header = ["method", "split", "trainings", "robot", *COLUMNS.values(), N_EPISODES.title]
         return ReportTable(header, rows, n_keys=2)
 
     def _build_differences(self) -> ReportTable:

@@ -53,6 +53,15 @@ _MAX_BYTES = 10_000_000
 OTHER_AGENT = {"receiver": "giver", "giver": "receiver"}
 _PARTNER_METRICS = ("max_robot_hand_force", "max_robot_object_force", "human_idle")
 _METRIC_COLUMNS = tuple(column for column in FLUENCY if column.key in _PARTNER_METRICS)
+#: Titles of the metrics of a method, by key.
+COLUMNS = {
+    "success": "success %",
+    "contact": "contact %",
+    AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
+    "br_prox": "BR-Prox %",
+    "worst_partner_success": "worst success %",
+    "largest_partner_contact": "largest contact %",
+}
 
 NOTE = (
     "Success, contact and AS: means over partners, scenes and policies. 95 % intervals: jackknife over policies, "
@@ -194,15 +203,9 @@ class StrangersReport(TabularResult):
         ]
 
     def _build_summary(self) -> ReportTable:
-        titles = {
-            "success": "success %",
-            "contact": "contact %",
-            AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
-            "br_prox": "BR-Prox %",
-            "worst_partner_success": f"success % with the worst partner ({self.find_worst_partner().name})",
-            "worst_br_prox": "BR-Prox % with the worst partner",
-            "largest_partner_contact": "contact % with the partner with most contacts",
-        }
+        worst = f"success % with the worst partner ({self.find_worst_partner().name})"
+        titles = {**COLUMNS, "worst_partner_success": worst, "worst_br_prox": "BR-Prox % with the worst partner"}
+        titles["largest_partner_contact"] = "contact % with the partner with most contacts"
         found = self.estimate_all()
         rows = [[title, found[key].format()] for key, title in titles.items() if key in found]
         return ReportTable(["metric", "value (95 % interval)"], rows)
