@@ -33,7 +33,6 @@ from handover_marl.evaluation.metadata import OFFICIAL_WORLD, ResultMetadata
 from handover_marl.evaluation.reports.published import PUBLISHED, PublishedResult
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
-    append_interval,
     compute_wilson_interval,
     format_csv,
     format_percent_rate,
@@ -255,7 +254,7 @@ def format_row(one: Evaluation) -> list[str]:
     times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
     score, version, outcomes = f"{one.as_percent:.1f}", one.version, NOT_STORED
     if one.path:
-        score = append_interval(score, one.report.official_means["AS"].interval_95)
+        score = f"{score} ({one.report.official_means['AS'].format_interval()})"
         version = f"{version} ({one.report.metadata.receiver_hash})"
         outcomes = f"[scenes]({one.path})"
     return [*start, rates[0], *times, *rates[1:], score, version, outcomes]

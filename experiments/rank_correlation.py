@@ -19,11 +19,10 @@ import numpy.typing as npt
 import tyro
 from scipy import stats
 
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.published import PUBLISHED
 from handover_marl.evaluation.reports.report import evaluate
-from handover_marl.evaluation.reports.tables import format_percent_interval, format_table
+from handover_marl.evaluation.reports.tables import format_table
 
 
 @dataclass(frozen=True)
@@ -61,9 +60,8 @@ def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
     found = {}
     for folder in args.simulated:
         report = evaluate(folder)
-        n, count = len(report.episodes), report.count(EpisodeStatus.SUCCESS)
-        rate = 100.0 * report.success_rate
-        found[report.metadata.receiver] = (rate, f"{rate:.2f} ({format_percent_interval(count, n)}, {n} episodes)")
+        n, rate, interval = len(report.episodes), 100.0 * report.success_rate, report.rates["success"].format_interval()
+        found[report.metadata.receiver] = (rate, f"{rate:.2f} ({interval}, {n} episodes)")
     return found
 
 

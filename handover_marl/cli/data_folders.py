@@ -13,7 +13,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from handover_marl.cli.options import SceneNumbers
+from handover_marl.cli.options import DataDir, Folder, Progress, SceneNumbers, Workers
 from handover_marl.cli.streams import print_result
 from handover_marl.config import HAND_DOF, OBJECT_DOF, PANDA_DOF
 from handover_marl.errors import HandoverError
@@ -29,13 +29,13 @@ _NAME, _EXTRA = re.compile(r"[\w.-]+"), re.compile(r"extra == ['\"](\w+)['\"]")
 
 
 def run_import(
-    dexycb: Annotated[str, tyro.conf.arg(metavar="DIR")],
-    mano: Annotated[str, tyro.conf.arg(metavar="DIR")],
-    out: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    dexycb: Folder,
+    mano: Folder,
+    out: Folder,
     third_party: Annotated[str | None, tyro.conf.arg(metavar="DIR|ARCHIVE")] = None,
     scenes: SceneNumbers = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    progress: bool = True,
+    workers: Workers = None,
+    progress: Progress = True,
 ) -> int:
     """Create HandoverSim's data folder from raw DexYCB, MANO and HandoverSim's third-party archive.
 
@@ -49,8 +49,6 @@ def run_import(
             unpacked; default: substitutes from DexYCB's models, the library's grasps and PyBullet's
             Panda.
         scenes: Numbers of the scenes to import, e.g. 209,214; default: all.
-        workers: Number of worker processes; default: one per core.
-        progress: Show a progress bar on stderr.
     """
     from handover_marl.datasets.dexycb.importer import import_dexycb
 
@@ -61,15 +59,10 @@ def run_import(
     return int(not report.scenes)
 
 
-def run_doctor(data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None, progress: bool = True) -> int:
+def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
     """Check the installation and a data folder, with the errors that an evaluation would raise.
 
     The exit status is 1 if there is a fault, else 0. Stand-ins for HandoverSim's models are not faults.
-
-    Args:
-        data_dir: Data folder in HandoverSim's layout; default: the environment variable
-            HANDOVER_MARL_DATA, if set.
-        progress: Show a progress bar on stderr.
     """
     from handover_marl.datasets import DATA_DIR_VARIABLE
 
@@ -111,12 +104,7 @@ def check_installation() -> list[Finding]:
 def check_data_folder(data_dir: Path, progress: bool = False) -> list[Finding]:
     """Load all scenes of a data folder in HandoverSim's layout, with their models and grasps.
 
-    Args:
-        data_dir: Data folder.
-        progress: Whether to show a progress bar on stderr.
-
-    Returns:
-        A finding for the scenes, with the errors, and one for each kind of models.
+    Returns a finding for the scenes, with the errors, and one for each kind of models.
     """
     from handover_marl.datasets.official import OfficialDataset
     from handover_marl.datasets.splits import N_SCENES

@@ -1,11 +1,21 @@
 """Commands that read result folders."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-from handover_marl.cli.options import PopulationName, SceneNumbers, TableFormat
+from handover_marl.cli.options import (
+    DataDir,
+    Folder,
+    PopulationName,
+    Progress,
+    ReferencesFile,
+    SceneNumbers,
+    TableFormat,
+    Trust,
+    Workers,
+)
 from handover_marl.cli.streams import print_result, print_tables
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
@@ -15,7 +25,7 @@ _Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Po
 
 
 def run_evaluate(
-    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    folder: Folder,
     /,
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.html")] = None,
     episodes: Annotated[str | None, tyro.conf.arg(metavar="FILE.csv")] = None,
@@ -27,7 +37,6 @@ def run_evaluate(
         folder: Result folder (config.yaml and 000.npz, 001.npz, ...).
         out: Output file (.html) for the report as a web page; default: none.
         episodes: Output file (.csv) with one row per episode; default: none.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.reports.report import evaluate, find_replay_links, render_report_page
 
@@ -42,14 +51,14 @@ def run_evaluate(
 
 
 def run_verify(
-    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    folder: Folder,
     /,
-    data_dir: Annotated[str | None, tyro.conf.arg(metavar="DIR")] = None,
+    data_dir: DataDir = None,
     scenes: SceneNumbers = None,
     giver: Annotated[str | None, tyro.conf.arg(metavar="POLICY")] = None,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    progress: bool = True,
-    trust: bool = False,
+    workers: Workers = None,
+    progress: Progress = True,
+    trust: Trust = False,
     table_format: TableFormat = "markdown",
 ) -> int:
     """Verify a result folder: simulate its stored actions again and compare outcomes and metrics.
@@ -58,26 +67,13 @@ def run_verify(
 
     Args:
         folder: Result folder, written by this library or by HandoverSim.
-        data_dir: Data folder in HandoverSim's layout; default: the environment variable
-            HANDOVER_MARL_DATA.
         scenes: Scene numbers to verify, e.g. 209,214; default: all that have a result.
         giver: The person's policy; default: the registered policy that the folder names.
-        workers: Number of worker processes; default: one per core.
-        progress: Show a progress bar on stderr.
-        trust: Import the class that the folder names as its giver, and run code in policy files.
-        table_format: Format of the printed table.
     """
     from handover_marl.evaluation.verification import verify
 
-    verification = verify(
-        folder,
-        data_dir=data_dir,
-        scenes=scenes,
-        giver=giver,
-        workers=workers,
-        progress=progress,
-        trust=trust,
-    )
+    execution: Any = {"workers": workers, "progress": progress, "trust": trust}
+    verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
     print_tables(verification, table_format, f"Folder: {Path(folder).expanduser()}")
     return int(not verification.is_verified)
 
@@ -93,24 +89,18 @@ def run_compare(
     Args:
         first: Result folder, or a file of docs/results/data/episodes.
         second: Result folder or file of the same setup, split and data.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.comparison import compare
 
     print_tables(compare(first, second), table_format)
 
 
-def run_merge(
-    folders: _Folders,
-    out: Annotated[str, tyro.conf.arg(metavar="DIR")],
-    table_format: TableFormat = "markdown",
-) -> None:
+def run_merge(folders: _Folders, out: Folder, table_format: TableFormat = "markdown") -> None:
     """Merge the result folders of all shards (--shard) into one, and print its table.
 
     Args:
         folders: Result folders of the shards, in any order.
         out: Result folder to create; it equals the folder of an evaluation without shards.
-        table_format: Format of the printed tables; demonstrations have none.
     """
     from handover_marl.evaluation.merge import merge
     from handover_marl.evaluation.reports.tables import TabularResult
@@ -123,7 +113,7 @@ def run_merge(
 
 
 def run_convert(
-    folder: Annotated[str, tyro.conf.arg(metavar="DIR")],
+    folder: Folder,
     /,
     to: Literal["minari", "lerobot"],
     name: Annotated[str, tyro.conf.arg(metavar="NAME")],
@@ -146,9 +136,9 @@ def run_convert(
 def run_strangers_table(
     folders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]DIR"), tyro.conf.Positional],
     population: PopulationName = "strangers-v1",
-    references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
+    references: ReferencesFile = None,
     heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
-    trust: bool = False,
+    trust: Trust = False,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Print the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
@@ -156,11 +146,7 @@ def run_strangers_table(
     Args:
         folders: Output folders of `strangers` with the same partners, one for each method and split; each with the
             name of the method, or all without; default: the label of the policy.
-        population: Population of the evaluations.
-        references: File of references, as `strangers-references` writes it; default: that of the population.
         heat_map: Picture to write, with the success rate of every method with every partner.
-        trust: Import modules that the population names, and run code in policy files.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.strangers.protocol import make_leaderboard
 
@@ -190,17 +176,14 @@ def run_strangers_references(
     folders: _Folders,
     population: PopulationName = "strangers-v1",
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
-    trust: bool = False,
+    trust: Trust = False,
     table_format: TableFormat = "markdown",
 ) -> None:
     """Update the best policies known for the partners of a population from result folders.
 
     Args:
         folders: Result folders, or folders that contain some.
-        population: Population of the partners.
         out: File of references to update; default: that of the population.
-        trust: Import modules that the population names, and run code in policy files.
-        table_format: Format of the printed table.
     """
     from handover_marl.evaluation.strangers.protocol import update_references
 

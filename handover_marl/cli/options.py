@@ -16,11 +16,31 @@ _Value = TypeVar("_Value")
 _Hidden: TypeAlias = tyro.conf.Suppress[tyro.conf.Fixed[_Value]]
 #: Policy of an agent.
 PolicyName: TypeAlias = Annotated[str, tyro.conf.arg(metavar="POLICY")]
-_Folder: TypeAlias = Annotated[str | None, tyro.conf.arg(metavar="DIR")]
-#: Format of printed tables.
-TableFormat = Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format")]
-#: Population of partners.
-PopulationName = Annotated[str, tyro.conf.arg(metavar="NAME|FILE.json")]
+#: Folder that a command needs.
+Folder = Annotated[str, tyro.conf.arg(metavar="DIR")]
+# Options that several commands have; their types describe them.
+DataDir = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="DIR", help="Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA."
+    ),
+]
+TableFormat = Annotated[
+    Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format", help="Format of the printed tables.")
+]
+PopulationName = Annotated[
+    str, tyro.conf.arg(metavar="NAME|FILE.json", help="Population of partners: a shipped one, or a file.")
+]
+ReferencesFile = Annotated[
+    str | None,
+    tyro.conf.arg(
+        metavar="FILE.json",
+        help="File of references, as `strangers-references` writes it; default: that of the population.",
+    ),
+]
+Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
+Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
+Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name, and run code in policy files.")]
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:
@@ -60,7 +80,7 @@ class PairArguments(EvaluationConfig):
 
     setup: Annotated[str | None, tyro.conf.arg(metavar="SETUP")] = None
     scenes: SceneNumbers = None
-    data_dir: _Folder = None
+    data_dir: DataDir = None
     camera_noise: Annotated[str | None, tyro.conf.arg(metavar="CAMERA")] = None
     world_config: _Hidden[WorldConfig] = OFFICIAL_CONFIG
     giver: PolicyName = REPLAY

@@ -9,10 +9,13 @@ from handover_marl.cli.options import (
     ExecutionArguments,
     PairArguments,
     PopulationName,
+    Progress,
     ReceiverArguments,
+    ReferencesFile,
     RenderArguments,
     SceneArguments,
     TableFormat,
+    Trust,
 )
 from handover_marl.cli.streams import print_result, print_tables
 from handover_marl.errors import OptionError
@@ -31,13 +34,7 @@ def run_benchmark(
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
-    """Run HandoverSim's official protocol and print its table.
-
-    Args:
-        evaluation: Scenes and simulation.
-        execution: Workers and output; outcomes do not depend on them.
-        table_format: Format of the printed tables.
-    """
+    """Run HandoverSim's official protocol and print its table."""
     from handover_marl.evaluation.benchmark import benchmark
 
     config = execution.make_config()
@@ -50,13 +47,7 @@ def run_pair(
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
 ) -> None:
-    """Evaluate a giver with a receiver on a split and print the table.
-
-    Args:
-        evaluation: Scenes and simulation.
-        execution: Workers and output; outcomes do not depend on them.
-        table_format: Format of the printed tables.
-    """
+    """Evaluate a giver with a receiver on a split and print the table."""
     from handover_marl.evaluation.benchmark import evaluate_pair
 
     config = execution.make_config()
@@ -73,10 +64,7 @@ def run_agreement(
     """Compare outcomes of the same scenes in exact and in other physics.
 
     Args:
-        evaluation: Scenes and simulation; the physics option is ignored.
         against: Physics to compare with exact physics, fast or mujoco.
-        execution: Workers and output; outcomes do not depend on them.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.comparison import AGREEMENT_FILE, compare_physics
 
@@ -97,9 +85,6 @@ def run_crossplay(
     Args:
         givers: Comma-separated givers; the first one is the baseline of the others.
         receivers: Comma-separated receivers.
-        evaluation: Scenes and simulation.
-        execution: Workers and output; outcomes do not depend on them.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.crossplay import crossplay
     from handover_marl.policies.reference import split_policy_list
@@ -116,7 +101,7 @@ def run_strangers(
     population: PopulationName = "strangers-v1",
     partners: Literal["train", "test", "all"] = "test",
     n_scenes: int = 36,
-    references: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
+    references: ReferencesFile = None,
     evaluation: SceneArguments = SceneArguments(physics="fast"),
     execution: ExecutionArguments = _EXECUTION,
     table_format: TableFormat = "markdown",
@@ -126,13 +111,8 @@ def run_strangers(
     Args:
         receiver: Receiver to evaluate, or comma-separated trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
-        population: Name of a shipped population, or a file.
         partners: Families of the population.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
-        references: File of references, as `strangers-references` writes it; default: that of the population.
-        evaluation: Scenes and simulation.
-        execution: Workers and output; outcomes do not depend on them.
-        table_format: Format of the printed tables.
     """
     from handover_marl.evaluation.strangers.protocol import strangers
     from handover_marl.policies.reference import split_policy_list
@@ -152,17 +132,7 @@ def run_strangers(
 
 
 def run_demonstrate(
-    obs_mode: Literal[
-        "state",
-        "state+pointcloud",
-        "pointcloud",
-        "state+rgbd",
-        "rgbd",
-        "state+full_pointcloud",
-        "full_pointcloud",
-        "state+scene_pointcloud",
-        "scene_pointcloud",
-    ] = "state",
+    obs_mode: str = "state",
     keep: Literal["all", "success"] = "all",
     fps: int | None = None,
     evaluation: PairArguments = PairArguments(split="train", receiver="reactive"),
@@ -171,11 +141,10 @@ def run_demonstrate(
     """Record episodes of a train split for imitation learning (--out DIR).
 
     Args:
-        obs_mode: Observation mode of the recording, independent of the receiver's.
+        obs_mode: Observation mode of the recording, independent of the receiver's: state, pointcloud, rgbd,
+            full_pointcloud, scene_pointcloud, or state and one of them (state+rgbd).
         keep: Episodes to store: all, with their outcomes, or success.
         fps: Frames per second, 1 to 1000, to record a constant rate; default: every decision, for exact replay.
-        evaluation: Scenes and simulation.
-        execution: Workers and output; the data do not depend on them.
     """
     from handover_marl.evaluation.demonstrations.record import demonstrate
 
@@ -198,8 +167,8 @@ def run_render(
     target: _Point = None,
     vertical_fov: float | None = None,
     evaluation: RenderArguments = RenderArguments(),
-    progress: bool = True,
-    trust: bool = False,
+    progress: Progress = True,
+    trust: Trust = False,
 ) -> None:
     """Render a scene, an episode in it, or a receiver's motion plan.
 
@@ -216,9 +185,6 @@ def run_render(
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
         target: Point at the center of its image in the world frame (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
-        evaluation: Scene data, giver and simulation.
-        progress: Show a progress bar on stderr.
-        trust: Run code in policy files.
     """
     from handover_marl.config import CameraConfig
     from handover_marl.evaluation.rendering import render_scene

@@ -4,15 +4,15 @@ from typing import Annotated, Literal
 
 import tyro
 
+from handover_marl.cli.options import Folder, Progress, Workers
 from handover_marl.cli.streams import print_result
 from handover_marl.errors import OptionError
 
-_Folder = Annotated[str, tyro.conf.arg(metavar="DIR")]
 _Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
 
 
 def add_object(
-    folder: _Folder,
+    folder: Folder,
     name: str,
     mesh: Annotated[str, tyro.conf.arg(metavar="FILE")],
     /,
@@ -25,8 +25,8 @@ def add_object(
     concavity: float = 0.05,
     grasps: int = 60,
     seed: int = 0,
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    progress: bool = True,
+    workers: Workers = None,
+    progress: Progress = True,
 ) -> None:
     """Add an object class from a triangle mesh, with convex parts and robot grasps.
 
@@ -43,8 +43,6 @@ def add_object(
         concavity: CoACD's threshold, 0.01 (many convex parts) to 1 (one).
         grasps: Number of robot grasps to find in simulation; 0 for none.
         seed: Random seed of the grasps.
-        workers: Number of worker processes; default: one per core.
-        progress: Show progress bars on stderr.
     """
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshConfig
 
@@ -56,7 +54,7 @@ def add_object(
 
 
 def add_motion(
-    folder: _Folder,
+    folder: Folder,
     motion: Annotated[str, tyro.conf.arg(metavar="FILE")],
     /,
     object: str,  # noqa: A002 - the name of the option
@@ -108,7 +106,7 @@ def add_motion(
 
 
 def add_split(
-    folder: _Folder,
+    folder: Folder,
     name: str,
     /,
     by: Literal["object", "person", "random"] = "random",
@@ -132,7 +130,7 @@ def add_split(
     print_result(f"{name}: " + ", ".join(f"{split} {len(numbers)} scenes" for split, numbers in setup.items()))
 
 
-def check(folder: _Folder, /) -> None:
+def check(folder: Folder, /) -> None:
     """Check all files of a folder of custom scenes and print its objects, scenes and setups.
 
     Args:
@@ -145,11 +143,7 @@ def check(folder: _Folder, /) -> None:
 
 
 def preview(
-    folder: _Folder,
-    scene: int,
-    /,
-    out: Annotated[str, tyro.conf.arg(metavar="FILE")],
-    progress: bool = True,
+    folder: Folder, scene: int, /, out: Annotated[str, tyro.conf.arg(metavar="FILE")], progress: Progress = True
 ) -> None:
     """Render a scene with a robot that does not move, as a page that plays it in three dimensions, image or video.
 
@@ -157,7 +151,6 @@ def preview(
         folder: Folder of custom scenes.
         scene: Number of the scene.
         out: Output file: .html, .png, .gif or .mp4.
-        progress: Show a progress bar on stderr.
     """
     from handover_marl.evaluation.rendering import render_scene
 

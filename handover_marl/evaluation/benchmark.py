@@ -23,7 +23,7 @@ from handover_marl.evaluation.config import (
     resolve_config,
 )
 from handover_marl.evaluation.episode_runner import SceneTask, run_episodes
-from handover_marl.evaluation.metadata import ResultMetadata
+from handover_marl.evaluation.metadata import ResultMetadata, format_config
 from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.report import Report, write_report
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
@@ -137,10 +137,11 @@ def run_evaluations(
                     writers.append(ReplayWriter(folder.path, execution.replays))
                 # The result folder is the last: its files mark scenes as finished.
                 writers.append(folder)
-            found = [folder.read(task.index, task.fingerprint) if folder else None for task in tasks]
-            stored = {task: result for task, result in zip(tasks, found, strict=True) if result is not None}
+            stored = {task: folder.read(task.index, task.fingerprint) if folder else None for task in tasks}
             results = {
-                task: result for task, result in stored.items() if all(writer.contains(result) for writer in writers)
+                task: result
+                for task, result in stored.items()
+                if result is not None and all(writer.contains(result) for writer in writers)
             }
             remaining = [task for task in tasks if task not in results]
             with (
@@ -148,13 +149,12 @@ def run_evaluations(
                 contextlib.closing(run_episodes(config, remaining, pool, tuple(writers))) as finished,
             ):
                 for number, (result, contents) in finished:
-                    _check_same_outcome(stored.get(remaining[number]), result)
+                    _check_same_outcome(stored[remaining[number]], result)
                     for writer, content in zip(writers, contents, strict=True):
                         writer.write(result, content)
                     results[remaining[number]] = result
                     show(result)
-            episodes = tuple(results[task] for task in tasks)
-            reports.append(Report(metadata, episodes, len(tasks) - len(remaining)))
+            reports.append(Report(metadata, tuple(results[task] for task in tasks), len(tasks) - len(remaining)))
             if folder is not None:
                 write_report(folder.path, reports[-1])
     return reports
@@ -179,7 +179,8 @@ def _prepare(
     metadata = ResultMetadata.from_config(config, recorded, shard, len(split_ids))
     folder = None
     if execution.folder is not None:
-        folder = ResultFolder(execution.folder, metadata, config.world_config, execution.fresh)
+        text = format_config(metadata, config.world_config)
+        folder = ResultFolder(execution.folder, metadata, text, execution.fresh)
     indices = {scene: index for index, scene in enumerate(split_ids)}
     tasks = [SceneTask(indices[scene], scene, dataset.compute_fingerprint(scene)) for scene in config.scenes or ()]
     return config, metadata, folder, tasks
@@ -215,9 +216,6 @@ def _show_progress(
         stored: Results of an earlier run in the same folder, which count as finished.
         enabled: Whether to show anything.
     """
-    if not enabled:
-        yield lambda result: None
-        return
     n_finished, n_success = len(stored), sum(result.success for result in stored)
 
     def add(result: EpisodeResult) -> None:
@@ -225,25 +223,24 @@ def _show_progress(
         n_finished, n_success = n_finished + 1, n_success + result.success
         bar.update(task, advance=1, description=f"success {100 * n_success / n_finished:5.1f} %")
         outcome = f"{result.status.label:12} {result.steps:>5} steps, plan {result.plan_s:.3f} s"
-        console.print(f"{result.scene_id!s:>5} {result.object_name or '':22} {outcome}")
+        bar.console.print(f"{result.scene_id!s:>5} {result.object_name or '':22} {outcome}")
 
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, quiet=not enabled)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as bar:
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, disable=not enabled) as bar:
         task = bar.add_task("success   -  ", total=n_scenes, completed=n_finished)
         yield add
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
     """Check that an episode that is simulated again, for its replay, ends as it did before."""
-    if stored is not None and _describe_end(stored) != _describe_end(current):
+    before, now = (
+        "" if result is None else f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
+        for result in (stored, current)
+    )
+    if before not in ("", now):
         raise ResultsError(
-            f"replaying scene {current.scene_id} gave another outcome ({_describe_end(stored)} before, "
-            f"{_describe_end(current)} now): a policy is not deterministic, or the stored result was changed. The "
-            "stored result is kept; delete all results with fresh=True (--fresh)"
+            f"replaying scene {current.scene_id} gave another outcome ({before} before, {now} now): a policy is not "
+            "deterministic, or the stored result was changed. The stored result is kept; delete all results with "
+            "fresh=True (--fresh)"
         )
-
-
-def _describe_end(result: EpisodeResult) -> str:
-    release = "no release" if result.release_step is None else f"release after {result.release_step}"
-    return f"{result.status.label} after {result.steps} steps, {release}"

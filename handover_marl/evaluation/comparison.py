@@ -19,7 +19,7 @@ from handover_marl.evaluation.reports.episode_tables import (
     build_rate_table,
 )
 from handover_marl.evaluation.reports.report import Report, evaluate
-from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, format_percent_interval
+from handover_marl.evaluation.reports.tables import ReportTable, TabularResult, estimate_rate
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature
 from handover_marl.policies.reference import PolicyLike
@@ -50,17 +50,17 @@ class Comparison(TabularResult):
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of rates in A and B, of scenes with different outcomes, and of fluency metrics."""
-        builders = (build_rate_table, build_difference_table, build_fluency_difference_table)
-        return [build(self.pairs, ("A", "B")) for build in builders]
-
     def build_sections(self) -> list[str | ReportTable]:
-        """Build headings, note and tables."""
-        headings = f"A: {self.first.heading}\nB: {self.second.heading}"
-        rates, differences, fluency = self.build_tables()
-        changes = differences if differences.rows else "Every scene has the same outcome."
-        return [headings, _NOTE.format(n=len(self.pairs)), rates, changes, fluency]
+        """Build headings, note and tables: rates, scenes with different outcomes, and fluency metrics."""
+        names, changes = ("A", "B"), build_difference_table(self.pairs, ("A", "B"))
+        return [
+            f"A: {self.first.heading}\nB: {self.second.heading}",
+            _NOTE.format(n=len(self.pairs)),
+            build_rate_table(self.pairs, names),
+            changes,
+            "" if changes.rows else "Every scene has the same outcome.",
+            build_fluency_difference_table(self.pairs, names),
+        ]
 
 
 class Agreement(Comparison):
@@ -74,39 +74,31 @@ class Agreement(Comparison):
         """
         write_atomically(folder / AGREEMENT_FILE, f"# Exact and {self.second.metadata.physics} physics\n\n{self}\n")
 
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of pairs of outcomes, of rates, and of scenes with different outcomes."""
-        name = self.second.metadata.physics
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, tables of pairs of outcomes and of rates, numbers of steps, and scenes that differ."""
+        metadata, n, name = self.first.metadata, len(self.pairs), self.second.metadata.physics
         counts = Counter((exact.status.label, other.status.label) for exact, other in self.pairs)
         labels = sorted({label for pair in counts for label in pair})
         rows = [[f"exact: {exact}", *(counts[exact, other] for other in labels)] for exact in labels]
+        steps = [abs(other.steps - exact.steps) for exact, other in self.pairs if exact.status == other.status]
+        sentence = ""
+        if steps:
+            median, percentile = np.percentile(steps, [50, 95])
+            sentence = (
+                f"Of the scenes with the same outcome, {steps.count(0) / len(steps):.0%} have the same number of "
+                f"steps. The numbers of steps (ms) differ by {median:g} in the median, by {percentile:g} or less in "
+                f"95 %, and by {max(steps)} at most."
+            )
         return [
-            ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
-            build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
-            build_difference_table(self.pairs, (EXACT, name)),
-        ]
-
-    def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, tables and the sentence on numbers of steps."""
-        metadata, n = self.first.metadata, len(self.pairs)
-        confusion, rates, differences = self.build_tables()
-        same = [(exact, other) for exact, other in self.pairs if exact.status == other.status]
-        steps = np.array([abs(other.steps - exact.steps) for exact, other in same])
-        heading = (
             f"{metadata.setup} {metadata.split}, {self.first.extent}. Receiver {self.first.policies_label}, "
             f"data: {self.first.data_label}.\n"
-            f"Exact and {self.second.metadata.physics} physics agree on the outcome of {len(steps)} of {n} "
-            f"scenes: {100 * len(steps) / n:.2f} % (95 % interval {format_percent_interval(len(steps), n)})."
-        )
-        if not len(steps):
-            return [heading, confusion, rates, differences]
-        median, percentile = np.percentile(steps, [50, 95])
-        sentence = (
-            f"Of the scenes with the same outcome, {np.mean(steps == 0):.0%} have the same number of steps. The "
-            f"numbers of steps (ms) differ by {median:g} in the median, by {percentile:g} or less in 95 %, and by "
-            f"{steps.max()} at most."
-        )
-        return [heading, confusion, rates, sentence, differences]
+            f"Exact and {name} physics agree on the outcome of {len(steps)} of {n} "
+            f"scenes: {100 * len(steps) / n:.2f} % (95 % interval {estimate_rate(len(steps), n).format_interval()}).",
+            ReportTable(["n episodes", *(f"{name}: {label}" for label in labels)], rows),
+            build_rate_table([(other, exact) for exact, other in self.pairs], (name, EXACT)),
+            sentence,
+            build_difference_table(self.pairs, (EXACT, name)),
+        ]
 
 
 def compare(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> Comparison:

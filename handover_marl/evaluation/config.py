@@ -125,9 +125,9 @@ def build_configs(
         TypeError: Unknown option.
         OptionError: A configuration and one of its fields are both given, or a value is malformed.
     """
-    execution_fields = {field.name for field in fields(ExecutionConfig)}
-    execution_options = {key: value for key, value in options.items() if key in execution_fields}
-    evaluation_options = {key: value for key, value in options.items() if key not in execution_fields}
+    names = {field.name for field in fields(ExecutionConfig)}
+    execution_options = {key: value for key, value in options.items() if key in names}
+    evaluation_options = {key: value for key, value in options.items() if key not in names}
     for config, given in ((setup, evaluation_options), (execution, execution_options)):
         if isinstance(config, (EvaluationConfig, ExecutionConfig)) and given:
             raise OptionError(
@@ -157,18 +157,16 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     check_name("split", config.split, SPLITS)
     check_physics(config.physics)
     check_config("world_config", config.world_config, WorldConfig)
-    giver = parse_policy("giver", config.giver, trust)
-    receiver = parse_policy("receiver", config.receiver, trust)
+    agents = ("giver", "receiver")
+    policies = {agent: parse_policy(agent, getattr(config, agent), trust) for agent in agents}
     dataset = config.open_dataset()
     setup = dataset.resolve_setup(config.setup)
     scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
-    giver = giver.resolve(dataset, config.world_config, setup)
-    receiver = receiver.resolve(dataset, config.world_config, setup)
-    camera = config.wrist_camera
-    if get_camera_data_kind(receiver.obs_mode) is not None:
-        resolve_renderer(camera.renderer, config.physics)
+    resolved = {agent: policies[agent].resolve(dataset, config.world_config, setup) for agent in agents}
+    if get_camera_data_kind(resolved["receiver"].obs_mode) is not None:
+        resolve_renderer(config.wrist_camera.renderer, config.physics)
     dataset.check_scenes(scenes)
-    config = replace(config, setup=setup, scenes=scenes, giver=giver, receiver=receiver)
+    config = replace(config, setup=setup, scenes=scenes, giver=resolved["giver"], receiver=resolved["receiver"])
     return set_dataset(config, dataset), dataset
 
 

@@ -1,6 +1,7 @@
 """Cross-play: evaluation of every giver with every receiver on the same scenes."""
 
 import hashlib
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,9 +13,7 @@ from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, build_configs
-from handover_marl.evaluation.reports.episode_tables import (
-    estimate_fluency,
-)
+from handover_marl.evaluation.reports.episode_tables import estimate_fluency
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.reports.tables import (
     AVERAGE_SUCCESS,
@@ -26,16 +25,12 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     TIMES,
     WAIT,
-    MeanEstimate,
+    Estimate,
     ReportTable,
     TabularResult,
-    append_interval,
-    compute_paired_difference,
-    compute_wilson_interval,
+    estimate_paired_difference,
     format_csv,
-    format_percent_difference,
     format_percent_rate,
-    format_seconds,
 )
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import forward_signature, require_modules
@@ -43,10 +38,11 @@ from handover_marl.policies.policy import Policy
 from handover_marl.policies.reference import PolicyLike, PolicyReference, parse_policy
 
 PolicyPair = tuple[str, str]
+SUCCESS = EpisodeStatus.SUCCESS
 CROSSPLAY_CSV = "crossplay.csv"
 _NOTE = f"Means of the fluency metrics are in {CROSSPLAY_CSV}, and in the report of each pair."
 _CSV_IDENTITY = ("setup", "split", "dataset", "physics")
-_CSV_MEANS = (AVERAGE_SUCCESS, *TIMES, *FLUENCY)
+_CSV_COLUMNS = (*RATES, AVERAGE_SUCCESS, *TIMES, *FLUENCY)
 # File systems allow names of 255 bytes; a hash follows longer names.
 _MAX_NAME_BYTES = 200
 
@@ -79,19 +75,14 @@ class CrossPlay(TabularResult):
         """
         rows = []
         for (giver, receiver), report in self.reports.items():
-            n, means = len(report.episodes), report.official_means | estimate_fluency(report.episodes)
             row: dict[str, Any] = {"giver": giver, "receiver": receiver}
             row |= {key: getattr(report.metadata, key) for key in _CSV_IDENTITY}
-            row |= {"data": report.data_label, N_EPISODES.key: n}
-            for column, flag in zip(RATES, REPORTED_STATUSES, strict=True):
-                interval = compute_wilson_interval(report.count(flag), n)
-                row[column.key] = report.compute_rate(flag)
-                row |= {f"{column.key}_low": interval[0], f"{column.key}_high": interval[1]}
-            row[WAIT.key] = report.metadata.wait_s
-            for key in (column.key for column in _CSV_MEANS):
-                found = means.get(key, MeanEstimate(None, None, 0))
-                low, high = found.interval_95 or (None, None)
-                row |= {key: found.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": found.n}
+            row |= {"data": report.data_label, N_EPISODES.key: len(report.episodes), WAIT.key: report.metadata.wait_s}
+            found = report.rates | report.official_means | estimate_fluency(report.episodes)
+            for key in (column.key for column in _CSV_COLUMNS):
+                estimate = found.get(key, Estimate(None, None, 0))
+                low, high = estimate.interval_95 or (None, None)
+                row |= {key: estimate.mean, f"{key}_low": low, f"{key}_high": high, f"{key}_n": estimate.n}
             rows.append({key: f"{value:.6f}" if isinstance(value, float) else value for key, value in row.items()})
         return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
@@ -114,10 +105,11 @@ class CrossPlay(TabularResult):
         picture = draw_heat_map(rates, self.givers, self.receivers, title)
         write_atomically(folder / "crossplay.png", picture)
 
-    def build_tables(self) -> list[ReportTable]:
-        """Build the matrix of success rates and the tables of rates and gains."""
-        baseline, titles = self.givers[0], [N_EPISODES.title, "success gain, points", "contact gain, points"]
-        combinations = [(receiver, other) for n, receiver in enumerate(self.receivers) for other in self.receivers[:n]]
+    def build_sections(self) -> list[str | ReportTable]:
+        """Build heading, note, the matrix of success rates, and the tables of rates and gains."""
+        report = self._first_report
+        metadata, baseline = report.metadata, self.givers[0]
+        titles = [N_EPISODES.title, "success gain, points", "contact gain, points"]
         giver_gains = [
             [giver, baseline, receiver, *self._format_gains((giver, receiver), (baseline, receiver))]
             for giver in self.givers[1:]
@@ -126,36 +118,29 @@ class CrossPlay(TabularResult):
         receiver_gains = [
             [receiver, other, giver, *self._format_gains((giver, receiver), (giver, other))]
             for giver in self.givers
-            for receiver, other in combinations
+            for other, receiver in itertools.combinations(self.receivers, 2)
         ]
         return [
+            f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
+            f"physics, data: {report.data_label}.\n"
+            "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene.",
             self._build_matrix(),
             self._build_rate_table(),
             ReportTable(["giver", "other giver", "receiver", *titles], giver_gains, n_keys=3),
             ReportTable(["receiver", "other receiver", "giver", *titles], receiver_gains, n_keys=3),
+            _NOTE,
         ]
-
-    def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, tables and note."""
-        report = self._first_report
-        metadata = report.metadata
-        heading = (
-            f"Cross-play on {metadata.setup} {metadata.split}, {report.extent}, {metadata.physics} "
-            f"physics, data: {report.data_label}.\n"
-            "95 % intervals: Wilson for rates, bootstrap for means, Agresti and Min for differences, paired by scene."
-        )
-        return [heading, *self.build_tables(), _NOTE]
 
     @property
     def _first_report(self) -> Report:
         return next(iter(self.reports.values()))
 
     def _build_matrix(self) -> ReportTable:
-        rows = []
-        for giver in self.givers:
-            reports = [self.reports[giver, receiver] for receiver in self.receivers]
-            cells = [format_percent_rate(each.count(EpisodeStatus.SUCCESS), len(each.episodes)) for each in reports]
-            rows.append([giver, *cells, len(reports[0].episodes)])
+        n = len(self._first_report.episodes)
+        rows = [
+            [giver, *(format_percent_rate(self.reports[giver, name].count(SUCCESS), n) for name in self.receivers), n]
+            for giver in self.givers
+        ]
         return ReportTable(["giver", *(f"{name}: {RATES[0].title}" for name in self.receivers), N_EPISODES.title], rows)
 
     def _build_rate_table(self) -> ReportTable:
@@ -163,11 +148,8 @@ class CrossPlay(TabularResult):
         for pair, report in self.reports.items():
             rates = [f"{100 * report.compute_rate(flag):.1f}" for flag in REPORTED_STATUSES]
             score, exec_s = (report.official_means[column.key] for column in (AVERAGE_SUCCESS, TIMES[0]))
-            cells = [
-                append_interval(f"{100 * (score.mean or 0.0):.2f}", score.interval_95),
-                append_interval(format_seconds(exec_s.mean), exec_s.interval_95, ".3f", 1.0),
-            ]
-            rows.append([*pair, len(report.episodes), *rates, report.metadata.wait_s or NO_VALUE, *cells, exec_s.n])
+            means = [score.format(".2f", ".1f"), exec_s.format(".3f", scale=1.0), exec_s.n]
+            rows.append([*pair, len(report.episodes), *rates, report.metadata.wait_s or NO_VALUE, *means])
         columns = [N_EPISODES, *RATES, WAIT, AVERAGE_SUCCESS, TIMES[0], COUNTS[0]]
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
@@ -175,10 +157,10 @@ class CrossPlay(TabularResult):
         """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
-            compute_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
-            for status in (EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT)
+            estimate_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
+            for status in (SUCCESS, EpisodeStatus.HUMAN_CONTACT)
         ]
-        return [len(sides[0]), *map(format_percent_difference, differences)]
+        return [len(sides[0]), *(difference.format("+.1f") for difference in differences)]
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("giver", "receiver"))

@@ -23,7 +23,7 @@ from handover_marl.errors import ActionError, DataNotFoundError, OptionError, Po
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter
 from handover_marl.execution.options import describe_machine
-from handover_marl.execution.pool import Pool
+from handover_marl.execution.pool import AnyPool
 from handover_marl.policies.reference import PolicyBundle
 
 
@@ -124,7 +124,7 @@ class EpisodeRunner:
 def run_episodes(
     config: EvaluationConfig,
     tasks: Sequence[SceneTask],
-    pool: Pool,
+    pool: AnyPool,
     writers: tuple[EpisodeWriter, ...] = (),
 ) -> Generator[tuple[int, FinishedEpisode], None, None]:
     """Simulate scenes in workers; yield each episode as soon as it is finished.
@@ -145,11 +145,11 @@ def run_episodes(
     # Without tasks there is no need to connect to a cluster.
     n_workers = min(pool.n_workers, len(tasks)) if tasks else 0
     parallelism = " ".join(filter(None, (f"{n_workers} at a time", pool.location)))
-    bundles: tuple[PolicyBundle, ...] = ()
+    remote = None
     if pool.is_remote:
-        bundles = tuple(map(PolicyBundle.pack, map(require_policy_reference, (config.giver, config.receiver))))
-    location = DataLocation.from_data_dir(config.data_dir, config.dataset) if pool.is_remote else None
-    open_runner = functools.partial(_open_runner, config, parallelism, writers, bundles, location)
+        references = map(require_policy_reference, (config.giver, config.receiver))
+        remote = DataLocation.from_data_dir(config.data_dir, config.dataset), [*map(PolicyBundle.pack, references)]
+    open_runner = functools.partial(_open_runner, config, parallelism, writers, remote)
     return pool.map_unordered(open_runner, tasks, lambda task: f"simulating scene {task.scene_id}")
 
 
@@ -158,12 +158,12 @@ def _open_runner(
     config: EvaluationConfig,
     parallelism: str,
     writers: tuple[EpisodeWriter, ...],
-    bundles: tuple[PolicyBundle, ...],
-    location: DataLocation | None,
+    remote: tuple[DataLocation, list[PolicyBundle]] | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Open a runner; with a location, on a machine with other files: unpack policies and find the data folder."""
-    with contextlib.nullcontext("") if location is None else TemporaryDirectory() as folder:
-        if location is not None:
+    """Open a runner; on a machine with other files, unpack policies and find the data folder first."""
+    with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
+        if remote is not None:
+            location, bundles = remote
             policies = {bundle.reference.agent: bundle.unpack(Path(folder)) for bundle in bundles}
             config = replace(config, data_dir=location.resolve(), **policies)  # type: ignore[arg-type]
             try:

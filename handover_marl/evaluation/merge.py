@@ -19,9 +19,9 @@ from handover_marl.evaluation.metadata import (
 from handover_marl.evaluation.reports.report import Report, evaluate, write_report
 from handover_marl.evaluation.results import (
     DEMONSTRATIONS,
+    ResultFolder,
     find_recordings,
     get_result_path,
-    prepare_result_folder,
     read_results,
 )
 from handover_marl.execution.files import shorten_text, write_atomically
@@ -53,18 +53,13 @@ def merge(
         OptionError: `folders` is not a list of paths, or `out` is not a path.
         DataFormatError: The description of demonstrations is damaged.
     """
-    if isinstance(folders, (str, bytes)) or not isinstance(folders, Sequence):
-        raise OptionError(f"folders must be a list of paths, got {folders!r}")
+    if isinstance(folders, (str, bytes)) or not isinstance(folders, Sequence) or not folders:
+        raise OptionError(f"folders must be a list of at least one path, got {folders!r}")
     paths, target = [check_path("folders", folder) for folder in folders], check_path("out", out)
-    if not paths:
-        raise ResultsError("folders must name at least one shard, got none")
     if target.resolve() in [path.resolve() for path in paths]:
         raise ResultsError(f"{target} is one of the shards; choose another output folder")
     if any((path / CROSSPLAY_CSV).exists() for path in paths):
         pairs = _read_pairs(paths[0] / CROSSPLAY_CSV)
-        for path in paths[1:]:
-            if sorted(_read_pairs(path / CROSSPLAY_CSV)) != sorted(pairs):
-                raise ResultsError(f"these are shards of different cross-plays: {paths[0]} and {path} have other pairs")
         reports = _merge_subfolders(paths, target, [format_pair_folder(pair) for pair in pairs])
         crossplay = CrossPlay(dict(zip(pairs, reports, strict=True)))
         crossplay.write(target)
@@ -107,13 +102,9 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
     """
     found: dict[int, Path] = {}
     scenes: set[int | None] = set()
-    first, n_first, chosen = _read_identity(paths[0])
+    first = _read_identity(paths[0])
     for path in paths:
-        metadata, n_shards, other = _read_identity(path)
-        different = first.describe_differences(metadata, f"in {paths[0]}", f"in {path}")
-        different += [] if n_shards == n_first else [f"{n_first} shards and {n_shards}"]
-        different += [] if other == chosen else [f"different scenes were selected for {paths[0]} and {path}"]
-        if different:
+        if different := first.describe_differences(_read_identity(path), f"in {paths[0]}", f"in {path}"):
             raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")
         for recording in find_recordings(path):
             # A link could name any file of this machine.
@@ -125,6 +116,7 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
                 raise ResultsError(f"{found[result.index]} and {file} are of the same scene; leave one shard out")
             found[result.index] = file
             scenes.add(result.scene_id)
+    n_shards, _, chosen = first.shard.partition(" of ")
     # Selected scenes are identified by number: their index in the split requires the dataset.
     missing = (
         [f"scene {scene}" for scene in map(int, chosen.split(",")) if scene not in scenes]
@@ -135,18 +127,17 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
         listed = ", ".join(missing[:_MAX_LISTED]) + (", ..." if len(missing) > _MAX_LISTED else "")
         raise ResultsError(
             f"these are not all shards, or not finished: {len(missing)} scenes have no result ({listed}); run the "
-            f"commands of all {n_first} shards again to resume"
+            f"commands of all {n_shards} shards again to resume"
         )
-    return first, dict(sorted(found.items()))
+    return replace(first, shard=""), dict(sorted(found.items()))
 
 
-def _read_identity(path: Path) -> tuple[ResultMetadata, str, str]:
-    """Return the identity of the whole evaluation, the number of its shards, and its scenes if they were selected."""
+def _read_identity(path: Path) -> ResultMetadata:
+    """Return the identity of a shard's evaluation, with the shard's number left out: "16", or "16 of 209,214"."""
     metadata = read_result_metadata(path)
     if not metadata.shard:
         raise ResultsError(f"{path} is not a shard: it was evaluated without --shard")
-    number, _, scenes = metadata.shard.partition(" of ")
-    return replace(metadata, shard=""), number.partition("/")[2], scenes
+    return replace(metadata, shard=metadata.shard.partition("/")[2])
 
 
 def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -> Report:
@@ -156,7 +147,7 @@ def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -
         ResultsError: `out` holds another evaluation or cannot be written.
     """
     folders = list(dict.fromkeys(file.parent for file in files.values()))
-    prepare_result_folder(out, metadata, format_merged_config(folders[0]))
+    ResultFolder(out, metadata, format_merged_config(folders[0]))
     for folder in folders:
         for recording in find_recordings(folder):
             copy = out / recording.relative_to(folder)

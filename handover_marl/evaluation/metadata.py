@@ -12,7 +12,7 @@ import yaml
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.episode.spaces import OBS_MODES, STATE
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import is_pybullet_installed
@@ -26,8 +26,6 @@ CONFIG_FILE = "config.yaml"
 OFFICIAL_WORLD = "official"
 _NOISE_PREFIX = "initial_joint_noise="
 _LIBRARY_SECTION = "HANDOVER_MARL"
-# HandoverSim's environment with the wrist camera.
-_HANDOVERSIM_CAMERA_ENV = "HandoverHandCameraPointStateEnv-v1"
 _MAX_TEXT = 20_000  # characters; a shard lists its scenes
 _SPLIT_SIZE = re.compile(r"[1-9][0-9]{0,6}")
 _CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_MODES}
@@ -92,15 +90,7 @@ class ResultMetadata:
             recorded: Description of the recordings kept beside the results.
             shard: Part of the evaluation, e.g. "3/16", or "1/2 of 209,214" of selected scenes.
             n_split_scenes: Number of scenes in the split; may be left out for an official setup.
-
-        Raises:
-            OptionError: The list of scenes in `shard` is too long for `config.yaml`.
         """
-        if len(shard) > _MAX_TEXT:
-            raise OptionError(
-                f"scenes must be fewer if shard is given, got a list of {len(shard)} characters; take a whole split or "
-                "a range of scenes without shards"
-            )
         giver, receiver = require_policy_reference(config.giver), require_policy_reference(config.receiver)
         same = ("setup", "split", "physics", "dataset", "robot")
         return cls(
@@ -131,13 +121,7 @@ class ResultMetadata:
         return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
-        """Describe each field in which this evaluation and another one differ.
-
-        Args:
-            other: Identity of the other evaluation.
-            here: Place of this evaluation, e.g. "in the folder".
-            there: Place of the other evaluation.
-        """
+        """Describe each field in which this evaluation and another one differ; both places are named, e.g. "now"."""
         return [
             f"{key.replace('_', ' ')} {value!r} {here}, {vars(other)[key]!r} {there}"
             for key, value in vars(self).items()
@@ -173,7 +157,7 @@ def parse_world_label(label: str) -> WorldConfig:
     return OFFICIAL_CONFIG if noise == label else replace(OFFICIAL_CONFIG, initial_joint_noise=float(noise))
 
 
-def format_config(metadata: ResultMetadata, config: WorldConfig) -> str:
+def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG) -> str:
     """Return the content of a result folder's `config.yaml`."""
     library: dict[str, Any] = metadata.to_dict()
     benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_official_rules(config)}
@@ -188,7 +172,7 @@ def format_merged_config(path: Path) -> str:
         ResultsError: The shard's `config.yaml` cannot be read.
     """
     read_result_metadata(path)
-    content = _read_yaml(path / CONFIG_FILE, path)
+    content = _read_yaml(path)
     return yaml.safe_dump({**content, _LIBRARY_SECTION: {**content[_LIBRARY_SECTION], "shard": ""}}, sort_keys=False)
 
 
@@ -199,8 +183,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
         ResultsError: `config.yaml` cannot be read or is malformed, has no official setup and split,
             or claims the official rules but has other values.
     """
-    config_path = path / CONFIG_FILE
-    content = _read_yaml(config_path, path)
+    config_path, content = path / CONFIG_FILE, _read_yaml(path)
     try:
         benchmark, library = content["BENCHMARK"], content.get(_LIBRARY_SECTION)
         values = _infer_handoversim_metadata(path, content) if library is None else library
@@ -221,10 +204,6 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
     """Check the identity of an evaluation that was read from a file.
-
-    Args:
-        metadata: Identity of the evaluation.
-        path: The file, for error messages.
 
     Raises:
         ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no
@@ -257,27 +236,27 @@ def _official_rules(config: WorldConfig) -> dict[str, Any]:
     }
 
 
-def _read_yaml(config_path: Path, folder: Path) -> dict[str, Any]:
+def _read_yaml(folder: Path) -> dict[str, Any]:
+    """Return the content of a result folder's `config.yaml`."""
+    path = folder / CONFIG_FILE
     try:
-        content = read_yaml(config_path, _MAX_BYTES)
+        content = read_yaml(path, _MAX_BYTES)
+        if not isinstance(content, dict):
+            raise TypeError("it has no sections")
     except (FileNotFoundError, NotADirectoryError) as error:
         if not folder.exists():
             raise ResultsError(f"result folder {folder} does not exist") from error
         parts = sorted(path.parent.name for path in folder.glob(f"*/{CONFIG_FILE}"))
         advice = f"; pass one of its folders {shorten_text(', '.join(parts))}" if parts else ""
         raise ResultsError(f"{folder} is no result folder: it has no {CONFIG_FILE}{advice}") from error
-    except OSError as error:
-        raise ResultsError(f"cannot read {config_path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ResultsError(f"{config_path}: not a readable configuration ({error})") from error
-    if not isinstance(content, dict):
-        raise ResultsError(f"{config_path}: not a readable configuration (no sections)")
+    except (OSError, ValueError, TypeError) as error:
+        raise ResultsError(f"{path}: not a readable configuration ({shorten_text(error)})") from error
     return content
 
 
 def _infer_handoversim_metadata(path: Path, content: Mapping[str, Any]) -> dict[str, str]:
     """Infer the identity of a result folder that HandoverSim wrote, without the wait."""
-    has_camera = content.get("ENV", {}).get("ID", "") == _HANDOVERSIM_CAMERA_ENV
+    has_camera = content.get("ENV", {}).get("ID", "") == "HandoverHandCameraPointStateEnv-v1"
     folder = path.resolve().name
     # <date>_<time>_<method>_<setup>_<split>
     match = re.fullmatch(r"[\d-]+_[\d-]+_(.+)_s[0-3]_(train|val|test)", folder)

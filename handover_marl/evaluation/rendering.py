@@ -67,19 +67,16 @@ def _open_scene(
             raise OptionError(f"{name} must be left out for one scene, got {options[name]!r}")
     config, execution = build_configs(None, options, receiver=receiver, giver=giver)
     dataset = config.open_dataset()
-    scene = dataset.load_scene(scene_id)
     policies: Any = {
         agent: parse_policy(agent, getattr(config, agent), execution.trust).resolve(dataset, config.world_config)
         for agent in ("receiver", "giver")
     }
-    return EpisodeRunner(set_dataset(replace(config, **policies), dataset)), scene, execution
+    runner = EpisodeRunner(set_dataset(replace(config, **policies), dataset))
+    return runner, dataset.load_scene(scene_id), execution
 
 
 def _play(
-    runner: EpisodeRunner,
-    scene: Scene,
-    until: int | Callable[[], bool] | None = None,
-    callbacks: Sequence[EpisodeCallback] = (),
+    runner: EpisodeRunner, scene: Scene, until: int | Callable[[], bool] | None = None, *callbacks: EpisodeCallback
 ) -> int:
     """Simulate a scene to its end, for a number of steps, or until a predicate holds; return the number of steps."""
     seed = runner.config.seed
@@ -143,7 +140,7 @@ def render_scene(
     check_boolean("caption", caption)
     if isinstance(key_frames, bool) or not isinstance(key_frames, int) or key_frames < 1:
         raise OptionError(f"key_frames must be an integer of at least 1, got {key_frames!r}")
-    runner, scene, execution = _open_scene(scene_id, "hold" if receiver is None else receiver, giver, options)
+    runner, scene, execution = _open_scene(scene_id, receiver or "hold", giver, options)
     config = runner.config
     if view == "wrist":
         resolve_renderer(config.renderer, config.physics)
@@ -156,14 +153,14 @@ def render_scene(
 
     def record_frames(steps: Sequence[int], with_end: bool) -> list[Picture]:
         recorder = FrameRecorder(steps, draw, execution.progress, with_end)
-        _play(runner, scene, until, [recorder])
+        _play(runner, scene, until, recorder)
         return recorder.frames
 
     if suffix == ".html":
         recorder = ReplayRecorder(runner.receiver)
-        _play(runner, scene, until, [recorder])
+        _play(runner, scene, until, recorder)
         facts = format_replay_facts(config, runner.dataset.describe_models(scene_id))
-        content = build_replay_page(recorder.log, facts, camera).encode()
+        content = build_replay_page(recorder, facts, camera).encode()
     elif suffix == ".png":
         # Simulated twice: the steps of the key frames are known only after the episode's end.
         end = _play(runner, scene) if until is None else until
@@ -218,9 +215,9 @@ def render_plan(
     _play(runner, scene, lambda: policy.has_planned)
     observation, plan = runner.episode.observe(), policy.plan
     runner.close()
-    reached = (
-        f"{len(plan.goals)} goals (green), the chosen one red, {plan.steps} steps" if plan else "no goal can be reached"
-    )
+    reached = "no goal can be reached"
+    if plan:
+        reached = f"{len(plan.goals)} goals (green), the chosen one red, {plan.steps} steps"
     title = f"{policy.name}, scene {scene_id} ({info.target_name}), {dataset.name}: {reached}"
     urdfs = [dataset.find_object_urdf(name) for name in info.object_names]
     size = (camera.width, camera.height)

@@ -5,11 +5,10 @@ from pathlib import Path
 from handover_marl.datasets.registry import format_dataset_title
 from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import (
+    REPLAYS,
     EpisodeRecorder,
     EpisodeResult,
     EpisodeWriter,
-    get_replay_path,
-    prepare_subfolder,
 )
 from handover_marl.policies.policy import Policy
 from handover_marl.version import __version__
@@ -50,8 +49,8 @@ class ReplayWriter(EpisodeWriter):
     """
 
     def __init__(self, folder: Path, replays: str) -> None:
-        self._folder, self._include_successes = folder, replays == REPLAYS_ALL
-        prepare_subfolder(get_replay_path(folder, 0).parent)
+        super().__init__(folder / REPLAYS)
+        self._include_successes = replays == REPLAYS_ALL
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of replays in one worker process."""
@@ -60,7 +59,7 @@ class ReplayWriter(EpisodeWriter):
         def encode(result: EpisodeResult) -> bytes:
             if result.success and not self._include_successes:
                 return b""
-            return build_replay_page(recorder.log, format_replay_facts(config, result.models or "")).encode()
+            return build_replay_page(recorder, format_replay_facts(config, result.models or "")).encode()
 
         return recorder, encode
 
@@ -70,4 +69,4 @@ class ReplayWriter(EpisodeWriter):
 
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the replay page of an episode."""
-        return get_replay_path(self._folder, result.scene_id or 0)
+        return self.path / f"{result.scene_id or 0:03d}.html"

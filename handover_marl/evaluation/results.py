@@ -9,9 +9,9 @@ values that all episodes share, `columns` the keys of the other values, and `epi
 units are those of the episodes in `report.json`.
 """
 
-import io
 import json
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any, TypeAlias, get_args, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
+from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback
 from handover_marl.episode.metrics.fluency import FluencyMetrics
 from handover_marl.episode.referee import EpisodeStatus
@@ -34,7 +34,13 @@ from handover_marl.evaluation.metadata import (
     format_config,
     read_result_metadata,
 )
-from handover_marl.execution.files import create_exclusively, remove_stale_temporaries, shorten_text, write_atomically
+from handover_marl.execution.files import (
+    create_exclusively,
+    encode_arrays,
+    remove_stale_temporaries,
+    shorten_text,
+    write_atomically,
+)
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.policies.policy import Policy
 
@@ -45,18 +51,7 @@ REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
 REPLAYS, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "demonstrations", "metadata.json"
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an episode file
 _FLUENCY_PREFIX = "fluency_"
-_MAX_TEXT = 10_000  # characters of a description
-_MAX_NUMBER, _MAX_OBJECTS, _MAX_SCENES = 1e9, 1000, 10_000_000
-# Smallest and largest possible values.
-_LIMITS: dict[str, tuple[float, float]] = {
-    "index": (0, _MAX_SCENES - 1),
-    "status": (1, 15),
-    "steps": (1, _MAX_NUMBER),
-    "plan_s": (0.0, _MAX_NUMBER),
-    "scene_id": (0, _MAX_SCENES - 1),
-    "release_step": (0, _MAX_NUMBER),
-    "n_objects": (1, _MAX_OBJECTS),
-}
+_MAX_TEXT, _MAX_NUMBER = 10_000, 1e9  # characters of a description; largest number
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,21 @@ class EpisodeWriter(ABC):
     """Writer of one file for each episode.
 
     The main process writes; worker processes hold a pickled copy, which only creates recorders.
+
+    Args:
+        path: Folder of the files; created if missing. Files that killed processes left there are removed.
+
+    Raises:
+        ResultsError: The folder cannot be created.
     """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            remove_stale_temporaries(path)
+        except OSError as error:
+            raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
 
     @abstractmethod
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
@@ -137,9 +146,9 @@ class EpisodeWriter(ABC):
             receiver: The robot's policy in this process.
         """
 
-    @abstractmethod
     def get_path(self, result: EpisodeResult) -> Path:
         """Return the path of the file of an episode."""
+        return get_result_path(self.path, result.index)
 
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the file of an episode exists already or is not needed.
@@ -163,11 +172,6 @@ def get_result_path(folder: Path, index: int) -> Path:
     return folder / f"{index:03d}.npz"
 
 
-def get_replay_path(folder: Path, scene_id: int) -> Path:
-    """Return the path of a scene's replay page."""
-    return folder / REPLAYS / f"{scene_id:03d}.html"
-
-
 def find_numbered(folder: Path, suffix: str) -> dict[int, Path]:
     """Return the files 000, 001, ... of a folder with a suffix, by number in ascending order."""
     paths = [path for path in folder.glob(f"[0-9]*{suffix}") if path.stem.isdecimal()]
@@ -182,37 +186,43 @@ def find_recordings(folder: Path) -> list[Path]:
     return [*paths, *demonstrations.glob(DEMONSTRATIONS_METADATA)]
 
 
-def prepare_subfolder(path: Path) -> None:
-    """Create the folder of recordings in a result folder; remove files that killed processes left there.
-
-    Raises:
-        ResultsError: The folder cannot be created.
-    """
-    try:
-        path.mkdir(exist_ok=True)
-        remove_stale_temporaries(path)
-    except OSError as error:
-        raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
-
-
 class ResultFolder(EpisodeWriter):
     """Result folder of one evaluation, and the writer of its official result files.
 
     Args:
         path: Path of the folder; created with its parents if missing.
         metadata: Identity of the evaluation.
-        config: World and rules of the evaluation.
+        config: Content of its `config.yaml`; default: that of an evaluation with the official world and rules.
         fresh: Whether to delete the results of an earlier evaluation first.
 
     Raises:
         ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
     """
 
-    def __init__(
-        self, path: Path, metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG, fresh: bool = False
-    ) -> None:
-        self.path = path
-        prepare_result_folder(path, metadata, format_config(metadata, config), fresh)
+    def __init__(self, path: Path, metadata: ResultMetadata, config: str = "", fresh: bool = False) -> None:
+        super().__init__(path)
+        try:
+            entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
+            if entries and CONFIG_FILE not in entries:
+                raise ResultsError(
+                    f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
+                )
+            if fresh and entries:
+                # Other programs use files of that name; their folders must not be cleared.
+                read_result_metadata(path)
+                reports = [path / name for name in (CONFIG_FILE, *REPORT_FILES)]
+                for old in (*find_numbered(path, ".npz").values(), *find_recordings(path), *reports):
+                    old.unlink(missing_ok=True)
+        except OSError as error:
+            raise ResultsError(f"cannot use {path} as result folder: {error.strerror or error}") from error
+        # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
+        create_exclusively(path / CONFIG_FILE, config or format_config(metadata))
+        different = read_result_metadata(path).describe_differences(metadata, "in the folder", "now")
+        if different:
+            raise ResultsError(
+                f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its "
+                "results with fresh=True (--fresh)"
+            )
 
     def read(self, index: int, fingerprint: str) -> EpisodeResult | None:
         """Read the result of a scene; None if the result file is missing or damaged.
@@ -238,79 +248,32 @@ class ResultFolder(EpisodeWriter):
         recorder = ActionRecorder()
         return recorder, lambda result: encode_result(result, recorder.actions, recorder.times)
 
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the official result file of a scene."""
-        return get_result_path(self.path, result.index)
-
 
 def encode_result(
     result: EpisodeResult, actions: npt.NDArray[np.float32], elapsed_time: npt.NDArray[np.float64]
 ) -> bytes:
-    """Return the content of a scene's official result file.
+    """Return the content of a scene's official result file: its result, and arrays with a row for every physics step.
 
-    Args:
-        result: Outcome of the episode.
-        actions: (T, 9) action of every physics step.
-        elapsed_time: (T,) policy time at every physics step (s), zero between decisions.
+    These are the actions (T, 9), and the times (T,) in the receiver's policy (s), zero between decisions.
     """
-    stream = io.BytesIO()
     arrays: dict[str, Any] = {
         "action": actions,
         "elapsed_time": elapsed_time,
         "elapsed_frame": np.int64(result.steps),
         "result": np.int64(result.status),
         **{key: np.array(value) for key in _EXTRAS if (value := getattr(result, key)) is not None},
-        **{
-            _FLUENCY_PREFIX + key: np.array(np.nan if value is None else value, dtype=np.float64)
-            for key, value in (asdict(result.fluency) if result.fluency else {}).items()
-        },
     }
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
-
-
-def prepare_result_folder(path: Path, metadata: ResultMetadata, config: str, fresh: bool = False) -> None:
-    """Create the result folder of an evaluation, or check that an existing one belongs to it.
-
-    Args:
-        path: Path of the folder; created with its parents if missing.
-        metadata: Identity of the evaluation.
-        config: Content of its `config.yaml`.
-        fresh: Whether to delete the results of an earlier evaluation first.
-
-    Raises:
-        ResultsError: The folder belongs to another evaluation, holds other files, or cannot be written.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        entries = [entry.name for entry in path.iterdir() if not entry.name.startswith(".")]
-        if entries and CONFIG_FILE not in entries:
-            raise ResultsError(
-                f"{path} is not empty and has no {CONFIG_FILE}, so it is no result folder; choose another one"
-            )
-        if fresh and entries:
-            # Other programs use files of that name; their folders must not be cleared.
-            read_result_metadata(path)
-            reports = [path / name for name in (CONFIG_FILE, *REPORT_FILES)]
-            for old in (*find_numbered(path, ".npz").values(), *find_recordings(path), *reports):
-                old.unlink(missing_ok=True)
-    except OSError as error:
-        raise ResultsError(f"cannot use {path} as result folder: {error.strerror or error}") from error
-    # Of several evaluations that start at once in an empty folder, one writes this and the others read it.
-    create_exclusively(path / CONFIG_FILE, config)
-    different = read_result_metadata(path).describe_differences(metadata, "in the folder", "now")
-    if different:
-        raise ResultsError(
-            f"{path} holds another evaluation ({'; '.join(different)}); choose another folder, or delete its results "
-            "with fresh=True (--fresh)"
-        )
+    for key, value in (asdict(result.fluency) if result.fluency else {}).items():
+        arrays[_FLUENCY_PREFIX + key] = np.array(np.nan if value is None else value, dtype=np.float64)
+    return encode_arrays(arrays)
 
 
 def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
     """Read all results of a folder, ordered by index.
 
     Raises:
-        ResultsError: A file is damaged, or the folder has no results although `allow_empty` is False.
+        ResultsError: A file is damaged, two are of the same scene, or the folder has no results although `allow_empty`
+            is False.
     """
     files = find_numbered(path, ".npz").values()
     if not files and not allow_empty:
@@ -322,43 +285,19 @@ def read_results(path: Path, allow_empty: bool = False) -> list[EpisodeResult]:
 
 def _check_scenes_differ(results: Sequence[EpisodeResult], path: Path) -> None:
     """Check that no two results that were read from a path are of the same scene."""
-    known: dict[int, int] = {}
-    for result in results:
-        if result.scene_id is not None and known.setdefault(result.scene_id, result.index) != result.index:
-            raise ResultsError(
-                f"{path}: {known[result.scene_id]:03d}.npz and {result.index:03d}.npz are both of scene "
-                f"{result.scene_id}; delete the one that was copied"
-            )
+    for scene, count in Counter(result.scene_id for result in results).items():
+        if scene is not None and count > 1:
+            raise ResultsError(f"{path}: {count} results are of scene {scene}; delete those that were copied")
 
 
-def check_scalar(name: str, value: Any, kind: type) -> Any:
-    """Convert a value that was read from a file to a Python number or text.
-
-    Raises:
-        TypeError: The value is of another type.
-        ValueError: The text has control characters or is too long.
-    """
-    scalar = value.item() if isinstance(value, np.generic) else value
-    if type(scalar) is not kind:
-        raise TypeError(f"{name} must be of type {kind.__name__}, got {type(scalar).__name__}")
+def _check_scalar(name: str, value: Any, kind: type) -> Any:
+    """Return a value that was read from a file as a Python number or text; raise a `TypeError` for another type."""
+    scalar: Any = value.item() if isinstance(value, np.generic) else value
     # Control characters could change a terminal that prints the report.
-    if isinstance(scalar, str) and not (scalar.isprintable() and len(scalar) <= _MAX_TEXT):
-        raise ValueError(
-            f"{name} must be text without control characters, at most {_MAX_TEXT} characters, got {ascii(scalar)[:100]}"
-        )
+    text = scalar if isinstance(scalar, str) else ""
+    if type(scalar) is not kind or not text.isprintable() or len(text) > _MAX_TEXT:
+        raise TypeError(f"{name} must be a printable {kind.__name__}, got {ascii(scalar)[:100]}")
     return scalar
-
-
-def load_result_arrays(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Load all arrays of a result file.
-
-    Raises:
-        ResultsError: The file is damaged or too large.
-    """
-    try:
-        return read_arrays(path, largest=_MAX_BYTES)
-    except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
-        raise _make_read_error(path, error) from error
 
 
 def read_result(path: Path) -> EpisodeResult:
@@ -367,49 +306,47 @@ def read_result(path: Path) -> EpisodeResult:
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
     """
-    arrays = load_result_arrays(path)
+    return read_result_and_actions(path)[0]
+
+
+def read_result_and_actions(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
+    """Read a result file, with the action (T, 9) of every physics step, or what else the file has as actions.
+
+    Raises:
+        ResultsError: The file is damaged, or its values are impossible.
+    """
     try:
+        arrays = read_arrays(path, largest=_MAX_BYTES)
         values: dict[str, Any] = {key.removeprefix(_FLUENCY_PREFIX): array[()] for key, array in arrays.items()}
         values |= {"status": values["result"], "steps": values["elapsed_frame"], "index": int(path.stem)}
-        return _parse_result({**values, "plan_s": np.sum(arrays["elapsed_time"])})
-    except Exception as error:  # arrays may have any shape and type
-        raise _make_read_error(path, error) from error
+        result = _parse_result({**values, "plan_s": np.sum(arrays["elapsed_time"])})
+    except Exception as error:  # NumPy and zipfile raise exceptions of many types; arrays may have any shape and type
+        raise ResultsError(
+            f"{path}: not a readable result file ({type(error).__name__}: {error}); check its rights, or delete it and "
+            "run the scene again"
+        ) from error
+    return result, arrays.get("action", np.zeros(0))
 
 
 def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
-    """Return the result of an episode from values that were read from a file.
-
-    Args:
-        values: Fields of `EpisodeResult` and of `FluencyMetrics` by name, as Python or NumPy scalars; unknown ones may
-            be None or missing.
+    """Return the result of an episode from values of `EpisodeResult` and `FluencyMetrics` that were read from a file.
 
     Raises:
         KeyError, TypeError, ValueError: A value is missing, of another type or impossible.
     """
-    known: dict[str, Any] = {key: int(values[key]) for key in ("status", "steps")} | {"plan_s": float(values["plan_s"])}
+    status, steps, plan_s = EpisodeStatus(int(values["status"])), int(values["steps"]), float(values["plan_s"])
     kinds = {"index": int} | {key: kind for key, kind in _EXTRAS.items() if values.get(key) is not None}
-    known |= {key: check_scalar(key, values[key], kind) for key, kind in kinds.items()}
-    for key, (low, high) in _LIMITS.items():
-        if key in known and not low <= known[key] <= high:
-            raise ValueError(f"impossible {key} {shorten_text(known[key])}")
-    status = EpisodeStatus(known["status"])
-    if status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS:
-        raise ValueError(f"impossible status {known['status']}")
+    known = {key: _check_scalar(key, values[key], kind) for key, kind in kinds.items()}
+    if not 0 < status < 16 or (status & EpisodeStatus.SUCCESS and status != EpisodeStatus.SUCCESS):
+        raise ValueError(f"impossible status {int(status)}")
+    numbers = steps, plan_s, *(value for value in known.values() if isinstance(value, int))
+    if not steps or not all(0 <= number <= _MAX_NUMBER for number in numbers):
+        raise ValueError(f"impossible number, got {numbers}")
     metrics = {name: float(np.nan if values.get(name) is None else values[name]) for name in _METRICS}
-    if np.any(np.abs(list(metrics.values())) > _MAX_NUMBER):  # false for NaN, a missing metric
-        raise ValueError(f"a metric is beyond {_MAX_NUMBER:g}")
     if not all(map(np.isnan, metrics.values())):
         unknown: Any = {name: None if np.isnan(value) else value for name, value in metrics.items()}
         known["fluency"] = FluencyMetrics(**unknown)
-    return EpisodeResult(**{**known, "status": status})
-
-
-def _make_read_error(path: Path, error: Exception) -> ResultsError:
-    if isinstance(error, PermissionError):
-        return ResultsError(f"{path} cannot be read ({error.strerror or error}); check its rights")
-    return ResultsError(
-        f"{path}: not a readable result file ({type(error).__name__}: {error}); delete it and run the scene again"
-    )
+    return EpisodeResult(status=status, steps=steps, plan_s=plan_s, **known)
 
 
 def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
@@ -421,10 +358,6 @@ def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResu
     """Return the content of an episode file.
 
     Planning times are rounded to 0.1 ms, and metrics to four significant digits.
-
-    Args:
-        metadata: Identity of the evaluation.
-        episodes: One result per scene.
     """
     rows = []
     for episode in episodes:

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import itertools
 import json
 import math
 import os
@@ -36,8 +37,7 @@ from handover_marl.evaluation.results import (
     EpisodeResult,
     describe_episode,
     get_result_path,
-    load_result_arrays,
-    read_result,
+    read_result_and_actions,
 )
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_path
@@ -169,31 +169,19 @@ def verify(
             "evaluation's world_config"
         )
     data_dir = None if data_dir is None else str(check_path("data_dir", data_dir))
-    dataset = open_dataset(metadata.dataset, data_dir, metadata.robot)
-    split = dataset.list_scenes(metadata.setup, metadata.split)
-    wanted = frozenset(choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}"))
-    tasks = [
-        SceneTask(index, scene)
-        for index, scene in enumerate(split)
-        if scene in wanted and get_result_path(path, index).exists()
-    ]
+    split = open_dataset(metadata.dataset, data_dir, metadata.robot).list_scenes(metadata.setup, metadata.split)
+    wanted = choose_scenes(split, scenes, f"{metadata.setup} {metadata.split}")
+    tasks = [SceneTask(index, scene) for index, scene in enumerate(split) if scene in wanted]
+    tasks = [task for task in tasks if get_result_path(path, task.index).exists()]
     if not tasks:
         raise ResultsError(f"{path} has no results of these scenes (000.npz, 001.npz, ...)")
     if giver is None:
-        advice = f"pass giver={metadata.giver!r} (--giver {metadata.giver}), or "
-        check_stored_reference(path, "giver", metadata.giver, trust, list_available("giver"), advice)
+        giver, advice = metadata.giver, f"pass giver={metadata.giver!r} (--giver {metadata.giver}), or "
+        check_stored_reference(path, "giver", giver, trust, list_available("giver"), advice)
+    same: Any = {name: getattr(metadata, name) for name in ("setup", "split", "dataset", "physics", "robot")}
+    ids = tuple(task.scene_id for task in tasks)
     config = EvaluationConfig(
-        setup=metadata.setup,
-        split=metadata.split,
-        scenes=tuple(task.scene_id for task in tasks),
-        dataset=metadata.dataset,
-        data_dir=data_dir,
-        physics=metadata.physics,
-        giver=metadata.giver if giver is None else giver,
-        receiver="hold",
-        robot=metadata.robot,
-        seed=seed,
-        world_config=world,
+        **same, scenes=ids, data_dir=data_dir, giver=giver, receiver="hold", seed=seed, world_config=world
     )
     config, _ = resolve_config(config, trust)
     is_same_version = metadata.version == __version__
@@ -201,42 +189,27 @@ def verify(
     @contextlib.contextmanager
     def open_checker() -> Iterator[Callable[[SceneTask], list[Difference]]]:
         with contextlib.closing(EpisodeRunner(config)) as runner:
-            yield functools.partial(check_episode, runner, path, same_version=is_same_version)
+            yield functools.partial(check_episode, runner, path, is_same_version)
 
     with contextlib.closing(open_pool(PoolConfig(workers))) as pool:
         found = pool.map_unordered(open_checker, tasks, lambda task: f"verifying scene {task.scene_id}")
         bar = track(found, "verify", len(tasks), console=Console(stderr=True), disable=not progress)
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)
-    expected = {"giver": reference.label}
-    if is_same_version:
-        expected["giver_hash"] = reference.code_hash
-    stored = {key: getattr(metadata, key) for key in expected}
-    differences = [
-        *_compare_json(stored, expected),
-        *check_reports(path),
-        *(each for check in checks for each in check),
-    ]
-    return Verification(metadata, tuple(config.scenes or ()), tuple(differences))
+    expected = {"giver": reference.label} | ({"giver_hash": reference.code_hash} if is_same_version else {})
+    differences = _compare_json({key: getattr(metadata, key) for key in expected}, expected) + check_reports(path)
+    return Verification(metadata, ids, (*differences, *itertools.chain(*checks)))
 
 
-def check_episode(runner: EpisodeRunner, folder: Path, task: SceneTask, *, same_version: bool) -> list[Difference]:
-    """Simulate the stored actions of a scene and compare the result with the stored one.
-
-    Args:
-        runner: Runner of the evaluation's scenes.
-        folder: Result folder.
-        task: Scene to simulate.
-        same_version: Whether the present version of the library made the folder.
-    """
+def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
+    """Simulate the stored actions of a scene and compare the result with the stored one; see `compare_results`."""
     file = get_result_path(folder, task.index)
     try:
-        stored = read_result(file)
-        actions = read_actions(file, stored.steps)
+        stored, actions = read_result_and_actions(file)
+        receiver = StoredActions(check_actions(file, actions, stored.steps))
     except ResultsError as error:
         return [Difference(task.scene_id, file.name, shorten_text(error), "a result")]
-    simulated, _ = runner.run(task, StoredActions(actions))
-    return compare_results(stored, simulated, same_version)
+    return compare_results(stored, runner.run(task, receiver)[0], same_version)
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
@@ -249,11 +222,10 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
             compute hashes of data and descriptions of models differently.
     """
     values, expected = describe_episode(stored), describe_episode(simulated)
-    skipped = (*_UNVERIFIED, *(() if same_version else _VERSIONED))
+    skipped = {*_UNVERIFIED, *(() if same_version else _VERSIONED)}
     if stored.scene_id is None:
-        skipped = (*skipped, *(key for key, value in values.items() if value is None))
-    for key in skipped:
-        values.pop(key), expected.pop(key)
+        skipped.update(key for key, value in values.items() if value is None)
+    values, expected = ({key: each[key] for key in each.keys() - skipped} for each in (values, expected))
     return [replace(each, scene_id=simulated.scene_id) for each in _compare_json(values, expected)]
 
 
@@ -273,19 +245,14 @@ def check_reports(path: Path) -> list[Difference]:
     try:
         stored = json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES))
         report = replace(report, n_resumed=min(max(int(stored["n_resumed"]), 0), len(report.episodes)))
-        expected = json.loads(json.dumps(report.to_json()))
-        differences = [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in _compare_json(stored, expected)]
+        found = _compare_json(stored, json.loads(json.dumps(report.to_json())))
+        differences = [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in found]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         differences = [Difference(None, REPORT_JSON, shorten_text(error), "a report")]
-    texts = format_report_files(path, report)
-    return [
-        *differences,
-        *(
-            Difference(None, name, "other text", "the text of these results")
-            for name in names
-            if name != REPORT_JSON and (path / name).read_bytes() != texts[name].encode()
-        ),
-    ]
+    for name, text in format_report_files(path, report).items():
+        if name in names and name != REPORT_JSON and (path / name).read_bytes() != text.encode():
+            differences.append(Difference(None, name, "other text", "the text of these results"))
+    return differences
 
 
 def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:
@@ -349,20 +316,12 @@ class StoredActions:
         return (self._starts[self._next] - self._starts[self._next - 1]) * TIME_STEP
 
 
-def read_actions(path: Path, n_steps: int) -> Actions:
-    """Read the actions of a result file.
-
-    Args:
-        path: Result file.
-        n_steps: Number of physics steps of the episode.
-
-    Returns:
-        (T, 9) float32 actions, with T = `n_steps`.
+def check_actions(path: Path, actions: npt.NDArray[Any], n_steps: int) -> Actions:
+    """Return the actions (T, 9) of a result file as float32, checked to be finite and one for each of `n_steps` steps.
 
     Raises:
-        ResultsError: The file holds no finite actions of this shape and type.
+        ResultsError: The actions have another shape or type, or are not finite.
     """
-    actions = load_result_arrays(path).get("action", np.zeros(0))
     if actions.shape != (n_steps, PANDA_DOF) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
         raise ResultsError(
             f"{path}: action must be finite float32 of shape ({n_steps}, {PANDA_DOF}), got {actions.dtype} "

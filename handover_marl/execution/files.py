@@ -112,9 +112,14 @@ def write_arrays(path: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
     Raises:
         ResultsError: The file cannot be written.
     """
+    write_atomically(path, encode_arrays(arrays))
+
+
+def encode_arrays(arrays: Mapping[str, Any]) -> bytes:
+    """Return the content of an `.npz` file with arrays; equal arrays have equal content."""
     stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-    write_atomically(path, stream.getvalue())
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
 
 
 def shorten_text(value: object) -> str:

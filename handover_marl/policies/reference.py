@@ -33,8 +33,8 @@ from handover_marl.errors import (
     UnknownNameError,
 )
 from handover_marl.execution.options import check_boolean
-from handover_marl.execution.pool import pickle_by_value, unpickle
 from handover_marl.execution.reading import read_plain_file
+from handover_marl.execution.tasks import pickle_by_value, unpickle
 from handover_marl.policies.hashing import find_package, hash_package, hash_policy
 from handover_marl.policies.policy import (
     Policy,

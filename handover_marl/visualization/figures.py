@@ -26,7 +26,14 @@ from handover_marl.simulation.camera.images import LABEL_COLORS, SegmentationLab
 from handover_marl.simulation.camera.optics import FAR
 
 Picture = npt.NDArray[np.uint8]
+Array = npt.NDArray[np.float64]
 
+_DPI = 100
+_HALF_EXTENT = 0.45  # m from the target object to the edges of the figure
+# Success rate above which a cell is so dark that its text is white.
+_WHITE_TEXT_THRESHOLD = 0.55
+# Longest line, and most lines, of the name of a policy with many options.
+_MAX_LINE, _MAX_LINES = 30, 3
 _PALETTE = np.array([ImageColor.getrgb(LABEL_COLORS[label]) for label in SegmentationLabel], dtype=np.uint8)
 
 
@@ -50,12 +57,6 @@ def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
     picture: Picture = np.concatenate([episode.render(camera), strip])
     # H.264 videos need an even number of pixels a side.
     return picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
-
-
-Array = npt.NDArray[np.float64]
-
-_DPI = 100
-_HALF_EXTENT = 0.45  # m from the target object to the edges of the figure
 
 
 def draw_plan_figure(
@@ -107,12 +108,6 @@ def draw_plan_figure(
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=20.0, azim=-20.0)
     return _save(figure)
-
-
-# Success rate above which a cell is so dark that its text is white.
-_WHITE_TEXT_THRESHOLD = 0.55
-# Longest line, and most lines, of the name of a policy with many options.
-_MAX_LINE, _MAX_LINES = 30, 3
 
 
 def draw_heat_map(

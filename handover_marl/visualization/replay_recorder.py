@@ -53,46 +53,6 @@ class ReplayFrame:
     planned_path: npt.NDArray[np.float64] | None
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedCloud:
-    """Point clouds in an observation of the receiver.
-
-    Attributes:
-        step: Number of physics steps since the start.
-        snapshot: Joint positions at that step.
-        object_points: (n, 3) points on the object in the frame of the Panda's hand link (m).
-        hand_points: (m, 3) points on the person's hand, in the same frame.
-    """
-
-    step: int
-    snapshot: JointSnapshot
-    object_points: Points
-    hand_points: Points
-
-
-@dataclass(frozen=True, eq=False)
-class EpisodeLog:
-    """Recording of an episode for a replay.
-
-    Attributes:
-        scene: The episode's scene.
-        config: World and rules of the episode.
-        frames: States every `FRAME_STEPS` steps, and at the end.
-        clouds: Point clouds that the receiver observed; empty without camera observations.
-        status: Outcome of the episode.
-        release: Reason why the person released the object, or None.
-        release_step: Physics step of the release, or None.
-    """
-
-    scene: Scene
-    config: WorldConfig
-    frames: tuple[ReplayFrame, ...]
-    clouds: tuple[RecordedCloud, ...]
-    status: EpisodeStatus
-    release: ReleaseReason | None
-    release_step: int | None
-
-
 class ReplayRecorder(EpisodeCallback):
     """Recorder of an episode's states and contacts for a replay.
 
@@ -100,20 +60,31 @@ class ReplayRecorder(EpisodeCallback):
         receiver: Receiver whose plans and point clouds are recorded, or None.
 
     Attributes:
-        log: Log of the last finished episode.
+        scene: Scene of the last episode.
+        config: World and rules of the episode.
+        frames: States every `FRAME_STEPS` steps, and at the end.
+        clouds: Point clouds that the receiver observed: physics step, joint positions, and points (n, 3) of the object
+            and (m, 3) of the person's hand in the frame of the Panda's hand link (m).
+        status: Outcome of the episode.
+        release: Reason why the person released the object, or None.
+        release_step: Physics step of the release, or None.
     """
 
-    log: EpisodeLog
+    scene: Scene
+    config: WorldConfig
+    status: EpisodeStatus
+    release: ReleaseReason | None
+    release_step: int | None
 
     def __init__(self, receiver: Policy | None = None) -> None:
         self._receiver = receiver
-        self._frames: list[ReplayFrame] = []
-        self._clouds: list[RecordedCloud] = []
+        self.frames: list[ReplayFrame] = []
+        self.clouds: list[tuple[int, JointSnapshot, Points, Points]] = []
         self._touches_object = self._touches_hand = False
 
     def on_reset(self, episode: Episode) -> None:
-        """Discard the log of the previous episode and record the initial state."""
-        self._frames, self._clouds = [], []
+        """Discard the recording of the previous episode and record the initial state."""
+        self.scene, self.config, self.frames, self.clouds = episode.scene, episode.config, [], []
         self._touches_object = self._touches_hand = False
         self._record_frame(episode)
 
@@ -121,8 +92,9 @@ class ReplayRecorder(EpisodeCallback):
         """Record the point clouds that the receiver observed."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
         if get_camera_data_kind(obs_mode) is not None and decision.receiver_decided:
-            points = (_subsample(cloud) for cloud in _observed_clouds(episode, obs_mode))
-            self._clouds.append(RecordedCloud(episode.steps, episode.world.read_joint_snapshot(), *points))
+            clouds = _observed_clouds(episode, obs_mode)
+            object_points, hand_points = (np.array(cloud[:: len(cloud) // _MAX_POINTS + 1]) for cloud in clouds)
+            self.clouds.append((episode.steps, episode.world.read_joint_snapshot(), object_points, hand_points))
 
     def on_step(self, episode: Episode) -> None:
         """Collect contacts, and record a frame every `FRAME_STEPS` steps."""
@@ -132,21 +104,14 @@ class ReplayRecorder(EpisodeCallback):
             self._record_frame(episode)
 
     def on_end(self, episode: Episode) -> None:
-        """Record the final state and build the log of the episode."""
-        if self._frames[-1].step < episode.steps:
+        """Record the final state and the outcome."""
+        if self.frames[-1].step < episode.steps:
             self._record_frame(episode)
-        self.log = EpisodeLog(
-            episode.scene,
-            episode.config,
-            tuple(self._frames),
-            tuple(self._clouds),
-            episode.status,
-            episode.release_reason,
-            episode.release_step,
-        )
+        self.status, self.release, self.release_step = episode.status, episode.release_reason, episode.release_step
 
     def _record_frame(self, episode: Episode) -> None:
-        self._frames.append(
+        plan = None if self._receiver is None else self._receiver.planned_goal
+        self.frames.append(
             ReplayFrame(
                 step=episode.steps,
                 snapshot=episode.world.read_joint_snapshot(),
@@ -155,13 +120,13 @@ class ReplayRecorder(EpisodeCallback):
                 touches_hand=self._touches_hand,
                 object_offered=episode.object_offered,
                 released=episode.release_reason is not None,
-                planned_path=None if self._receiver is None else self._receiver.planned_goal,
+                planned_path=plan,
             )
         )
         self._touches_object = self._touches_hand = False
 
 
-def describe_frame(log: EpisodeLog, frame: ReplayFrame) -> str:
+def describe_frame(log: ReplayRecorder, frame: ReplayFrame) -> str:
     """Return a text of a few words on the time (s) and the state of an episode at a frame."""
     parts = [f"{frame.step * TIME_STEP:.2f} s"]
     if frame.step == log.frames[-1].step and log.status:
@@ -179,7 +144,7 @@ def describe_frame(log: EpisodeLog, frame: ReplayFrame) -> str:
     return " - ".join(parts)
 
 
-def list_events(log: EpisodeLog) -> list[tuple[float, str]]:
+def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
     """Return the times (s) and descriptions of an episode's events, in order.
 
     The times of the release and of the end are exact. Other events get the time of the next frame.
@@ -209,8 +174,3 @@ def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
     counts = observation["wrist_point_counts"].astype(int)
     object_count, hand_count = counts[:2]
     return (observation[f"wrist_object_{kind}"][:object_count], observation[f"wrist_hand_{kind}"][:hand_count])
-
-
-def _subsample(cloud: Points) -> Points:
-    """Return evenly chosen points (n, 3) of a cloud, at most `_MAX_POINTS`."""
-    return np.array(cloud[:: len(cloud) // _MAX_POINTS + 1])

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from PIL import ImageColor
-from scipy.spatial import cKDTree
 
 from handover_marl.config import HAND_DOF, TIME_STEP, CameraConfig
 from handover_marl.execution.options import require_modules
@@ -24,7 +23,7 @@ from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_OUTLINE, HAND_LIN
 from handover_marl.geometry.poses import IDENTITY, poses_from_rotations, transform_points
 from handover_marl.simulation.camera.images import LABEL_COLORS, JointSnapshot, SegmentationLabel
 from handover_marl.version import __version__
-from handover_marl.visualization.replay_recorder import EpisodeLog, ReplayFrame, describe_frame, list_events
+from handover_marl.visualization.replay_recorder import ReplayFrame, ReplayRecorder, describe_frame, list_events
 from handover_marl.visualization.web_page import render_page
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ _POSITION_STEP, _ROTATION_STEP = 2.0**-13, 2.0**-12
 _ROBOT_COLOR, _GOAL_COLOR, _PLAN_COLOR = (205, 208, 214), (60, 160, 90), (190, 60, 200)
 _GROUND_COLOR = (120, 120, 130)  # of the light from below
 _FINGER_CONTACT_COLOR, _HAND_CONTACT_COLOR = (255, 200, 0), (230, 30, 40)
-_FINGER_CONTACT_RADIUS, _HAND_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.025, 0.002  # m
+_FINGER_CONTACT_RADIUS, _CLOUD_POINT_RADIUS = 0.006, 0.002  # m
 # Largest number of triangles of a link of the robot and of other bodies; more make the page large without a visible
 # difference.
 _MAX_ROBOT_FACES, _MAX_FACES = 3000, 900
@@ -82,7 +81,7 @@ def require_replay_extra() -> None:
     require_modules("a replay (.html)", "replay", *_REQUIRED_MODULES)
 
 
-def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None = None) -> str:
+def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | None = None) -> str:
     """Return a self-contained HTML page with the replay of an episode.
 
     Args:
@@ -104,21 +103,12 @@ def build_replay_page(log: EpisodeLog, facts: str, camera: CameraConfig | None =
         facts=facts,
         events=list_events(log),
         key=build_color_legend(log),
-        stage=build_viser_page(log, camera or _CAMERA),
+        stage=_build_viser_page(log, camera or _CAMERA),
     )
 
 
-def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
-    """Return viser's HTML page with the animated episode, which needs no network.
-
-    Args:
-        log: Recorded episode.
-        camera: Initial camera.
-
-    Raises:
-        OptionError: The extra `replay` is not installed.
-        SimulationError, DataFormatError: A model or one of its meshes cannot be read.
-    """
+def _build_viser_page(log: ReplayRecorder, camera: CameraConfig) -> str:
+    """Return viser's HTML page with the animated episode, which needs no network."""
     require_replay_extra()
     links = list(compute_link_trajectories(log))
     with _run_server() as server:
@@ -135,7 +125,6 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
         elements = [
             *(_add_link(scene, link) for link in links),
             _add_finger_contacts(scene, log),
-            _add_hand_contact(scene, links),
             _add_planned_path(scene),
             _add_observed_points(scene, log),
             _add_status(scene, log),
@@ -152,7 +141,7 @@ def build_viser_page(log: EpisodeLog, camera: CameraConfig) -> str:
     return page.replace("{darkMode:false}", dark_mode, 1).replace("</head>", f"{_SHOW_AT_ONCE}</head>", 1)
 
 
-def build_color_legend(log: EpisodeLog) -> list[tuple[str, str]]:
+def build_color_legend(log: ReplayRecorder) -> list[tuple[str, str]]:
     """Return the HTML colors in an episode's 3D scene, with their meanings."""
     legend = [
         (LABEL_COLORS[SegmentationLabel.TARGET], "object"),
@@ -160,12 +149,14 @@ def build_color_legend(log: EpisodeLog) -> list[tuple[str, str]]:
     ]
     if len(log.scene.assets.objects) > 1:
         legend.append((LABEL_COLORS[SegmentationLabel.OTHER_OBJECT], "other objects"))
-    legend.append((_html_from_rgb(_FINGER_CONTACT_COLOR), "contacts of fingers and object"))
-    legend.append((_html_from_rgb(_GOAL_COLOR), "goal region"))
+    legend += [
+        (f"rgb{_FINGER_CONTACT_COLOR}", "contacts of fingers and object"),
+        (f"rgb{_GOAL_COLOR}", "goal region"),
+    ]
     if any(frame.touches_hand for frame in log.frames):
-        legend.append((_html_from_rgb(_HAND_CONTACT_COLOR), "contact of robot and hand (approximate)"))
+        legend.append((f"rgb{_HAND_CONTACT_COLOR}", "hand that the robot touches"))
     if any(frame.planned_path is not None for frame in log.frames):
-        legend.append((_html_from_rgb(_PLAN_COLOR), "planned path of the gripper"))
+        legend.append((f"rgb{_PLAN_COLOR}", "planned path of the gripper"))
     if log.clouds:
         legend.append((LABEL_COLORS[SegmentationLabel.TARGET], "dots: observed point cloud"))
     return legend
@@ -218,12 +209,14 @@ def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
 
     def show(index: int, frame: ReplayFrame) -> None:
         row = min(index, len(positions) - 1)
+        is_touched = frame.touches_hand and link.label is SegmentationLabel.HAND
         element.set(position=positions[row], wxyz=rotations[row], visible=bool(link.is_present[row]))
+        element.set(color=_HAND_CONTACT_COLOR if is_touched else color)
 
     return show
 
 
-def _add_finger_contacts(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_finger_contacts(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the contact points of fingers and object."""
     poses = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], FINGER_LINKS)
     show_points = _add_points(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
@@ -231,22 +224,6 @@ def _add_finger_contacts(scene: "SceneApi", log: EpisodeLog) -> _Show:
     def show(index: int, frame: ReplayFrame) -> None:
         fingers = zip(poses[index], frame.finger_points, strict=True)
         show_points(np.concatenate([transform_points(finger, points) for finger, points in fingers]))
-
-    return show
-
-
-def _add_hand_contact(scene: "SceneApi", links: Sequence[LinkTrajectory]) -> _Show:
-    """Add a sphere at the contact of robot and person; its position is approximated by the meshes."""
-    sphere = scene.add_icosphere("/touch", _HAND_CONTACT_RADIUS, _HAND_CONTACT_COLOR, opacity=0.6, visible=False)
-    element = _Element(sphere)
-
-    def show(index: int, frame: ReplayFrame) -> None:
-        point = None
-        if frame.touches_hand:
-            point = find_nearest_point(links, SegmentationLabel.ROBOT, SegmentationLabel.HAND, index)
-        if point is not None:
-            element.set(position=point)
-        element.set(visible=point is not None)
 
     return show
 
@@ -261,16 +238,18 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
         path = frame.planned_path
         if path is not None:
             outline = transform_points(path[-1], np.array(GRIPPER_OUTLINE))
-            lines = np.concatenate([_segments(path[:, :3]), _segments(outline)])
+            # Line segments (n - 1, 2, 3) between successive points (n, 3).
+            lines = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in (path[:, :3], outline)])
             element.set(points=_quantize(lines, _POSITION_STEP).astype(np.float32))
         element.set(visible=path is not None)
 
     return show
 
 
-def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the latest observed points of the object and of the person's hand."""
-    snapshots, steps = [cloud.snapshot for cloud in log.clouds], np.array([cloud.step for cloud in log.clouds])
+    steps = np.array([step for step, *_ in log.clouds])
+    snapshots = [snapshot for _, snapshot, *_ in log.clouds]
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
     colors = {label: ImageColor.getrgb(LABEL_COLORS[label])[:3] for label in _CLOUD_LABELS}
     clouds = [
@@ -281,8 +260,7 @@ def _add_observed_points(scene: "SceneApi", log: EpisodeLog) -> _Show:
     def show(index: int, frame: ReplayFrame) -> None:
         latest = int(np.searchsorted(steps, frame.step, side="right")) - 1
         if latest >= 0:
-            parts = log.clouds[latest].object_points, log.clouds[latest].hand_points
-            for show_points, points in zip(clouds, parts, strict=True):
+            for show_points, points in zip(clouds, log.clouds[latest][2:], strict=True):
                 show_points(transform_points(hands[latest], points))
 
     return show
@@ -301,16 +279,11 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
     return show
 
 
-def _add_status(scene: "SceneApi", log: EpisodeLog) -> _Show:
+def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
     """Add the time and the state of the episode, above the goal region."""
     x, y, z = log.config.protocol.goal_center
     element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
     return lambda index, frame: element.set(text=describe_frame(log, frame))
-
-
-def _segments(points: Array) -> Array:
-    """Return the line segments (n - 1, 2, 3) between successive points (n, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 def _quantize(values: Array, step: float) -> Array:
@@ -318,11 +291,7 @@ def _quantize(values: Array, step: float) -> Array:
     return quantized
 
 
-def _html_from_rgb(color: Color) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
+def compute_link_trajectories(log: ReplayRecorder) -> Iterator[LinkTrajectory]:
     """Yield the trajectories of all links with a visual mesh in a recorded episode.
 
     Raises:
@@ -347,55 +316,14 @@ def compute_link_trajectories(log: EpisodeLog) -> Iterator[LinkTrajectory]:
         yield from _compute_body("hand", SegmentationLabel.HAND, assets.hand, joints, is_present)
 
 
-def find_nearest_point(
-    links: Sequence[LinkTrajectory], label: SegmentationLabel, other: SegmentationLabel, frame: int
-) -> Array | None:
-    """Return the vertex of a body that is nearest to another body.
-
-    Args:
-        links: All links of the replay.
-        label: Label of the body on which the vertex is searched.
-        other: Label of the other body.
-        frame: Index of the frame.
-
-    Returns:
-        (3,) world position (m), or None if one of the bodies does not exist.
-    """
-    vertices, others = (_collect_vertices(links, each, frame) for each in (label, other))
-    if not len(vertices) or not len(others):
-        return None
-    distances, _ = cKDTree(others).query(vertices)
-    point: Array = vertices[int(np.argmin(distances))]
-    return point
-
-
-def _collect_vertices(links: Sequence[LinkTrajectory], label: SegmentationLabel, frame: int) -> Array:
-    """Return the world positions (n, 3) of all vertices of a body at a frame (m)."""
-    found = [np.zeros((0, 3))]
-    for link in links:
-        row = min(frame, len(link.poses) - 1)
-        if link.label is label and link.is_present[row]:
-            found.append(transform_points(link.poses[row], link.mesh.vertices.astype(np.float64)))
-    return np.concatenate(found)
-
-
-def get_robot_base_pose(log: EpisodeLog) -> Array:
+def get_robot_base_pose(log: ReplayRecorder) -> Array:
     """Return the world pose (7,) of the robot base in an episode, xyz (m) and quaternion xyzw."""
     panda = log.config.physics.panda
     return np.array([*panda.base_position, *panda.base_orientation])
 
 
-def compute_robot_link_poses(log: EpisodeLog, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
-    """Return the world poses (m, k, 7) of k links of the robot in m snapshots.
-
-    Args:
-        log: Recorded episode, with the models and the robot's base pose.
-        snapshots: Joint positions at m times.
-        names: Names of the k links.
-
-    Returns:
-        Positions xyz (m) and quaternions xyzw.
-    """
+def compute_robot_link_poses(log: ReplayRecorder, snapshots: Sequence[JointSnapshot], names: Sequence[str]) -> Array:
+    """Return the world poses (m, k, 7) of k links of the robot, xyz (m) and quaternions xyzw, in m snapshots."""
     urdf = log.scene.assets.panda
     origins, rotations = compute_link_trajectory(urdf, _stack_robot(snapshots), get_robot_base_pose(log))
     chosen = [read_tree(urdf).get_link(name) for name in names]

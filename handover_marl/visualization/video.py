@@ -21,15 +21,8 @@ from handover_marl.execution.options import check_path, require_modules
 
 Picture = npt.NDArray[np.uint8]
 
-# Modules that a kind of file needs beside the library's own requirements, by suffix.
-_REQUIRED_MODULES: dict[str, tuple[str, ...]] = {
-    ".png": (),
-    ".gif": (),
-    ".mp4": ("imageio", "imageio_ffmpeg"),
-    ".html": (),
-}
 #: Suffixes of all kinds of output files.
-SUFFIXES = tuple(_REQUIRED_MODULES)
+SUFFIXES = (".png", ".gif", ".mp4", ".html")
 #: Simulated time between two frames of a video (ms).
 FRAME_PERIOD_MS = 80
 # Height of a caption's letters as share of the image's height, and their smallest height (pixels).
@@ -92,7 +85,8 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
     suffix = path.suffix.lower()
     if suffix not in suffixes:
         raise OptionError(f"out must end in {', '.join(suffixes)}, got {str(path)!r}")
-    require_modules(f"a {suffix} file", "render", *_REQUIRED_MODULES.get(suffix, ()))
+    if suffix == ".mp4":
+        require_modules("an .mp4 file", "render", "imageio", "imageio_ffmpeg")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # Permissions alone do not suffice: some file systems are read-only for everybody. The name of the temporary

@@ -1,19 +1,22 @@
-"""Tests of comparisons of result folders, and of two physics engines."""
+"""Tests of comparisons of result folders, of two physics engines, and of cross-play."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import ResultsError, UnknownNameError
-from handover_marl.evaluation.comparison import Agreement, compare_physics
+from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.evaluation.comparison import Agreement
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
 from handover_marl.evaluation.results import EpisodeResult, ResultFolder, encode_result
+from tests.short_episodes import shorten_episodes
 
 
 def folder(
@@ -38,85 +41,58 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
     other = folder(tmp_path / "other", "theirs", {0: 1, 1: 4, 2: 2, 7: 1})
     found = handover_marl.compare(one, other)
     assert [(a.index, b.index) for a, b in found.pairs] == [(0, 0), (1, 1), (2, 2)]
+    rates, changes, _ = found.build_tables()
+    assert [str(cell).split()[0] for cell in rates.rows[0]] == ["success", "66.67", "33.33", "+33.33", "3"]
+    # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
+    assert [str(cell).split()[0] for cell in rates.rows[-1]] == ["AS", "66.15", "33.08", "+33.07", "3"]
+    titles = ("outcome", "steps", "release step")
+    assert [*changes.header[2:]] == [f"{name} {title}" for title in titles for name in "AB"]
+    assert [*map(list, changes.rows)] == [["214", "-", "success", "drop", "101", "101", "-", "-"]]
     assert main(["compare", str(one), str(other)]) == 0
     text = capsys.readouterr().out
     assert "Receiver mine" in text
     assert "3 scenes that both folders have" in text
-    (success,) = [line for line in text.splitlines() if line.startswith("| success ")]
-    assert [cell.split()[0] for cell in success.strip("| ").split(" | ")] == [
-        "success",
-        "66.67",
-        "33.33",
-        "+33.33",
-        "3",
-    ]
-    (speed,) = [line for line in text.splitlines() if line.startswith("| AS")]
-    # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
-    assert [cell.split()[0] for cell in speed.strip("| ").split(" | ")] == ["AS", "66.15", "33.08", "+33.07", "3"]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if "|" in line]
-    assert ["scene id", "object name", "A outcome", "B outcome", "A steps", "B steps"] in rows
-    assert ["scene id", "object name", "A release step", "B release step"] in rows
-    changed = [row for row in rows if row[0] == "214"]
-    assert changed == [["214", "-", "success", "drop", "101", "101"], ["214", "-", "-", "-"]]
 
 
 def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 1})
-    with pytest.raises(ResultsError, match="different data"):
-        handover_marl.compare(one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"))
-    first, second = (folder(tmp_path / name, "mine", {0: 1}, fingerprint=name, version="1.2.3") for name in ("a", "b"))
-    with pytest.raises(ResultsError, match="different data"):
-        handover_marl.compare(first, second)
-    # Fingerprints of different versions are not compared: the same data may have another fingerprint.
-    for version in ("0", "2"):
-        newer = folder(tmp_path / version, "mine", {0: 1}, fingerprint="other", version=version)
-        assert len(handover_marl.compare(one, newer).pairs) == len(handover_marl.compare(newer, one).pairs) == 1
     three = folder(tmp_path / "three", "mine", {0: 1}, split="val")
-    with pytest.raises(ResultsError, match=r"must have the same split, got test and val$"):
-        handover_marl.compare(one, three)
-    with pytest.raises(ResultsError, match=r"must have the same split, got val and test$"):
-        handover_marl.compare(three, one)
-    with pytest.raises(ResultsError, match="at least one scene in common"):
-        handover_marl.compare(one, folder(tmp_path / "four", "mine", {3: 1}))
-    with pytest.raises(ResultsError, match="does not exist"):
-        handover_marl.compare(one, tmp_path / "five")
+    for first, second, message in (
+        (one, folder(tmp_path / "two", "mine", {0: 1}, fingerprint="other"), "different data"),
+        (one, three, "must have the same split, got test and val$"),
+        (three, one, "must have the same split, got val and test$"),
+        (one, folder(tmp_path / "four", "mine", {3: 1}), "at least one scene in common"),
+        (one, tmp_path / "five", "does not exist"),
+    ):
+        with pytest.raises(ResultsError, match=message):
+            handover_marl.compare(first, second)
+    # Fingerprints of different versions are not compared: the same data may have another fingerprint.
+    newer = folder(tmp_path / "newer", "mine", {0: 1}, fingerprint="other", version="2")
+    assert len(handover_marl.compare(one, newer).pairs) == len(handover_marl.compare(newer, one).pairs) == 1
 
 
 def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     one = folder(tmp_path / "one", "mine", {0: 2, 1: 6, 2: 1, 3: 1})
     two = folder(tmp_path / "two", "theirs", {0: 1, 1: 4, 2: 8, 3: 1})
-    found = handover_marl.compare(one, two)
-    rows = found.build_tables()[0].rows
+    rows = handover_marl.compare(one, two).build_tables()[0].rows
     assert [row[0] for row in rows] == ["success", "contact", "drop", "timeout", "AS"]
     assert [str(row[3]).split()[0] for row in rows[:4]] == ["+0.00", "+50.00", "+0.00", "-25.00"]
-    sections = found.build_sections()
-    assert str(sections[1]).startswith("4 scenes that both folders have")
-    assert sections[0] == f"A: {found.first.heading}\nB: {found.second.heading}"
-    assert "Receiver mine" in found.first.heading
-    assert handover_marl.compare(one, one).build_sections()[-2] == "Every scene has the same outcome."
+    assert "Every scene has the same outcome." in str(handover_marl.compare(one, one))
 
 
-SUCCESS, CONTACT, DROP = EpisodeStatus.SUCCESS, EpisodeStatus.HUMAN_CONTACT, EpisodeStatus.OBJECT_DROP
-
-
-def report(physics: str, ends: list[tuple[EpisodeStatus, int]]) -> Report:
+def report(physics: str, ends: list[tuple[int, int]]) -> Report:
     settings = ResultMetadata("s0", "val", "mine", "replay", physics, "dexycb", "0")
     episodes = tuple(
-        EpisodeResult(index, status, steps, 0.0, scene_id=100 + index, object_name="024_bowl", n_objects=1)
+        EpisodeResult(index, EpisodeStatus(status), steps, 0.0, 100 + index, object_name="024_bowl", n_objects=1)
         for index, (status, steps) in enumerate(ends)
     )
     return Report(settings, episodes)
 
 
-@pytest.fixture
-def example() -> Agreement:
-    exact = report("exact", [(SUCCESS, 4000), (CONTACT, 3500), (DROP, 4100), (SUCCESS, 4200)])
-    fast = report("fast", [(SUCCESS, 4003), (CONTACT, 3500), (SUCCESS, 4900), (SUCCESS, 4199)])
-    return Agreement(exact, fast)
-
-
-def test_text_of_an_agreement(example: Agreement) -> None:
-    text = str(example)
+def test_text_of_an_agreement() -> None:
+    exact = report("exact", [(1, 4000), (2, 3500), (4, 4100), (1, 4200)])
+    fast = report("fast", [(1, 4003), (2, 3500), (1, 4900), (1, 4199)])
+    text = str(Agreement(exact, fast))
     assert "3 of 4 scenes: 75.00 % (95 % interval 30.1 to 95.4)" in text
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if "|" in line]
     assert ["exact: drop", "0", "0", "1"] in rows
@@ -130,15 +106,37 @@ def test_text_of_an_agreement(example: Agreement) -> None:
     assert "3 at most" in text
 
 
-def test_command(fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out"
-    command = ["agreement", "--receiver", "hold", "--scenes", "9", "--workers", "1"]
-    assert main([*command, "--data-dir", str(fake_data), "--out", str(out)]) == 0
+@pytest.mark.slow
+def test_commands(
+    fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten_episodes(monkeypatch, 100)
+    options = ["--scenes", "9", "--workers", "1", "--data-dir", str(fake_data), "--out"]
+    out = tmp_path / "agreement"
+    assert main(["agreement", "--receiver", "hold", *options, str(out)]) == 0
     assert "1 of 1 scenes: 100.00 %" in capsys.readouterr().out
     assert (out / "agreement.md").read_text().startswith("# Exact and fast physics")
     assert {path.name for path in (out / "fast").glob("*.npz")} == {path.name for path in (out / "exact").glob("*.npz")}
+    out = tmp_path / "cross"
+    command = ["crossplay", "--givers", "replay, hesitant", "--receivers", "hold", "--physics", "fast", *options]
+    assert main([*command, str(out)]) == 0
+    assert "Cross-play on s0 val, 1 of 36 scenes" in capsys.readouterr().out
+    assert (out / "crossplay.md").read_text().startswith("# Cross-play")
+    rows = list(csv.DictReader((out / "crossplay.csv").open()))
+    expected = [("replay", "hold", "1"), ("hesitant", "hold", "1")]
+    assert [(row["giver"], row["receiver"], row["n_episodes"]) for row in rows] == expected
+    assert rows[0]["timeout"] == "1.000000"
+    with Image.open(out / "crossplay.png") as picture:
+        assert picture.width > 300
+    assert (out / "hesitant-hold" / "000.npz").is_file()
 
 
-def test_any_physics_but_exact_can_be_compared(fake_data: Path) -> None:
+def test_names_are_checked_before_the_first_scene(fake_data: Path, tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="receiver 'nobody'"):
+        handover_marl.crossplay(["replay"], ["hold", "nobody"], data_dir=fake_data, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    for givers in ([], None, 5):
+        with pytest.raises(OptionError, match="givers must name at least one giver, got"):
+            handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
     with pytest.raises(UnknownNameError, match="valid: fast, mujoco"):
-        compare_physics(scenes=[9], data_dir=fake_data, against="exact")
+        handover_marl.compare_physics(scenes=[9], data_dir=fake_data, against="exact")

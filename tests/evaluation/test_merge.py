@@ -1,33 +1,39 @@
 """Tests that merged shards equal the folder of a single evaluation, byte for byte if measured times are constant."""
 
 import shutil
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.config import ProtocolConfig, WorldConfig
+from handover_marl.datasets.splits import get_prescribed_side, list_split_scenes
 from handover_marl.episode import loop as play
 from handover_marl.errors import ResultsError
-from handover_marl.evaluation import benchmark
+from handover_marl.evaluation.benchmark import select_shard
 from handover_marl.evaluation.results import read_results
+from tests.evaluation.demonstrations.recording import record
 from tests.evaluation.quick import SHORT, QuickReceiver
+from tests.short_episodes import shorten_episodes
 
 #: Options of a small split with short episodes, which take little time.
 SPLIT = {"setup": "s0", "split": "val", "dataset": "synthetic", "physics": "fast", "world_config": SHORT}
 OPTIONS: dict[str, Any] = {**SPLIT, "receiver": QuickReceiver, "workers": 1, "progress": False}
-SCENES = (9, 14, 19, 24, 29)
-VERY_SHORT = WorldConfig(protocol=ProtocolConfig(horizon_steps=100))
+SCENES = (9, 14, 19, 24)
 
 
-@pytest.fixture(autouse=True)
-def _times_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
+@pytest.fixture(autouse=True, scope="module")
+def _times_stand_still() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
+        yield
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -35,51 +41,39 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def shards(folder: Path, count: int, **options: Any) -> list[Path]:
-    """Evaluate all shards of a pair of policies, and return their folders."""
-    for number in range(1, count + 1):
-        out = folder / str(number)
-        handover_marl.evaluate_pair("noisy", out=out, shard=f"{number}/{count}", **{**OPTIONS, **options})
-    return [folder / str(number) for number in range(1, count + 1)]
+def run(out: Path, **options: Any) -> handover_marl.Report:
+    return handover_marl.evaluate_pair("noisy", out=out, **{**OPTIONS, "scenes": SCENES, **options})
 
 
 @pytest.fixture(scope="module")
-def three(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def shards(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Return the folders of three shards of chosen scenes; do not write to them."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(play, "time", SimpleNamespace(perf_counter=lambda: 0.0))
-        return shards(tmp_path_factory.mktemp("three"), 3, scenes=SCENES)
+    folders = [tmp_path_factory.mktemp("shards") / str(number) for number in (1, 2, 3)]
+    for number, folder in enumerate(folders, 1):
+        run(folder, shard=f"{number}/3")
+    return folders
 
 
 @pytest.mark.slow
-def test_the_merged_folder_is_that_of_one_run(three: list[Path], tmp_path: Path) -> None:
-    whole = handover_marl.evaluate_pair("noisy", out=tmp_path / "whole", scenes=SCENES, **OPTIONS)
-    merged = handover_marl.merge([three[2], three[0], three[1]], tmp_path / "merged")
+def test_the_merged_folder_is_that_of_one_run(shards: list[Path], tmp_path: Path) -> None:
+    whole = run(tmp_path / "whole")
+    merged = handover_marl.merge([shards[2], shards[0], shards[1]], tmp_path / "merged")
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
     assert str(merged) == str(whole)
     assert len(contents(tmp_path / "merged")) == 5 + len(SCENES)
     # The merged folder is resumed like that of a single evaluation.
-    more = handover_marl.evaluate_pair("noisy", out=tmp_path / "merged", scenes=SCENES, **OPTIONS)
-    assert more.n_resumed == len(SCENES)
-
-
-def test_folders_store_their_shard(three: list[Path]) -> None:
-    reported = yaml.safe_load((three[1] / "config.yaml").read_text())["HANDOVER_MARL"]["shard"]
-    assert reported == "2/3 of 9,14,19,24,29"
-    assert "(partial, shard 2/3)" in (three[1] / "report.md").read_text()
-    found = sorted(result.scene_id or 0 for folder in three for result in read_results(folder))
-    assert found == list(SCENES)
-    with pytest.raises(ResultsError, match=r"another evaluation \(shard '2/3 of 9,14,19,24,29' in the folder, '1/3 of"):
-        handover_marl.evaluate_pair("noisy", out=three[1], scenes=SCENES, shard="1/3", **OPTIONS)
+    assert run(tmp_path / "merged").n_resumed == len(SCENES)
+    shard = "2/3 of 9,14,19,24"
+    assert yaml.safe_load((shards[1] / "config.yaml").read_text())["HANDOVER_MARL"]["shard"] == shard
+    assert "(partial, shard 2/3)" in (shards[1] / "report.md").read_text()
+    with pytest.raises(ResultsError, match=rf"another evaluation \(shard '{shard}' in the folder, '1/3 of"):
+        run(shards[1], shard="1/3")
 
 
 @pytest.mark.slow
 def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Commands merge the shards of a whole split, and refuse to do so while a result is missing."""
-    resolve = benchmark.resolve_config
-    monkeypatch.setattr(
-        benchmark, "resolve_config", lambda config, trust: resolve(replace(config, world_config=VERY_SHORT), trust)
-    )
+    shorten_episodes(monkeypatch, 20)
     command = ["pair", "--setup", "s0", "--split", "val", "--dataset", "synthetic", "--physics", "fast"]
     command += ["--receiver", "hold", "--workers", "1", "--no-progress"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
@@ -98,107 +92,90 @@ def test_a_whole_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
 
 
-def test_missing_scenes_are_reported_and_nothing_is_written(three: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    missing = sorted(result.scene_id or 0 for result in read_results(three[1]))
-    listed = ", ".join(f"scene {scene}" for scene in missing)
-    with pytest.raises(ResultsError, match=rf"not all shards.*: {len(missing)} scenes have no result \({listed}\)"):
-        handover_marl.merge([three[0], three[2]], out)
-    half = tmp_path / "half"
-    shutil.copytree(three[0], half)
-    next(half.glob("*.npz")).unlink()
-    with pytest.raises(ResultsError, match="1 scenes have no result"):
-        handover_marl.merge([half, *three[1:]], out)
-    assert not out.exists()
-
-
 @pytest.mark.slow
-def test_folders_of_different_evaluations_are_refused(three: list[Path], tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    twice = shutil.copytree(three[1], tmp_path / "twice")
-    with pytest.raises(ResultsError, match=r"are of the same scene; leave one shard out"):
-        handover_marl.merge([*three, twice], out)
+def test_folders_that_do_not_fit_are_refused(shards: list[Path], tmp_path: Path) -> None:
+    def check(message: str, *folders: Path, out: Path = tmp_path / "out") -> None:
+        with pytest.raises(ResultsError, match=message):
+            handover_marl.merge(folders, out)
+
+    missing = sorted(result.scene_id or 0 for result in read_results(shards[1]))
+    listed = ", ".join(f"scene {scene}" for scene in missing)
+    check(rf"not all shards.*: {len(missing)} scenes have no result \({listed}\)", shards[0], shards[2])
+    check(r"are of the same scene; leave one shard out", *shards, shutil.copytree(shards[1], tmp_path / "twice"))
+    other = tmp_path / "other"
     for change, reported in (
         ({"seed": 1}, r"different evaluations: seed '0' in .*, '1' in"),
-        ({"receiver": "hold"}, r"different evaluations: receiver 'quick' in .*; receiver hash"),
-        ({"scenes": [9, 14, 19, 24]}, r"different scenes were selected"),
-        ({"shard": "2/2"}, "different evaluations: 3 shards and 2"),
+        ({"scenes": [9, 14, 19]}, "different evaluations: shard '3 of 9,14,19,24' in .*, '3 of 9,14,19' in"),
+        ({"shard": "2/2"}, "different evaluations: shard '3 of .*, '2 of"),
     ):
-        other = tmp_path / f"other {sorted(change)}"
-        options = {**OPTIONS, "scenes": SCENES, "shard": "2/3", **change}
-        handover_marl.evaluate_pair("noisy", out=other, **options)
-        with pytest.raises(ResultsError, match=reported):
-            handover_marl.merge([three[0], other, three[2]], out)
-    whole = tmp_path / "whole"
-    handover_marl.evaluate_pair("noisy", out=whole, scenes=SCENES, **OPTIONS)
-    with pytest.raises(ResultsError, match="is not a shard: it was evaluated without --shard"):
-        handover_marl.merge([whole], tmp_path / "elsewhere")
-    with pytest.raises(ResultsError, match="is one of the shards"):
-        handover_marl.merge(three, three[0])
-    with pytest.raises(ResultsError, match="holds another evaluation"):
-        handover_marl.merge(three, tmp_path / "other ['seed']")
-    assert not out.exists()
+        run(other, **{"shard": "2/3", "fresh": other.exists(), **change})
+        check(reported, shards[0], other, shards[2])
+    run(other, fresh=True)
+    check("is not a shard: it was evaluated without --shard", other)
+    check("is one of the shards", *shards, out=shards[0])
+    check("holds another evaluation", *shards, out=shutil.copytree(shards[1], tmp_path / "used"))
+    linked = shutil.copytree(shards[1], tmp_path / "linked")
+    (linked / "episodes").mkdir()
+    (tmp_path / "secret").write_text("of this machine")
+    (linked / "episodes" / "009.html").symlink_to(tmp_path / "secret")
+    check(r"009\.html is not a file in the result folder", shards[0], linked, shards[2])
+    assert not (tmp_path / "out").exists()
+
+
+def merge_two(evaluate: Callable[..., Any], folder: Path, **options: Any) -> Any:
+    """Check that two merged shards equal an evaluation without shards, and return the merged result."""
+    whole = evaluate(out=folder / "whole", **options)
+    parts = [folder / "1", folder / "2"]
+    for number, part in enumerate(parts, 1):
+        evaluate(out=part, shard=f"{number}/2", **options)
+    merged = handover_marl.merge(parts, folder / "merged")
+    assert str(merged).replace("merged", "whole") == str(whole)
+    assert contents(folder / "merged") == contents(folder / "whole")
+    return merged
 
 
 @pytest.mark.slow
 def test_cross_play(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    options = {**OPTIONS, "scenes": SCENES[:2]}
+    options = {**OPTIONS, "scenes": SCENES[:2], "givers": ["replay", "noisy"], "receivers": ["hold", QuickReceiver]}
     del options["receiver"]
-    played = (["replay", "noisy"], ["hold", QuickReceiver])
-    whole = handover_marl.crossplay(*played, out=tmp_path / "whole", **options)
-    parts = [tmp_path / "1", tmp_path / "2"]
-    for number, part in enumerate(parts, 1):
-        handover_marl.crossplay(*played, out=part, shard=f"{number}/2", **options)
-    merged = handover_marl.merge(parts, tmp_path / "merged")
-    assert str(merged) == str(whole)
-    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
-    table = parts[1] / "crossplay.csv"
-    lines = table.read_text().splitlines(keepends=True)
-    table.write_text("".join(lines[:-1]))
-    with pytest.raises(ResultsError, match=r"shards of different cross-plays: .* have other pairs"):
-        handover_marl.merge(parts, tmp_path / "again")
-    table = parts[0] / "crossplay.csv"
+    merge_two(handover_marl.crossplay, tmp_path, **options)
+    table = tmp_path / "1" / "crossplay.csv"
     table.write_text("a,b\n" + table.read_text())
     with pytest.raises(ResultsError, match=r"crossplay\.csv: not a cross-play table"):
-        handover_marl.merge(parts, tmp_path / "again")
-    assert not (tmp_path / "again").exists()
+        handover_marl.merge([tmp_path / "1", tmp_path / "2"], tmp_path / "again")
 
 
 @pytest.mark.slow
 def test_agreement(tmp_path: Path) -> None:
     options = {**OPTIONS, "scenes": SCENES[:2]}
     del options["physics"]
-    whole = handover_marl.compare_physics(out=tmp_path / "whole", **options)
-    parts = [tmp_path / "1", tmp_path / "2"]
-    for number, part in enumerate(parts, 1):
-        handover_marl.compare_physics(out=part, shard=f"{number}/2", **options)
-    assert str(handover_marl.merge(parts, tmp_path / "merged")) == str(whole)
-    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    merge_two(handover_marl.compare_physics, tmp_path, **options)
 
 
 @pytest.mark.slow
 def test_demonstrations(tmp_path: Path) -> None:
-    from tests.evaluation.demonstrations.recording import record
-
-    scenes = (5, 105, 205)
-    whole = record(None, tmp_path / "whole", scenes=scenes, giver="noisy")
-    parts = [tmp_path / "1", tmp_path / "2"]
-    for number, part in enumerate(parts, 1):
-        record(None, part, scenes=scenes, giver="noisy", shard=f"{number}/2")
-    merged = handover_marl.merge(parts, tmp_path / "merged")
+    merged = merge_two(record, tmp_path, giver="noisy")
     assert isinstance(merged, handover_marl.Demonstrations)
-    assert str(merged).replace("merged", "whole") == str(whole)
-    assert [episode["scene_id"] for episode in merged.read_metadata()] == list(scenes)
-    assert contents(tmp_path / "merged") == contents(tmp_path / "whole")
+    assert [episode["scene_id"] for episode in merged.read_metadata()] == [5, 105]
 
 
-def test_links_out_of_a_folder_are_not_followed(three: list[Path], tmp_path: Path) -> None:
-    copies = [shutil.copytree(path, tmp_path / path.name) for path in three]
-    (copies[1] / "episodes").mkdir()
-    page = copies[1] / "episodes" / "009.html"
-    (tmp_path / "secret").write_text("of this machine")
-    page.symlink_to(tmp_path / "secret")
-    with pytest.raises(ResultsError, match=r"009\.html is not a file in the result folder"):
-        handover_marl.merge(copies, tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
+@given(st.sets(st.integers(0, 999), min_size=1, max_size=300), st.data())
+def test_shards_are_disjoint_complete_and_of_about_equal_size(chosen: set[int], data: st.DataObject) -> None:
+    scenes = tuple(sorted(chosen))
+    count = data.draw(st.integers(1, len(scenes)))
+    parts = [select_shard(f"{number}/{count}", scenes) for number in range(1, count + 1)]
+    assert sorted(scene for part in parts for scene in part) == list(scenes)
+    assert all(list(part) == sorted(part) for part in parts)
+    sizes = [len(part) for part in parts]
+    assert max(sizes) - min(sizes) <= 1
+
+
+def test_scenes_of_a_shard_are_stable_and_mixed() -> None:
+    """Shards of different machines can be merged, and each has several objects."""
+    scenes = list_split_scenes("s0", "test", get_prescribed_side)
+    assert select_shard("1/3", range(12)) == (0, 2, 4, 9)
+    assert select_shard("3/16", scenes)[:3] == (214, 264, 284)
+    for count in (6, 9, 18):
+        objects = Counter(scene // 5 % 20 for scene in select_shard(f"1/{count}", scenes))
+        assert len(objects) >= min(6, len(scenes) // count - 2)

@@ -37,9 +37,8 @@ def pictures(sheet: Path) -> list[np.ndarray]:
     return [part for part, there in zip(cells, shown, strict=True) if there]
 
 
-@pytest.fixture
-def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Return a list to which the number of simulated steps is added whenever an image is rendered."""
+@pytest.mark.slow
+def test_key_frames_span_the_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     steps, render = [], Episode.render
 
     def noted(episode: Episode, camera: CameraConfig) -> Any:
@@ -47,15 +46,9 @@ def drawn_after(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return render(episode, camera)
 
     monkeypatch.setattr(Episode, "render", noted)
-    return steps
-
-
-@pytest.mark.slow
-def test_key_frames_span_the_episode(tmp_path: Path, drawn_after: list[int]) -> None:
-    path = draw(tmp_path / "new" / "sheet.png", key_frames=4)
-    shown = pictures(path)
+    shown = pictures(draw(tmp_path / "new" / "sheet.png", key_frames=4))
     end = SyntheticDataset().load_scene(209).n_frames + 500
-    assert drawn_after == np.linspace(0, end, 4).round().astype(int).tolist()
+    assert steps == np.linspace(0, end, 4).round().astype(int).tolist()
     assert len(shown) == 4
     assert shown[0].std() > 20
     assert (shown[0] != shown[3]).any(axis=2).mean() > 0.003
@@ -70,58 +63,42 @@ class Joints(EpisodeCallback):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scene_id", "physics"), [(209, "exact"), (214, "fast")])
-def test_rendering_does_not_change_the_episode(scene_id: int, physics: str) -> None:
-    """Outcome and joints do not depend on when images are rendered, even if the robot hits itself and the table."""
+def test_rendering_does_not_change_the_episode() -> None:
+    """Outcome and joints do not depend on when images are rendered, of a robot that moves at random."""
     dataset = SyntheticDataset()
     players = receivers.make("random", dataset), givers.make("noisy", dataset)
     ends = []
-    for times in ([], [0, 295, 589, 884, 1178, 1473], range(0, 13_000, 80)):
-        episode, joints = Episode(physics), Joints()
-        episode.reset(dataset.load_scene(scene_id))
-        run_episode(
-            episode,
-            *players,
-            seed=0,
-            until=2000,
-            callbacks=[joints, video_module.FrameRecorder(times, lambda now: now.render(CAMERA))],
-        )
+    for times in (range(0), range(0, 1500, 80)):
+        episode, joints = Episode("exact"), Joints()
+        episode.reset(dataset.load_scene(209))
+        recorder = video_module.FrameRecorder(times, lambda now: now.render(CAMERA))
+        run_episode(episode, *players, seed=0, until=1500, callbacks=[joints, recorder])
         ends.append((episode.status, episode.steps, np.array(joints.rows)))
         episode.close()
-    for number, (*end, rows) in enumerate(ends[1:], start=1):
-        shorter = min(len(rows), len(ends[0][-1]))
-        different = np.flatnonzero((rows[:shorter] != ends[0][-1][:shorter]).any(axis=1))
-        assert not len(different), f"video {number} shows another episode from step {different[0] + 1} on"
-        assert end == list(ends[0][:-1])
+    (*end, rows), (*other, same) = ends
+    np.testing.assert_array_equal(same, rows)
+    assert other == end
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
-def test_videos(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    if suffix == ".mp4":
-        pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
+def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra `render`")
     for module in (video_module, scene_rendering):
         monkeypatch.setattr(module, "FRAME_PERIOD_MS", 800)
-    path = draw(tmp_path / f"video{suffix}")
-    head = path.read_bytes()[:12]
-    assert head.startswith(b"GIF89a") if suffix == ".gif" else head[4:8] == b"ftyp"
-    if suffix == ".gif":
-        with Image.open(path) as video:
-            assert video.n_frames >= 3
-            assert video.size == (96, 72)
+    assert draw(tmp_path / "video.mp4").read_bytes()[4:8] == b"ftyp"
+    with Image.open(draw(tmp_path / "video.gif")) as video:
+        assert (video.format, video.size) == ("GIF", (96, 72))
+        assert video.n_frames >= 3
 
 
 @pytest.mark.parametrize(
     ("out", "options", "error"),
     [
         ("x.bmp", {}, OptionError),
-        ("x", {}, OptionError),
         ("x.png", {"key_frames": 0}, OptionError),
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
         ("x.png", {"camera": {"width": 5}}, OptionError),
-        ("x\0.png", {}, OptionError),
         ("x.png", {"setup": "s0"}, OptionError),
-        ("x.png", {"workers": 2}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
@@ -143,19 +120,7 @@ def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys:
     place = ["--position", "1.0", "-0.5", "2.0", "--target", "0.4", "0", "1.1", "--vertical-fov", "30"]
     assert main([*command, *place, "--width", "320", "--no-caption"]) == 0
     assert main(command) == 0
-    assert calls[0]["camera"] == CameraConfig(
-        width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0
-    )
-    assert [(options["camera"] is None, options["caption"]) for options in calls] == [(False, False), (True, True)]
+    camera = CameraConfig(width=320, position=(1.0, -0.5, 2.0), target=(0.4, 0.0, 1.1), vertical_fov=30.0)
+    assert [(options["camera"], options["caption"]) for options in calls] == [(camera, False), (None, True)]
     assert main([*command, "--receiver", "omg", "--plan", *place]) == 2
     assert "do not apply to --plan" in capsys.readouterr().err
-    assert main([*command, "--vertical-fov", "180"]) == 2
-    assert "vertical_fov of CameraConfig must be" in capsys.readouterr().err
-
-
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["render", "--scene", "33", "--dataset", "synthetic", "--out", str(tmp_path / "x.png")]
-    assert main([*command, "--physics", "fast", "--key-frames", "1", "--width", "64", "--height", "48"]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / "x.png")
-    assert main([*command[:-1], str(tmp_path / "x.tiff")]) == 2
-    assert ".tiff" in capsys.readouterr().err

@@ -4,7 +4,6 @@ import io
 import os
 import tarfile
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,9 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileE
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}
 
 
-def tar(path: Path, mode: str, entries: dict[str, bytes] | None = None, *extra: tarfile.TarInfo) -> Path:
+def tar(path: Path, mode: str, *extra: tarfile.TarInfo) -> Path:
     with tarfile.open(path, mode) as archive:  # type: ignore[call-overload]
-        for name, content in (CONTENT if entries is None else entries).items():
+        for name, content in CONTENT.items():
             entry = tarfile.TarInfo(name)
             entry.size = len(content)
             archive.addfile(entry, io.BytesIO(content))
@@ -26,9 +25,9 @@ def tar(path: Path, mode: str, entries: dict[str, bytes] | None = None, *extra: 
     return path
 
 
-def zipped(path: Path, entries: dict[str, bytes] | None = None) -> Path:
+def zipped(path: Path) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        for name, content in (CONTENT if entries is None else entries).items():
+        for name, content in CONTENT.items():
             archive.writestr(name, content)
     return path
 
@@ -45,18 +44,15 @@ def contents(source: Path) -> dict[str, bytes]:
         return {str(path.relative_to(found)): path.read_bytes() for path in find_plain_files(found)}
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda path: tar(path / "a.tar", "w"),
-        lambda path: tar(path / "a.tar.gz", "w:gz"),
-        lambda path: tar(path / "called otherwise", "w:gz"),
-        lambda path: zipped(path / "a.zip"),
-        lambda path: folder(path / "unpacked"),
-    ],
-)
-def test_files_are_read_from_folders_and_archives(make: Callable[[Path], Path], tmp_path: Path) -> None:
-    assert contents(make(tmp_path)) == CONTENT
+def test_files_are_read_from_folders_and_archives(tmp_path: Path) -> None:
+    for number, mode in enumerate(("w", "w:gz")):
+        assert contents(tar(tmp_path / f"archive {number}", mode)) == CONTENT
+    assert contents(zipped(tmp_path / "a.zip")) == CONTENT
+    source = folder(tmp_path / "unpacked")
+    (source / "assets/link.obj").symlink_to("/etc/passwd")
+    (source / "assets/more").symlink_to("/etc")
+    os.mkfifo(source / "assets/pipe.obj")
+    assert contents(source) == CONTENT, "links are ignored"
 
 
 def link(name: str, kind: bytes, target: str) -> tarfile.TarInfo:
@@ -69,26 +65,16 @@ def link(name: str, kind: bytes, target: str) -> tarfile.TarInfo:
     "entry",
     [
         link("assets/x", tarfile.SYMTYPE, "/etc/passwd"),
-        link("assets/x", tarfile.SYMTYPE, "../../x"),
         link("assets/x", tarfile.LNKTYPE, "/etc/passwd"),
-        link("assets/x", tarfile.CHRTYPE, ""),
         link("assets/x", tarfile.FIFOTYPE, ""),
         tarfile.TarInfo("assets/../../x"),
     ],
 )
 def test_unsafe_entries_are_refused(entry: tarfile.TarInfo, tmp_path: Path) -> None:
-    source = tar(tmp_path / "a.tar.gz", "w:gz", None, entry)
+    source = tar(tmp_path / "a.tar.gz", "w:gz", entry)
     with pytest.raises(UnsafeFileError, match="refused to unpack"):
         contents(source)
     assert [path.name for path in tmp_path.iterdir()] == ["a.tar.gz"]
-
-
-def test_links_in_a_folder_are_ignored(tmp_path: Path) -> None:
-    source = folder(tmp_path / "unpacked")
-    (source / "assets/link.obj").symlink_to("/etc/passwd")
-    (source / "assets/more").symlink_to("/etc")
-    os.mkfifo(source / "assets/pipe.obj")
-    assert contents(source) == CONTENT
 
 
 def test_other_files_as_archives(tmp_path: Path) -> None:

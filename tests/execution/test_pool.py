@@ -12,7 +12,7 @@ import pytest
 
 from handover_marl.errors import OptionError, ResultsError, UnknownNameError, WorkerError
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import LocalPool, map_with_progress, open_pool
+from handover_marl.execution.pool import Pool, map_with_progress, open_pool
 
 
 def run(function: Callable[[Any], Any], tasks: list[Any], workers: int = 2) -> dict[Any, Any]:
@@ -38,30 +38,17 @@ def test_one_worker_is_this_process() -> None:
     assert len(events) == 2
 
 
-def test_worker_processes_run_local_functions() -> None:
-    """Worker processes run functions that are defined within functions, which no other process can import."""
-    with closing(open_pool(PoolConfig(2))) as pool:
-        found = sorted(pool.map_unordered(open_worker([]), [1, 2, 3, 4]))
-    assert [result for _, (_, result) in found] == [10, 20, 30, 40]
-    processes = {process for _, (process, _) in found}
-    assert 1 <= len(processes) <= 2
-    assert os.getpid() not in processes
-
-
-def raise_error(kind: type[Exception]) -> Callable[[int], None]:
-    def work(task: int) -> None:
+@pytest.mark.slow
+def test_errors_of_tasks_are_raised_here() -> None:
+    def work(kind: type[Exception]) -> None:
         raise kind("nonsense")
 
-    return work
-
-
-def test_errors_of_tasks_are_raised_here() -> None:
     with pytest.raises(ResultsError, match=r"^nonsense$"):
-        run(raise_error(ResultsError), [1, 2])
-    with pytest.raises(WorkerError, match=r"(?s)^numbers: [12]: KeyError: 'nonsense'.*in work"):
-        run(raise_error(KeyError), [1, 2])
+        run(work, [ResultsError] * 2)
+    with pytest.raises(WorkerError, match=r"(?s)^numbers: .*: KeyError: 'nonsense'.*in work"):
+        run(work, [KeyError] * 2)
     with pytest.raises(KeyError):
-        run(raise_error(KeyError), [1, 2], workers=1)
+        run(work, [KeyError] * 2, workers=1)
 
 
 def kill_this_process() -> None:
@@ -124,7 +111,9 @@ def test_invalid_configurations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_shared_pool_keeps_its_processes() -> None:
+def test_a_pool_keeps_its_processes() -> None:
+    """Processes run functions that are defined within functions, and are kept for the next job."""
+
     def run_shared(function: Callable[[int], object]) -> list[object]:
         found = pool.map_unordered(lambda: nullcontext(function), [0, 1, 2, 3])
         return [result for _, result in sorted(found)]
@@ -133,9 +122,9 @@ def test_shared_pool_keeps_its_processes() -> None:
         time.sleep(0.2)
         return os.getpid()
 
-    with closing(LocalPool(2)) as pool:
+    with closing(Pool(2)) as pool:
         first = set(run_shared(get_process))
-        assert len(first) == 2
+        assert len(first - {os.getpid()}) == 2
         assert run_shared(lambda task: task + 1) == [1, 2, 3, 4]
         assert set(run_shared(get_process)) == first
     for process in first:

@@ -8,44 +8,34 @@ from contextlib import nullcontext
 import pytest
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution import pool as ray_pool
+from handover_marl.execution import ray_pool
 from handover_marl.execution.options import PoolConfig
-from handover_marl.execution.pool import check_versions, get_installed_versions, open_pool
+from handover_marl.execution.pool import open_pool
+from handover_marl.execution.ray_pool import get_installed_versions, run_ray_task
+from handover_marl.execution.tasks import pickle_by_value, unpickle_result
 
 
-@pytest.mark.parametrize("scheme", ["", "ray://"])
-def test_ray_that_does_not_run_is_reported_at_once(scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_that_does_not_run_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray", reason="needs the extra `ray`")
     started = time.perf_counter()
-    with pytest.raises(WorkerError, match=rf"Ray cannot be reached at {scheme}127.0.0.1:1 \(ConnectionRefusedError"):
-        next(open_pool(PoolConfig(backend="ray", ray_address=f"{scheme}127.0.0.1:1")).map_unordered(nullcontext, [1]))
-    monkeypatch.setenv("RAY_ADDRESS", f"{scheme}127.0.0.1:1")
-    with pytest.raises(WorkerError, match=f"Ray cannot be reached at {scheme}127.0.0.1:1"):
+    with pytest.raises(WorkerError, match=r"Ray cannot be reached at 127\.0\.0\.1:1 \(ConnectionRefusedError"):
+        next(open_pool(PoolConfig(backend="ray", ray_address="127.0.0.1:1")).map_unordered(nullcontext, [1]))
+    monkeypatch.setenv("RAY_ADDRESS", "ray://127.0.0.1:1")
+    with pytest.raises(WorkerError, match=r"Ray cannot be reached at ray://127\.0\.0\.1:1"):
         next(open_pool(PoolConfig(backend="ray")).map_unordered(nullcontext, [1]))
     assert time.perf_counter() - started < 30.0
 
 
-@pytest.mark.parametrize("address", ["", "auto", "local", "somewhere"])
-def test_addresses_without_a_port_are_left_to_ray(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_without_a_port_are_left_to_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     connect: Callable[..., None] = lambda *_: pytest.fail("a connection was made")  # noqa: E731
     monkeypatch.setattr(socket, "create_connection", connect)
-    ray_pool._check_server(address)
+    for address in ("", "auto", "local", "somewhere"):
+        ray_pool._check_server(address)
 
 
-def test_equal_versions() -> None:
-    check_versions(get_installed_versions(), get_installed_versions())
-
-
-@pytest.mark.parametrize("name", ["handover_marl", "numpy", "scipy", "pybullet"])
-@pytest.mark.parametrize("there", ["0.0.1", "none"])
-def test_other_versions(name: str, there: str) -> None:
-    with pytest.raises(WorkerError, match=f"node .* has other versions \\({name} {there} there, .* here\\)"):
-        check_versions(get_installed_versions(), {**get_installed_versions(), name: there})
-
-
-def test_mujoco_may_be_missing_but_not_differ() -> None:
-    check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "none"})
-    if get_installed_versions()["mujoco"] == "none":
-        pytest.skip("needs MuJoCo")
-    with pytest.raises(WorkerError, match=r"mujoco 3\.9\.0 there"):
-        check_versions(get_installed_versions(), {**get_installed_versions(), "mujoco": "3.9.0"})
+def test_nodes_must_have_the_same_versions() -> None:
+    job = pickle_by_value((lambda: nullcontext(str), str)), pickle_by_value(5)
+    assert unpickle_result(run_ray_task(get_installed_versions(), [], "one", *job)) == "5"
+    here = get_installed_versions() | {"numpy": "0.0.1"}
+    with pytest.raises(WorkerError, match=r"node .* has other versions \(numpy .* there, 0\.0\.1 here\)"):
+        unpickle_result(run_ray_task(here, [], "two", *job))

@@ -3,6 +3,7 @@
 import base64
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,12 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.geometry.kinematic_tree import compute_link_trajectory
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
 from handover_marl.geometry.model_files.meshes import read_visual_meshes
 from handover_marl.geometry.panda import HAND_LINK
-from handover_marl.receivers import Receiver, make
+from handover_marl.receivers import make
 from handover_marl.simulation.camera.images import SegmentationLabel
-from handover_marl.visualization.replay_recorder import (
-    FRAME_STEPS,
-    EpisodeLog,
-    ReplayRecorder,
-)
+from handover_marl.visualization.replay_recorder import FRAME_STEPS, ReplayRecorder
 from handover_marl.visualization.replay_scene import (
     END_PAUSE_S,
     build_replay_page,
@@ -34,6 +31,7 @@ from handover_marl.visualization.replay_scene import (
     load_simplified_meshes,
 )
 from tests.evaluation.quick import QuickReceiver
+from tests.short_episodes import shorten_episodes
 from tests.visualization.outside import outside
 
 viser = pytest.importorskip("viser", reason="needs the extra `replay`")
@@ -68,64 +66,52 @@ class Seeing(EpisodeCallback):
             self.gripper.append(episode.observe()["gripper_pose"])
 
 
-def recorded(
-    fake_data: Path, receiver: type[Receiver], *more: EpisodeCallback, scene: int = 14
-) -> tuple[EpisodeLog, Any]:
-    data = open_dataset("dexycb", fake_data)
-    episode, robot = Episode("fast", SHORT), make(receiver, data)
-    recorder = ReplayRecorder(robot)
-    episode.reset(data.load_scene(scene))
-    run_episode(episode, robot, seed=0, callbacks=[recorder, *more])
-    on_end = episode.status, episode.steps, episode.world.read_joint_snapshot()
-    episode.close()
-    return recorder.log, on_end
-
-
 @pytest.fixture(scope="module")
-def log(fake_data: Path) -> EpisodeLog:
-    return recorded(fake_data, Meaning)[0]
+def recorded(fake_data: Path) -> tuple[ReplayRecorder, np.ndarray]:
+    """Return the log of an episode, and the simulated poses of the gripper at its frames but the last."""
+    data, seeing = open_dataset("dexycb", fake_data), Seeing()
+    episode, robot = Episode("fast", SHORT), make(Meaning, data)
+    recorder = ReplayRecorder(robot)
+    episode.reset(data.load_scene(14))
+    run_episode(episode, robot, seed=0, callbacks=[recorder, seeing])
+    assert (recorder.status, recorder.frames[-1].step) == (episode.status, episode.steps)
+    episode.close()
+    return recorder, np.array(seeing.gripper)
 
 
-def test_frames_and_link_poses(fake_data: Path) -> None:
-    seeing = Seeing()
-    log, (status, steps, _) = recorded(fake_data, QuickReceiver, seeing)
-    assert (log.status, log.frames[-1].step) == (status, steps) == (EpisodeStatus.TIMEOUT, 1300)
+@pytest.fixture
+def log(recorded: tuple[ReplayRecorder, np.ndarray]) -> ReplayRecorder:
+    return recorded[0]
+
+
+def test_frames_and_link_poses(recorded: tuple[ReplayRecorder, np.ndarray]) -> None:
+    log, gripper = recorded
+    assert (log.status, log.frames[-1].step) == (EpisodeStatus.TIMEOUT, 1300)
     assert [frame.step for frame in log.frames] == [*range(0, 1300, FRAME_STEPS), 1300]
     hand = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], [HAND_LINK])[:-1, 0]
-    np.testing.assert_allclose(hand[:, :3], np.array(seeing.gripper)[:, :3], atol=1e-5)
-    links = {link.name: link for link in compute_link_trajectories(log)}
-    assert {
-        SegmentationLabel.TABLE,
-        SegmentationLabel.ROBOT,
-        SegmentationLabel.TARGET,
-        SegmentationLabel.OTHER_OBJECT,
-        SegmentationLabel.HAND,
-    } == {link.label for link in links.values()}
-    target = next(link for link in links.values() if link.label is SegmentationLabel.TARGET)
-    origins, _ = compute_link_trajectory(
-        log.scene.assets.objects[0], [frame.snapshot.objects[0] for frame in log.frames]
-    )
+    np.testing.assert_allclose(hand[:, :3], gripper[:, :3], atol=1e-5)
+    links = list(compute_link_trajectories(log))
+    labels = SegmentationLabel
+    assert {link.label for link in links} == {*labels} - {labels.BACKGROUND}
+    target = next(link for link in links if link.label is labels.TARGET)
+    objects = [frame.snapshot.objects[0] for frame in log.frames]
+    origins, _ = compute_link_trajectory(log.scene.assets.objects[0], objects)
     np.testing.assert_allclose(target.poses[:, :3], origins[:, target.mesh.link])
     assert np.ptp(target.poses[:, 2]) > 0.1, "the person lifts it"
-    fingers = [link for link in links.values() if link.label is SegmentationLabel.HAND]
-    assert not fingers[0].is_present[0]
-    assert fingers[0].is_present[5]
+    finger = next(link for link in links if link.label is labels.HAND)
+    assert finger.is_present[[0, 5]].tolist() == [False, True]
 
 
-def test_clouds_and_plans_are_recorded(log: EpisodeLog) -> None:
-    assert [cloud.step for cloud in log.clouds] == [0, 1000]
+def test_clouds_and_plans_are_recorded(log: ReplayRecorder) -> None:
+    assert [step for step, *_ in log.clouds] == [0, 1000]
     np.testing.assert_array_equal(log.frames[3].planned_path, Meaning.meant)
-    for cloud in log.clouds:
-        assert cloud.object_points.shape[1] == cloud.hand_points.shape[1] == 3
-        assert max(len(cloud.object_points), len(cloud.hand_points)) <= 600
+    for _, _, *clouds in log.clouds:
+        assert all(cloud.shape[1] == 3 and len(cloud) <= 600 for cloud in clouds)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", ["panda", "hand"])
-def test_simplified_meshes_are_close_to_the_originals(fake_data: Path, model: str) -> None:
-    from handover_marl.geometry.kinematic_tree import read_tree
-
-    urdf = getattr(open_dataset("dexycb", fake_data).load_scene(9).assets, model)
+def test_simplified_meshes_are_close_to_the_originals(fake_data: Path) -> None:
+    urdf = open_dataset("dexycb", fake_data).load_scene(9).assets.panda
     large = {part.link: part for part in read_visual_meshes(urdf, read_tree(urdf))}
     small = {part.link: part for part in load_simplified_meshes(urdf, 0)}
     assert large.keys() == small.keys()
@@ -154,7 +140,8 @@ def texts(messages: list[Any]) -> Iterator[tuple[float, str]]:
             yield time, text
 
 
-def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pytest.CaptureFixture[str]) -> None:
+def test_page_plays_in_real_time_and_loads_no_files(log: ReplayRecorder, capfd: pytest.CaptureFixture[str]) -> None:
+    log.frames[20] = replace(log.frames[20], touches_hand=True)
     page = build_replay_page(log, "fake <data>")
     assert capfd.readouterr().out == ""
     assert outside(page) == []
@@ -167,6 +154,14 @@ def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pyte
     assert [time for time, _ in words] == pytest.approx([frame.step * TIME_STEP for frame in log.frames])
     assert words[10][1].startswith("0.40 s - ")
     assert words[-1][1] == "1.30 s - timeout"
+    changes = [
+        (time, message.get("updates", {}))
+        for time, message in recording["messages"]
+        if message.get("name") == "/hand/7"
+    ]
+    reddened = [time for time, updates in changes if updates.get("color") == [230, 30, 40]]
+    assert reddened == pytest.approx([0.8]), "the hand is red while the robot touches it"
+    assert [time for time, updates in changes if "color" in updates][-1] == pytest.approx(0.84)
     lights = [message for _, message in recording["messages"] if "HemisphereLight" in message["type"]]
     assert len(lights) == 1
     assert "canvas{opacity:1!important" in unescape(page).partition("</head>")[2].partition("</head>")[0]
@@ -175,11 +170,14 @@ def test_page_plays_in_real_time_and_loads_no_files(log: EpisodeLog, capfd: pyte
 
 
 @pytest.mark.slow
-def test_render_command_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_command_replay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "episode.html"
     command = ["render", "--scene", "209", "--dataset", "synthetic", "--physics", "fast", "--out", str(out)]
     assert main([*command, "--view", "wrist"]) == 2
     assert "must be 'outside'" in capsys.readouterr().err
+    shorten_episodes(monkeypatch, 300)
     assert main(command) == 0
     page = out.read_text()
     assert "synthetic scenes" in page

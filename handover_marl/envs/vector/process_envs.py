@@ -11,7 +11,7 @@ from handover_marl.envs.vector.batch import Envs
 from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent
 from handover_marl.errors import WorkerError
-from handover_marl.execution.pool import make_picklable, pickle_by_value, unpickle
+from handover_marl.execution.tasks import make_picklable, pickle_by_value, unpickle
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 

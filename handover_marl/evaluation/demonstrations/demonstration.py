@@ -1,7 +1,6 @@
 """Recorded episodes: arrays of observations and actions with their metadata, their files (`.npz`), and a reader."""
 
 import contextlib
-import io
 import json
 import operator
 import os
@@ -18,7 +17,7 @@ from gymnasium import spaces
 from handover_marl.config import PANDA_DOF
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import Observation, receiver_observation_space
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE, check_obs_mode, receiver_action_space
+from handover_marl.episode.spaces import receiver_action_space
 from handover_marl.errors import DataFormatError, DataNotFoundError, check_name
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.metadata import ResultMetadata, read_result_metadata
@@ -26,36 +25,25 @@ from handover_marl.evaluation.results import (
     DEMONSTRATIONS,
     DEMONSTRATIONS_METADATA,
     EpisodeResult,
-    check_scalar,
     describe_episode,
     find_numbered,
     read_results,
 )
-from handover_marl.execution.files import shorten_text
+from handover_marl.execution.files import encode_arrays, shorten_text
 from handover_marl.execution.options import check_path
 from handover_marl.execution.reading import read_arrays, read_plain_file
 from handover_marl.version import __version__
 
-_UNKNOWN = -1
-# Type of each value of the metadata.
-_METADATA_KEYS: dict[str, type] = {
-    **{"scene_id": int, "object_name": str, "subject": str, "side": str, "outcome": str, "status": int, "steps": int},
-    **{"release_step": int, "receiver": str, "giver": str, "physics": str, "dataset": str, "robot": str, "seed": int},
-    **{"models": str, "fingerprint": str, "version": str},
-}
+# Values of the metadata, and values in place of unknown ones.
+_METADATA_KEYS = (
+    *("scene_id", "object_name", "subject", "side", "outcome", "status", "steps", "release_step", "receiver", "giver"),
+    *("physics", "dataset", "robot", "seed", "models", "fingerprint", "version"),
+)
+_UNKNOWN: dict[str, Any] = {"release_step": -1}
 _OBSERVATION_PREFIX, _METADATA = "observations/", "metadata"
 _MAX_BYTES = 8_000_000_000  # unpacked size of one episode
 _MAX_METADATA_BYTES = 10_000
-# Shape of a row and type of each array but observations.
-_LAYOUT: dict[str, tuple[tuple[int, ...], type]] = {
-    "actions": ((PANDA_DOF,), np.float32),
-    "rewards": ((), np.float64),
-    "terminations": ((), np.bool_),
-    "truncations": ((), np.bool_),
-    "steps": ((), np.int64),
-    "giver_steps": ((), np.int64),
-    "giver_actions": ((GIVER_ACTION_SIZE,), np.float32),
-}
+_ARRAYS = ("actions", "rewards", "terminations", "truncations", "steps", "giver_steps", "giver_actions")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,19 +113,16 @@ def describe_demonstration(result: EpisodeResult, config: EvaluationConfig) -> d
     """
     policies = {agent: require_policy_reference(getattr(config, agent)).label for agent in ("receiver", "giver")}
     values = {**vars(config), **describe_episode(result), **policies, "version": __version__}
-    unknown = {key: _UNKNOWN if kind is int else "" for key, kind in _METADATA_KEYS.items() if values[key] is None}
-    return {key: (values | unknown)[key] for key in _METADATA_KEYS}
+    return {key: _UNKNOWN.get(key, "") if values[key] is None else values[key] for key in _METADATA_KEYS}
 
 
 def encode_demonstration(demonstration: Demonstration) -> bytes:
     """Return the content of the episode's `.npz` file; equal episodes have equal content."""
-    stream = io.BytesIO()
     observations = sorted(demonstration.observations.items())
     arrays: dict[str, Any] = {_OBSERVATION_PREFIX + name: array for name, array in observations}
-    arrays |= {name: getattr(demonstration, name) for name in _LAYOUT}
+    arrays |= {name: getattr(demonstration, name) for name in _ARRAYS}
     arrays[_METADATA] = np.array(json.dumps(demonstration.metadata))
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return encode_arrays(arrays)
 
 
 def read_episode_metadata(path: Path) -> dict[str, Any]:
@@ -147,7 +132,7 @@ def read_episode_metadata(path: Path) -> dict[str, Any]:
         Exception: The file is damaged; NumPy and zipfile raise exceptions of many types.
     """
     values = json.loads(read_arrays(path, (_METADATA,), _MAX_BYTES)[_METADATA].item())
-    return {name: check_scalar(name, values[name], kind) for name, kind in _METADATA_KEYS.items()}
+    return {name: values[name] for name in _METADATA_KEYS}
 
 
 class Demonstrations:
@@ -181,11 +166,8 @@ class Demonstrations:
             )
         with _report_damage(path):
             content = json.loads(read_plain_file(path, _MAX_METADATA_BYTES))
-            check_obs_mode(content["obs_mode"])
-            largest_class = check_scalar("largest_class", content["largest_class"], int)
-            self.observation_space = receiver_observation_space(content["obs_mode"], largest_class)
-            fps = content["fps"]
-            self.fps: int | None = None if fps is None else check_scalar("fps", fps, int)
+            self.observation_space = receiver_observation_space(content["obs_mode"], content["largest_class"])
+            self.fps: int | None = content["fps"]
         self.action_space: spaces.Box = receiver_action_space()
         self.evaluation: ResultMetadata = read_result_metadata(self.folder)
         self._paths = list(find_numbered(path.parent, ".npz").values())
@@ -251,23 +233,13 @@ class Demonstrations:
         return {name: np.concatenate(arrays) for name, arrays in parts.items()}, np.concatenate(actions)
 
     def _read(self, number: int, names: Iterable[str]) -> Demonstration:
-        """Read an episode with some of its observations.
-
-        Raises:
-            DataFormatError: An array is missing, or has another shape or type; or actions or rewards are not finite.
-        """
+        """Read an episode with some of its observations; see `__getitem__` for errors."""
         path, keys = self._paths[number], {_OBSERVATION_PREFIX + name: name for name in names}
         with _report_damage(path):
-            arrays = read_arrays(path, (*keys, *_LAYOUT), _MAX_BYTES)
-            for name, array in arrays.items():
-                space = self.observation_space[keys[name]] if name in keys else None
-                shape, dtype = _LAYOUT[name] if space is None else (space.shape or (), space.dtype)
-                rows = len(arrays["giver_steps" if name.startswith("giver") else "actions"])
-                expected = (rows + (name == "steps" or name in keys), *shape), np.dtype(dtype)
-                if (array.shape, array.dtype) != expected:
-                    raise ValueError(f"{name} must be {expected[1]} {expected[0]}, got {array.dtype} {array.shape}")
-                if name.endswith(("actions", "rewards")) and not np.isfinite(array).all():
-                    raise ValueError(f"{name} must be finite")
+            arrays = read_arrays(path, (*keys, *_ARRAYS), _MAX_BYTES)
+            n_rows = len(arrays["actions"])
+            if {len(arrays[name]) for name in ("steps", *keys)} != {n_rows + 1}:
+                raise ValueError(f"observations must have {n_rows + 1} rows, one more than actions")
             observations = {name: arrays.pop(key) for key, name in keys.items()}
             return Demonstration(observations, **arrays, metadata=read_episode_metadata(path))
 

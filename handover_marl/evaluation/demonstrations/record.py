@@ -33,7 +33,6 @@ from handover_marl.evaluation.results import (
     EpisodeResult,
     EpisodeWriter,
     get_result_path,
-    prepare_subfolder,
     read_results,
 )
 from handover_marl.execution.files import write_atomically
@@ -45,7 +44,6 @@ from handover_marl.simulation.camera.renderers import resolve_renderer
 #: Choices of the episodes to record.
 ALL, SUCCESS = "all", "success"
 KEEP_CHOICES = (ALL, SUCCESS)
-_TRAIN = "train"
 #: Largest frame rate: one frame for each physics step.
 MAX_FPS = round(1.0 / TIME_STEP)
 
@@ -53,7 +51,7 @@ MAX_FPS = round(1.0 / TIME_STEP)
 @forward_signature(EvaluationConfig, ExecutionConfig)
 def demonstrate(
     setup: str | EvaluationConfig | None = None,
-    split: str = _TRAIN,
+    split: str = "train",
     receiver: PolicyLike = "reactive",
     giver: PolicyLike = REPLAY,
     *,
@@ -88,9 +86,9 @@ def demonstrate(
     check_name("keep", keep, KEEP_CHOICES)
     check_obs_mode(obs_mode)
     check_name("split", config.split, SPLITS)
-    if config.split != _TRAIN:
+    if config.split != "train":
         raise OptionError(
-            f"split must be {_TRAIN!r}, got {config.split!r}: results on a split are invalid if its episodes were used "
+            f"split must be 'train', got {config.split!r}: results on a split are invalid if its episodes were used "
             "for training"
         )
     if fps is not None and (isinstance(fps, bool) or not isinstance(fps, int) or not 1 <= fps <= MAX_FPS):
@@ -116,10 +114,7 @@ class DemonstrationRecorder(EpisodeCallback):
     A frame has the observation at the physics step nearest to its time, and the actions that are in effect
     from this step on.
 
-    Args:
-        config: Resolved configuration of the evaluation.
-        obs_mode: Observation mode of the recorded observations, independent of the receiver's own mode.
-        fps: Frames per second; None records the receiver's decisions.
+    See `demonstrate` for observation mode and frame rate; without one, the receiver's decisions are recorded.
     """
 
     def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:
@@ -182,26 +177,18 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file per recorded episode, and of the file that describes all of them.
-
-    Args:
-        folder: Result folder of the evaluation.
-        config: Resolved configuration of the evaluation.
-        obs_mode: Observation mode of the recorded observations.
-        keep: Episodes to record, "all" or "success".
-        fps: Frames per second; None records the receiver's decisions.
+    """Writer of one file per recorded episode, and of the file that describes all of them; see `demonstrate`.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.
     """
 
     def __init__(self, folder: Path, config: EvaluationConfig, obs_mode: str, keep: str, fps: int | None) -> None:
-        self._folder, self._config, self._keep = folder / DEMONSTRATIONS, config, keep
-        self._obs_mode, self._fps = obs_mode, fps
-        prepare_subfolder(self._folder)
+        super().__init__(folder / DEMONSTRATIONS)
+        self._config, self._keep, self._obs_mode, self._fps = config, keep, obs_mode, fps
         largest_class = max(config.open_dataset().object_names)
         description = {"obs_mode": obs_mode, "fps": fps, "largest_class": largest_class}
-        write_atomically(self._folder / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
+        write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
@@ -220,7 +207,3 @@ class DemonstrationWriter(EpisodeWriter):
 
     def _includes(self, result: EpisodeResult) -> bool:
         return result.success or self._keep == ALL
-
-    def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the file of an episode."""
-        return get_result_path(self._folder, result.index)

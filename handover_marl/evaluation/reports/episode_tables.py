@@ -11,13 +11,10 @@ from handover_marl.evaluation.reports.tables import (
     NO_VALUE,
     RATES,
     REPORTED_STATUSES,
-    MeanEstimate,
+    Estimate,
     ReportTable,
-    compute_paired_difference,
     estimate_mean,
-    format_interval,
-    format_percent_difference,
-    format_percent_mean,
+    estimate_paired_difference,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
@@ -73,12 +70,12 @@ def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> Re
     rows: list[list[object]] = []
     for flag in REPORTED_STATUSES:
         cells = [format_percent_rate(count_status(side, flag), n, digits=2) for side in sides]
-        difference = compute_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
-        rows.append([flag.label, *cells, format_percent_difference(difference, digits=2), n])
+        difference = estimate_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
+        rows.append([flag.label, *cells, difference.format("+.2f"), n])
     scores = [[result.speed_score for result in side] for side in sides]
     gains = [first - second for first, second in zip(*scores, strict=True)]
-    means = [*map(format_percent_mean, scores), format_percent_mean(gains, signed=True)]
-    rows.append([AVERAGE_SUCCESS.key, *means, n])
+    means = [estimate_mean(side).format(".2f", ".1f") for side in scores]
+    rows.append([AVERAGE_SUCCESS.key, *means, estimate_mean(gains).format("+.2f", "+.1f"), n])
     first, second = names
     return ReportTable(
         ["metric", f"{first} %", f"{second} %", f"{first} minus {second}, points", N_EPISODES.title], rows
@@ -97,18 +94,13 @@ def build_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str])
     return ReportTable([*SCENE_HEADER[_SCENE], *titles], rows, split_column=6, n_keys=2)
 
 
-def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, MeanEstimate]:
+def estimate_fluency(episodes: Iterable[EpisodeResult]) -> dict[str, Estimate]:
     """Estimate the mean of every fluency metric, by key; empty if no episode has fluency metrics."""
     known = [episode.fluency for episode in episodes if episode.fluency is not None]
     return {
         column.key: estimate_mean([float(value) for each in known if (value := getattr(each, column.key)) is not None])
         for column in (FLUENCY if known else ())
     }
-
-
-def build_fluency_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
-    """Build the table of fluency metrics; without rows if no episode has fluency metrics."""
-    return ReportTable(["metric", "mean", "95 % interval", "n"], _format_rows(estimate_fluency(episodes)))
 
 
 def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[str, str]) -> ReportTable:
@@ -123,20 +115,22 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
     for column in FLUENCY if known else ():
         values = [(getattr(one, column.key), getattr(other, column.key)) for one, other in known]
         means[column.key] = estimate_mean([float(one - two) for one, two in values if None not in (one, two)])
-    return ReportTable(["metric", f"{names[0]} minus {names[1]}", "95 % interval", "n"], _format_rows(means))
+    return build_fluency_table(means, f"{names[0]} minus {names[1]}")
 
 
-def _format_rows(means: Mapping[str, MeanEstimate]) -> list[list[object]]:
-    """Format the title, mean, interval and number of values of each metric, by key."""
+def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
+    """Build the table of means of fluency metrics, given by key; without rows if there are none.
+
+    Args:
+        means: Means, as of `estimate_fluency`.
+        title: Title of their column.
+    """
     rows: list[list[object]] = []
     for column in FLUENCY if means else ():
-        mean, interval = means[column.key].mean, means[column.key].interval_95
-        if mean is None:
-            rows.append([column.title, NO_VALUE, NO_VALUE, 0])
-            continue
+        found = means[column.key]
         # Three digits, without exponents.
-        sizes = [column.scale * abs(value) for value in (mean, *(interval or ()))]
+        sizes = [column.scale * abs(value) for value in (found.mean or 0.0, *(found.interval_95 or ()))]
         spec = ".0f" if max(sizes) >= 999.5 else ".4f" if any(0.0 < size < 1e-4 for size in sizes) else ".3g"
-        cells = [f"{column.scale * mean:{spec}}", format_interval(interval, spec, column.scale)]
-        rows.append([column.title, *cells, means[column.key].n])
-    return rows
+        cell = NO_VALUE if found.mean is None else f"{column.scale * found.mean:{spec}}"
+        rows.append([column.title, cell, found.format_interval(spec, column.scale), found.n])
+    return ReportTable(["metric", title, "95 % interval", "n"], rows)

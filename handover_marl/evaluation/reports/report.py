@@ -37,14 +37,12 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     TIMES,
     WAIT,
-    MeanEstimate,
+    Estimate,
     ReportTable,
     TabularResult,
-    compute_wilson_interval,
     estimate_mean,
+    estimate_rate,
     format_csv,
-    format_interval,
-    format_percent_interval,
     format_seconds,
 )
 from handover_marl.evaluation.results import (
@@ -57,6 +55,7 @@ from handover_marl.evaluation.results import (
     read_results,
 )
 from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path
 from handover_marl.geometry.panda import PANDA
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 from handover_marl.version import __version__
@@ -88,7 +87,12 @@ class Report(TabularResult):
         return self.compute_rate(EpisodeStatus.SUCCESS)
 
     @functools.cached_property
-    def official_means(self) -> dict[str, MeanEstimate]:
+    def rates(self) -> dict[str, Estimate]:
+        """Rates of the reported outcomes (0..1), by key."""
+        return {flag.label: estimate_rate(self.count(flag), len(self.episodes)) for flag in REPORTED_STATUSES}
+
+    @functools.cached_property
+    def official_means(self) -> dict[str, Estimate]:
         """Means of average success over all episodes and of times (s) over successes, by key."""
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
@@ -192,25 +196,19 @@ class Report(TabularResult):
             lines += [f"{SOURCES[source]}." for source in dict.fromkeys(row.source for row in comparable)]
         return "\n".join(lines)
 
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of official metrics, outcomes by object class and fluency metrics."""
-        return [self._build_official_table(), build_object_table(self.episodes), build_fluency_table(self.episodes)]
-
     def _build_official_table(self) -> ReportTable:
         """Build the table of official metrics with 95 % intervals, and of published results."""
-        n, means = len(self.episodes), self.official_means
-        score, times = means[AVERAGE_SUCCESS.key], [means[column.key] for column in TIMES]
-        counts = [self.count(flag) for flag in REPORTED_STATUSES]
-        rates = [f"{100 * count / n:.2f} ({count}/{n})" for count in counts]
+        n, (score, *times), rates = len(self.episodes), self.official_means.values(), list(self.rates.values())
+        counts = [f"{100 * self.compute_rate(flag):.2f} ({self.count(flag)}/{n})" for flag in REPORTED_STATUSES]
         wait = self.metadata.wait_s or NO_VALUE
         cells = [f"{100 * self.average_success:.2f}", wait, *(format_seconds(each.mean) for each in times)]
-        rate_intervals = [format_percent_interval(count, n) for count in counts]
+        intervals = [*(each.format_interval() for each in (*rates, score)), NO_VALUE]
         # The interval of the total would not fit into the width.
-        time_intervals = [*(format_interval(each.interval_95, ".3f", 1.0) for each in times[:-1]), NO_VALUE]
+        intervals += [*(each.format_interval(".3f", 1.0) for each in times[:-1]), NO_VALUE]
         rows: list[list[object]] = [
-            [self.metadata.receiver, *rates, *cells],
-            ["95 % interval", *rate_intervals, format_interval(score.interval_95), NO_VALUE, *time_intervals],
-            ["n", *[n] * len(RATES), score.n, NO_VALUE, *(each.n for each in times)],
+            [self.metadata.receiver, *counts, *cells],
+            ["95 % interval", *intervals],
+            ["n", *(each.n for each in (*rates, score)), NO_VALUE, *(each.n for each in times)],
             *(_format_published_row(row) for row in find_published_results(self.metadata)),
         ]
         header = ["receiver", *(column.title for column in (*RATES, AVERAGE_SUCCESS, WAIT, *TIMES))]
@@ -218,9 +216,9 @@ class Report(TabularResult):
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build heading, tables and notes."""
-        official, objects, fluency = self.build_tables()
-        note = FLUENCY_NOTE if fluency.rows else ""
-        return [self.heading, official, objects, self.format_notes(), fluency, note]
+        fluency = build_fluency_table(estimate_fluency(self.episodes))
+        tables = [self._build_official_table(), build_object_table(self.episodes)]
+        return [self.heading, *tables, self.format_notes(), fluency, FLUENCY_NOTE if fluency.rows else ""]
 
     def to_markdown(self) -> str:
         """Return the report as a Markdown page, with a table that has one row per scene."""
@@ -237,12 +235,7 @@ class Report(TabularResult):
             "n_resumed": self.n_resumed,
             "n_split_scenes": self.metadata.split_size,
             "rates": {
-                flag.label: {
-                    "rate": self.compute_rate(flag),
-                    "interval_95": compute_wilson_interval(self.count(flag), n),
-                    "n": n,
-                }
-                for flag in REPORTED_STATUSES
+                key: {"rate": rate.mean, "interval_95": rate.interval_95, "n": n} for key, rate in self.rates.items()
             },
             AVERAGE_SUCCESS.key: asdict(means[AVERAGE_SUCCESS.key]),
             "times": {column.key: asdict(means[column.key]) for column in TIMES},
@@ -262,7 +255,7 @@ class Report(TabularResult):
             values = describe_episode(episode)
             fluency = values.pop("fluency") or {column.key: None for column in FLUENCY}
             rows.append({**identity, **values, **fluency})
-        return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
+        return format_csv([[*rows[0]], *([*row.values()] for row in rows)])
 
 
 def _format_published_row(row: PublishedResult) -> list[object]:
@@ -280,18 +273,15 @@ def evaluate(folder: str | os.PathLike[str]) -> Report:
     Raises:
         ResultsError: The path does not exist, or a file is not an official result.
     """
-    try:
-        path = Path(folder).expanduser()
-        is_file, exists = path.is_file(), path.exists()
-    except (OSError, ValueError, TypeError, RuntimeError) as error:
-        raise ResultsError(f"{folder!r} is no result folder ({error})") from error
-    if not exists:
+    path = check_path("folder", folder)
+    if not path.exists():
         raise ResultsError(f"result folder {path} does not exist")
-    metadata, results = read_episode_file(path) if is_file else (read_result_metadata(path), read_results(path))
-    setup, split = metadata.setup, metadata.split
+    metadata, results = read_episode_file(path) if path.is_file() else (read_result_metadata(path), read_results(path))
     size = metadata.split_size
     if results[-1].index >= size:
-        raise ResultsError(f"{path}: {results[-1].index:03d}.npz exceeds {setup} {split}, which has {size} scenes")
+        raise ResultsError(
+            f"{path}: {results[-1].index:03d}.npz exceeds {metadata.setup} {metadata.split}, which has {size} scenes"
+        )
     # HandoverSim's code may count the step in which the time is up.
     longest = OFFICIAL_CONFIG.protocol.horizon_steps + 1
     for result in results if metadata.world == OFFICIAL_WORLD else ():
@@ -361,9 +351,10 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         report: Report to render.
         replays: Links to replay pages by scene number, relative to the page.
     """
-    links = dict(replays or {})
-    metadata = report.metadata
+    links, metadata = dict(replays or {}), report.metadata
     official, objects, fluency = report.build_tables()
+    settings = {key.replace("_", " "): value for key, value in asdict(metadata).items() if value}
+    settings |= {"data": report.data_label, "n episodes": report.extent, "machine": report.machine_label}
     return render_page(
         "report.html",
         version=__version__,
@@ -374,7 +365,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
         n_replays=sum(episode.scene_id in links for episode in report.episodes),
         official=official,
         notes=report.format_notes().splitlines(),
-        settings=_list_settings(report),
+        settings=settings.items(),
         objects=objects,
         fluency=fluency,
         fluency_note=FLUENCY_NOTE,
@@ -385,15 +376,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
 
 
 def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
-    """Find the replay pages of a result folder, as links relative to a page.
-
-    Args:
-        results: Result folder whose replay pages are searched.
-        page_folder: Folder of the page that links to them.
-
-    Returns:
-        Relative links by scene number.
-    """
+    """Return links to the replay pages of a result folder, relative to the folder of a page, by scene number."""
     relative = os.path.relpath(results.resolve(), page_folder.resolve())
     replays = find_numbered(results / REPLAYS, ".html").items()
     return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}
@@ -401,25 +384,14 @@ def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
 
 def _group_episodes(report: Report, flag: EpisodeStatus) -> dict[str, Any]:
     """Return count, rate (%) and episodes with a status flag, for the page's template."""
-    n, count = len(report.episodes), report.count(flag)
-    interval = compute_wilson_interval(count, n)
-    low, high = (100 * end for end in interval)
+    rate = report.rates[flag.label]
+    low, high = (100 * end for end in rate.interval_95 or (0.0, 1.0))
     return {
         "label": flag.label,
-        "count": count,
-        "percent": f"{100 * count / n:.1f}",
-        "interval": format_interval(interval),
+        "count": report.count(flag),
+        "percent": f"{100 * report.compute_rate(flag):.1f}",
+        "interval": rate.format_interval(),
         "low": f"{low:.2f}",
         "width": f"{high - low:.2f}",
         "episodes": [(each, format_scene_cells(each)) for each in report.episodes if each.status & flag],
     }
-
-
-def _list_settings(report: Report) -> list[tuple[str, str]]:
-    stored = {key.replace("_", " "): value for key, value in asdict(report.metadata).items() if value}
-    computed = {
-        "data": report.data_label,
-        "n episodes": report.extent,
-        "machine": report.machine_label,
-    }
-    return list({**stored, **computed}.items())

@@ -35,23 +35,53 @@ _LATEX_ESCAPES = str.maketrans(
 
 
 @dataclass(frozen=True)
-class MeanEstimate:
-    """Mean of a metric over episodes, with its confidence interval.
+class Estimate:
+    """Mean, rate or difference with its confidence interval.
 
     Attributes:
-        mean: Mean over the episodes that have a value; None if none has.
-        interval_95: Bootstrap 95 % interval, or None for fewer than two values.
-        n: Number of episodes that have a value.
+        mean: Value; None if no episode has one.
+        interval_95: 95 % interval, or None if it has none.
+        n: Number of values.
     """
 
     mean: float | None
     interval_95: tuple[float, float] | None
     n: int
 
+    def format_interval(self, spec: str = ".1f", scale: float = 100.0) -> str:
+        """Format the ends of the interval, by default of a share in percent."""
+        return (
+            NO_VALUE if self.interval_95 is None else " to ".join(f"{scale * end:{spec}}" for end in self.interval_95)
+        )
 
-def estimate_mean(values: Sequence[float]) -> MeanEstimate:
-    """Estimate a mean with its 95 % interval."""
-    return MeanEstimate(float(np.mean(values)) if values else None, compute_mean_interval(values), len(values))
+    def format(self, spec: str = ".1f", interval_spec: str = "", scale: float = 100.0) -> str:
+        """Format the value, by default a share in percent, with its interval.
+
+        Args:
+            spec: Format specification of the value.
+            interval_spec: Format specification of the ends; default: `spec`.
+            scale: Factor of all three numbers.
+        """
+        if self.mean is None:
+            return NO_VALUE
+        text = f"{scale * self.mean:{spec}}"
+        return f"{text} ({self.format_interval(interval_spec or spec, scale)})" if self.interval_95 else text
+
+
+def estimate_mean(values: Sequence[float]) -> Estimate:
+    """Estimate a mean with its bootstrap 95 % interval (percentiles of 2,000 resamples).
+
+    The interval lies within the range of the values, so that no share exceeds one and no force is
+    negative. The generator has a fixed seed: equal values have equal intervals. Fewer than two values have none.
+    """
+    n = len(values)
+    if n < 2:
+        return Estimate(float(values[0]) if n else None, None, n)
+    data = np.asarray(values, dtype=np.float64)
+    # scipy.stats.bootstrap draws the same resamples, but its percentiles are off by rounding errors.
+    means = np.random.default_rng(0).choice(data, size=(_N_RESAMPLES, n)).mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return Estimate(float(np.mean(data)), (float(low), float(high)), n)
 
 
 def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
@@ -65,45 +95,24 @@ def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def compute_mean_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Compute the bootstrap 95 % interval of a mean (percentiles of 2,000 resamples).
-
-    The interval lies within the range of the values, so that no share exceeds one and no force is
-    negative. The generator has a fixed seed: equal values have equal intervals. The
-    result is None for fewer than two values.
-    """
-    if len(values) < 2:
-        return None
-    data = np.asarray(values, dtype=np.float64)
-    # scipy.stats.bootstrap draws the same resamples, but its percentiles are off by rounding errors.
-    means = np.random.default_rng(0).choice(data, size=(_N_RESAMPLES, len(data))).mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return float(low), float(high)
+def estimate_rate(count: int, n: int) -> Estimate:
+    """Estimate a rate (0..1) with Wilson's 95 % interval from its number of occurrences in n trials."""
+    return Estimate(count / n, compute_wilson_interval(count, n), n)
 
 
-def compute_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> tuple[float, float, float]:
-    """Compute the difference of two rates on the same scenes, first minus second (-1..1).
+def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
+    """Estimate the difference of two rates on the same scenes, first minus second (-1..1).
 
     The 95 % interval follows Agresti and Min (Statistics in Medicine 24, 2005): half an episode is
     added to each of the four kinds of pairs, so that the interval has a width even if few scenes,
     or none, differ.
-
-    Returns:
-        Difference, lower and upper end of its interval.
-
-    Raises:
-        ValueError: The sequences are empty or differ in length.
     """
-    pairs = [(bool(one), bool(other)) for one, other in zip(first, second, strict=True)]
-    if not pairs:
-        raise ValueError("first and second must not be empty")
-    gained = sum(one and not other for one, other in pairs)
-    lost = sum(other and not one for one, other in pairs)
-    n = len(pairs) + 2.0
-    center = (gained - lost) / n
-    half = scipy.stats.norm.ppf(0.975) * np.sqrt((gained + lost + 1.0) / n - center**2) / np.sqrt(n)
-    low, high = max(-1.0, center - half), min(1.0, center + half)
-    return (gained - lost) / len(pairs), float(low), float(high)
+    differences = np.array(first, dtype=float) - np.array(second, dtype=float)
+    n = len(differences) + 2.0
+    center = differences.sum() / n
+    half = scipy.stats.norm.ppf(0.975) * np.sqrt((np.abs(differences).sum() + 1.0) / n - center**2) / np.sqrt(n)
+    interval = float(max(-1.0, center - half)), float(min(1.0, center + half))
+    return Estimate(float(differences.mean()), interval, len(differences))
 
 
 @dataclass(frozen=True)
@@ -205,14 +214,7 @@ class ReportTable:
             )
             lines = [f"\\begin{{tabular}}{{{'l' * len(self.header)}}}", r"\toprule", head, r"\midrule", *body]
             return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
-        keys, split = self.n_keys, self.split_column
-        parts = [slice(keys, split), slice(split, None)] if split else [slice(keys, None)]
-        return "\n\n".join(
-            format_table(
-                [*self.header[:keys], *self.header[part]], [[*row[:keys], *row[part]] for row in self.rows], keys
-            )
-            for part in parts
-        )
+        return format_table(self.header, self.rows, self.n_keys, self.split_column)
 
 
 class TabularResult(ABC):
@@ -221,6 +223,10 @@ class TabularResult(ABC):
     @abstractmethod
     def build_sections(self) -> Sequence[str | ReportTable]:
         """Build the texts and tables of the result, in order; empty ones are not printed."""
+
+    def build_tables(self) -> list[ReportTable]:
+        """Build the tables of the result, in order."""
+        return [section for section in self.build_sections() if isinstance(section, ReportTable)]
 
     def __str__(self) -> str:
         return self.format()
@@ -254,7 +260,7 @@ def format_csv(rows: Sequence[Sequence[object]]) -> str:
 
 
 def format_table(
-    header: Sequence[str], rows: Sequence[Sequence[object]], n_keys: int = 1, max_width: int = _MAX_WIDTH
+    header: Sequence[str], rows: Sequence[Sequence[object]], n_keys: int = 1, split_column: int = 0
 ) -> str:
     """Format a Markdown table; split wide tables into several with the same first columns.
 
@@ -262,18 +268,23 @@ def format_table(
         header: Column titles.
         rows: Cells, one sequence per row.
         n_keys: Number of first columns that identify a row.
-        max_width: Number of characters that fit; a single column may be wider.
+        split_column: Column before which the table is split in any case; 0 for none.
     """
     cells = [[str(cell).replace("|", "\\|") for cell in row] for row in (header, *rows)]
-    sizes = [max(len(row[column]) for row in cells) + 3 for column in range(len(header))]
-    key_width = sum(sizes[:n_keys]) + 1
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     parts: list[list[int]] = [[]]
     for column in range(n_keys, len(header)):
-        width = key_width + sum(sizes[other] for other in parts[-1])
-        if parts[-1] and width + sizes[column] > max_width:
+        width = 1 + sum(widths[other] + 3 for other in (*range(n_keys), *parts[-1], column))
+        if parts[-1] and (width > _MAX_WIDTH or column == split_column):
             parts.append([])
         parts[-1].append(column)
-    return "\n\n".join(_format_columns(cells, [*range(min(n_keys, len(header))), *part]) for part in parts)
+    tables = []
+    for part in parts:
+        columns = [*range(min(n_keys, len(header))), *part]
+        lines = ["| " + " | ".join(row[column].ljust(widths[column]) for column in columns) + " |" for row in cells]
+        rule = "|".join("-" * (widths[column] + 2) for column in columns)
+        tables.append("\n".join([lines[0], f"|{rule}|", *lines[1:]]))
+    return "\n\n".join(tables)
 
 
 def format_seconds(value: float | None) -> str:
@@ -281,51 +292,6 @@ def format_seconds(value: float | None) -> str:
     return NO_VALUE if value is None else f"{value:.3f}"
 
 
-def format_interval(interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
-    """Format the ends of an interval, by default of shares in percent.
-
-    Args:
-        interval: Lower and upper end, or None for no interval.
-        spec: Format specification of a number.
-        scale: Factor of the ends.
-    """
-    return NO_VALUE if interval is None else " to ".join(f"{scale * end:{spec}}" for end in interval)
-
-
-def append_interval(text: str, interval: Sequence[float] | None, spec: str = ".1f", scale: float = 100.0) -> str:
-    """Append an interval, if there is one, to a formatted value; see `format_interval` for the arguments."""
-    return text if interval is None else f"{text} ({format_interval(interval, spec, scale)})"
-
-
-def format_percent_mean(values: Sequence[float], signed: bool = False) -> str:
-    """Format a mean in percent, with its bootstrap 95 % interval if it has one."""
-    sign = "+" if signed else ""
-    return append_interval(f"{100 * sum(values) / len(values):{sign}.2f}", compute_mean_interval(values), f"{sign}.1f")
-
-
-def format_percent_interval(count: int, n: int) -> str:
-    """Format Wilson's 95 % interval of a rate, in percent."""
-    return format_interval(compute_wilson_interval(count, n))
-
-
 def format_percent_rate(count: int, n: int, digits: int = 1) -> str:
     """Format a rate in percent with Wilson's 95 % interval."""
-    return append_interval(f"{100 * count / n:.{digits}f}", compute_wilson_interval(count, n))
-
-
-def format_percent_difference(difference: tuple[float, float, float], digits: int = 1) -> str:
-    """Format a difference of rates with its 95 % interval, in percentage points.
-
-    Args:
-        difference: Mean and interval as of `statistics.compute_paired_difference`.
-        digits: Decimal places.
-    """
-    spec = f"+.{digits}f"
-    return append_interval(f"{100 * difference[0]:{spec}}", difference[1:], spec)
-
-
-def _format_columns(cells: Sequence[Sequence[str]], columns: Sequence[int]) -> str:
-    chosen = [[row[column] for column in columns] for row in cells]
-    widths = [max(map(len, cells)) for cells in zip(*chosen, strict=True)]
-    head, *body = (f"| {' | '.join(map(str.ljust, row, widths))} |" for row in chosen)
-    return "\n".join([head, f"|{'|'.join('-' * (width + 2) for width in widths)}|", *body])
+    return estimate_rate(count, n).format(f".{digits}f", ".1f")

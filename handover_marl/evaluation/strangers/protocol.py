@@ -1,13 +1,13 @@
 """Protocol of the evaluation with partners that a policy has not met, its leaderboard, and its reference scores."""
 
+import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.datasets import open_dataset
@@ -17,37 +17,28 @@ from handover_marl.evaluation.config import EvaluationConfig, ExecutionConfig, b
 from handover_marl.evaluation.crossplay import crossplay, resolve_policies
 from handover_marl.evaluation.metadata import CONFIG_FILE, OFFICIAL_WORLD
 from handover_marl.evaluation.reports.report import Report, evaluate
-from handover_marl.evaluation.reports.tables import AVERAGE_SUCCESS, N_EPISODES, NO_VALUE, ReportTable, TabularResult
+from handover_marl.evaluation.reports.tables import N_EPISODES, NO_VALUE, ReportTable, TabularResult
 from handover_marl.evaluation.strangers.references import Condition, Reference, ReferenceTable, load_references
 from handover_marl.evaluation.strangers.report import (
+    COLUMNS,
     ENTRY_FILE,
     NO_REFERENCES_NOTE,
     NOTE,
     OTHER_AGENT,
     PROXIMITY_NOTE,
     StrangersReport,
-    check_code,
-    format_estimate,
     read_entry,
     read_report,
 )
-from handover_marl.evaluation.strangers.scores import Statistic, compute_mean, compute_proximity, estimate_difference
+from handover_marl.evaluation.strangers.scores import compute_mean, compute_proximity, estimate_difference
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path, forward_signature, require_modules
-from handover_marl.policies.populations import DEFAULT_POPULATION, Partner, Population, load_population
+from handover_marl.policies.populations import ALL, DEFAULT_POPULATION, Partner, Population, load_population
 from handover_marl.policies.reference import PolicyLike, parse_policy
 
 #: Number of scenes for each partner: 648 episodes with the 18 test givers of `strangers-v1`.
 DEFAULT_N_SCENES = 36
 FAST = "fast"
-_COLUMNS = {
-    "success": "success %",
-    "contact": "contact %",
-    AVERAGE_SUCCESS.key: AVERAGE_SUCCESS.title,
-    "br_prox": "BR-Prox %",
-    "worst_partner_success": "worst success %",
-    "largest_partner_contact": "largest contact %",
-}
 
 
 @forward_signature(EvaluationConfig, ExecutionConfig, without=("shard",), defaults={"physics": FAST})
@@ -87,8 +78,8 @@ def strangers(
             evaluation.
         HandoverError: The same errors as `crossplay` and `load_population`.
     """
-    if not isinstance(setup, EvaluationConfig) and "physics" not in options:
-        options["physics"] = FAST
+    if not isinstance(setup, EvaluationConfig):
+        options.setdefault("physics", FAST)
     config, execution = build_configs(setup, options, execution, split=split)
     if config.world_config != OFFICIAL_CONFIG:
         raise OptionError(
@@ -115,15 +106,13 @@ def strangers(
                 f"out must be a folder for population {found.label}, families of {partners}, got {folder} with "
                 f"{entry['population']}, families of {entry['partner_split']}; choose another folder"
             )
-    others = [found.get_policy(partner) for partner in chosen]
     trainings = resolve_policies(agent, policies, dataset, config, execution.trust)
     if len({policy.code_hash for policy in trainings}) < len(trainings):
         raise OptionError(f"{agent} must name different policies, got two with the same code and weights; drop one")
+    others = [found.get_policy(partner) for partner in chosen]
     givers, receivers = (others, trainings) if agent == "receiver" else (trainings, others)
     result = crossplay(givers, receivers, config, execution=execution)
     names, labels = (result.receivers, result.givers) if agent == "receiver" else (result.givers, result.receivers)
-    if len(labels) != len(chosen):
-        raise OptionError(f"population {found.path} must have different policies, got two with the same label")
     reports = {
         (name, partner.name): result.reports[(label, name) if agent == "receiver" else (name, label)]
         for name in names
@@ -159,74 +148,50 @@ def update_references(
     found = load_population(population, trust)
     path = found.references_path if out is None else check_path("out", out)
     table = load_references(found, out, is_new=True)
-    labels = {
-        "giver": list_labels(found, "giver", found.givers, trust),
-        "receiver": list_labels(found, "receiver", found.receivers, trust),
-    }
-    for report, agents in _read_reports(folders):
-        for agent in agents:
-            other = OTHER_AGENT[agent]
-            partner = labels[other].get(getattr(report.metadata, other))
-            if partner is not None and report.metadata.world == OFFICIAL_WORLD:
-                condition, reference = _make_reference(agent, report, partner.policy)
-                table = table.update(condition, partner.name, reference)
+    labels = {"giver": _list_labels(found, "giver", trust), "receiver": _list_labels(found, "receiver", trust)}
+    for folder in folders:
+        parent = check_path("folder", folder)
+        results = sorted(file.parent for file in parent.rglob(CONFIG_FILE))
+        if not results:
+            raise ResultsError(f"{parent} must contain result folders, got none with {CONFIG_FILE}")
+        for result in results:
+            report = evaluate(result)
+            is_entry = (result.parent / ENTRY_FILE).is_file()
+            for agent in (read_entry(result.parent)["agent"],) if is_entry else OTHER_AGENT:
+                partner = labels[OTHER_AGENT[agent]].get(getattr(report.metadata, OTHER_AGENT[agent]))
+                if partner is not None and report.metadata.world == OFFICIAL_WORLD:
+                    reference = _make_reference(agent, report, partner.policy)
+                    table = table.update(Condition.from_report(agent, report), partner.name, reference)
     write_atomically(path, table.to_json())
     return table
 
 
-def _read_reports(folders: Iterable[str | os.PathLike[str]]) -> Iterator[tuple[Report, tuple[str, ...]]]:
-    """Yield every report, and the agents whose policies may become references.
-
-    A result folder of `strangers` has one evaluated agent; in other result folders both agents count.
-    """
-    for folder in folders:
-        path = check_path("folder", folder)
-        results = sorted(file.parent for file in path.rglob(CONFIG_FILE))
-        if not results:
-            raise ResultsError(f"{path} must contain result folders, got none with {CONFIG_FILE}")
-        for result in results:
-            is_entry = (result.parent / ENTRY_FILE).is_file()
-            yield evaluate(result), (read_entry(result.parent)["agent"],) if is_entry else tuple(OTHER_AGENT)
-
-
-def _make_reference(agent: str, report: Report, partner_policy: str) -> tuple[Condition, Reference]:
-    """Return the condition of a report, and the agent's policy with its scores and the command of the evaluation."""
+def _make_reference(agent: str, report: Report, partner_policy: str) -> Reference:
+    """Return the agent's policy with its scores and the command of the evaluation."""
     metadata = report.metadata
     policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
     policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
     options = {**policies, **{name: getattr(metadata, name) for name in names}}
     options["scenes"] = ",".join(str(episode.scene_id) for episode in report.episodes)
-    reference = Reference(
+    return Reference(
         policy,
         version=f"{metadata.version} {getattr(metadata, f'{agent}_hash')}".strip(),
         command=f"handover-marl pair {' '.join(f'--{name} {value}' for name, value in options.items())}",
         scores=tuple(episode.speed_score for episode in report.episodes),
     )
-    return Condition.from_report(agent, report), reference
 
 
-def list_labels(
-    population: Population, agent: str, partners: Sequence[Partner], trust: bool = False
-) -> dict[str, Partner]:
-    """Return partners by the label that they have in result folders.
+def _list_labels(population: Population, agent: str, trust: bool) -> dict[str, Partner]:
+    """Return the givers or receivers of a population by the label that they have in result folders.
 
     Partners that cannot be made here, for example for lack of an optional package, are left out.
-
-    Args:
-        population: Population.
-        agent: Agent of the partners, "giver" or "receiver".
-        partners: Partners of this agent.
-        trust: Whether code in policy files may run.
     """
     # Labels do not depend on the data set.
     dataset = open_dataset("synthetic")
     labels: dict[str, Partner] = {}
-    for partner in partners:
-        try:
-            reference = parse_policy(agent, population.get_policy(partner), trust).resolve(dataset)
-        except OptionError:
-            continue
-        labels[reference.label] = partner
+    for partner in population.select(agent, ALL):
+        with contextlib.suppress(OptionError):
+            labels[parse_policy(agent, population.get_policy(partner), trust).resolve(dataset).label] = partner
     return labels
 
 
@@ -269,29 +234,27 @@ class Leaderboard(TabularResult):
         first = self.reports[0]
         rates = np.stack([report.successes.mean(axis=(0, 2)) for report in self.reports], axis=1).tolist()
         partners = [f"{partner.name} ({partner.family})" for partner in first.partners]
-        other = OTHER_AGENT[first.agent]
         title = f"{first.population}\n{self._describe_conditions()}"
-        write_atomically(path, draw_heat_map(rates, partners, self.titles, title, (other, first.agent)))
-
-    def build_tables(self) -> list[ReportTable]:
-        """Build the tables of scores, of differences to the first method, and of success by family."""
-        return [self._build_scores(), self._build_differences(), self._build_families()]
+        labels = (OTHER_AGENT[first.agent], first.agent)
+        write_atomically(path, draw_heat_map(rates, partners, self.titles, title, labels))
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, tables and notes."""
+        """Build heading, tables (scores, differences to the first method, success by family) and notes."""
         first = self.reports[0]
-        heading = (
-            f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
-            f"{self._describe_conditions()}."
-        )
-        notes = [NOTE, "Differences are paired by partner and scene."]
         known = [report.references is not None for report in self.reports]
-        notes += [PROXIMITY_NOTE] if any(known) else []
-        notes += [] if all(known) else [NO_REFERENCES_NOTE]
-        return [heading, *self.build_tables(), " ".join(notes)]
+        notes = [NOTE, "Differences are paired by partner and scene."]
+        notes += [PROXIMITY_NOTE] * any(known) + [NO_REFERENCES_NOTE] * (not all(known))
+        return [
+            f"{len(first.partners)} partners of {first.population}, families of {first.partner_split}; "
+            f"{self._describe_conditions()}.",
+            self._build_scores(),
+            self._build_differences(),
+            self._build_families(),
+            " ".join(notes),
+        ]
 
     def _describe_conditions(self) -> str:
-        condition, report = self.reports[0].condition, next(iter(self.reports[0].reports.values()))
+        condition, report = self.reports[0].condition, self.reports[0].first_report
         scenes = [
             f"{len(self.reports[rows[0]].condition.scenes)} scenes of {split}" for split, rows in self.splits.items()
         ]
@@ -303,34 +266,32 @@ class Leaderboard(TabularResult):
     def _build_scores(self) -> ReportTable:
         rows = []
         for name, report in zip(self.names, self.reports, strict=True):
-            found, metadata = report.estimate_all(), next(iter(report.reports.values())).metadata
-            cells = [format_estimate(found[key]) if key in found else NO_VALUE for key in _COLUMNS]
+            found, metadata = report.estimate_all(), report.first_report.metadata
+            cells = [found[key].format() if key in found else NO_VALUE for key in COLUMNS]
             rows.append([name, metadata.split, len(report.policies), metadata.robot, *cells, report.scores.size])
-        header = ["method", "split", "trainings", "robot", *_COLUMNS.values(), N_EPISODES.title]
+        header = ["method", "split", "trainings", "robot", *COLUMNS.values(), N_EPISODES.title]
         return ReportTable(header, rows, n_keys=2)
 
     def _build_differences(self) -> ReportTable:
         rows = []
         for split, (first, *others) in self.splits.items():
+            one = self.reports[first]
             for other in others:
-                one, two = self.reports[first], self.reports[other]
-                has_proximity = one.best_scores is not None and not (one.is_reference or two.is_reference)
-                cells = [
-                    _format_difference(compute_mean, one, one.successes, two.successes),
-                    _format_difference(compute_mean, one, one.contacts, two.contacts),
-                    _format_difference(compute_mean, one, one.scores, two.scores),
-                    _format_difference(compute_proximity, one, one.scores, two.scores) if has_proximity else NO_VALUE,
-                ]
+                two, families = self.reports[other], one.partner_families
+                arrays = [(one.successes, two.successes), (one.contacts, two.contacts), (one.scores, two.scores)]
+                found = [estimate_difference(compute_mean, *each, families) for each in arrays]
+                if one.best_scores is not None and not (one.is_reference or two.is_reference):
+                    found.append(estimate_difference(compute_proximity, *arrays[-1], families, one.best_scores))
+                cells = [*(each.format("+.1f") for each in found), *[NO_VALUE] * (4 - len(found))]
                 rows.append([self.names[first], self.names[other], split, *cells])
         titles = ["success, points", "contact, points", "AS, points", "BR-Prox, points"]
         return ReportTable(["method", "minus", "split", *titles], rows, n_keys=3)
 
     def _build_families(self) -> ReportTable:
-        first = self.reports[0]
-        rows = []
-        for family in first.families:
-            chosen = [number for number, partner in enumerate(first.partners) if partner.family == family]
-            rows.append([family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)])
+        rows = [
+            [family, *(f"{100 * each.successes[:, chosen].mean():.1f}" for each in self.reports)]
+            for family, chosen in self.reports[0].families.items()
+        ]
         return ReportTable(["family", *(f"{title}: success %" for title in self.titles)], rows)
 
 
@@ -361,42 +322,20 @@ def make_leaderboard(
     """
     if not folders:
         raise OptionError("folders must name at least one folder of handover-marl strangers, got none")
-    paths = [check_path("folder", folder) for folder in folders]
-    reports = [read_report(path) for path in paths]
+    found, paths = load_population(population, trust), [check_path("folder", folder) for folder in folders]
+    reports = [read_report(path, found) for path in paths]
     methods = [", ".join(report.policies) for report in reports] if names is None else names
-    found = load_population(population, trust)
-    for path, report in zip(paths, reports, strict=True):
-        _check_partners(path, report, found, trust)
     _check_comparable(paths, methods, reports)
     partners = [partner.name for partner in reports[0].partners]
     table = load_references(found, references)
     reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
+    # By the AS on the split that is given first, and the splits of a method one after the other.
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
-    rows = [
-        (splits.index(report.condition.split), -report.scores.mean(), name, report)
-        for name, report in zip(methods, reports, strict=True)
-    ]
-    rows.sort(key=lambda row: row[:2])
-    order = [*dict.fromkeys(row[2] for row in rows)]
-    rows.sort(key=lambda row: order.index(row[2]))
-    return Leaderboard(tuple(row[3] for row in rows), tuple(row[2] for row in rows))
-
-
-def _check_partners(path: Path, report: StrangersReport, population: Population, trust: bool) -> None:
-    """Check that a report has exactly the partners of its split of the population."""
-    if report.population != population.label:
-        raise OptionError(
-            f"{path} must be of population {population.label}, got {report.population}; pass the population's file"
-        )
-    other = OTHER_AGENT[report.agent]
-    if report.partners != population.select(other, report.partner_split):
-        raise ResultsError(f"{path} must have the partners of {report.partner_split!r}, got others; evaluate again")
-    found = list_labels(population, other, report.partners, trust)
-    labels = {partner.name: label for label, partner in found.items()}
-    for (_, name), pair in report.reports.items():
-        label = getattr(pair.metadata, other)
-        if labels.get(name, label) != label:
-            raise ResultsError(f"{path} must have results of {name!r} of the population, got another policy")
+    rows = list(zip(methods, reports, strict=True))
+    rows.sort(key=lambda row: (splits.index(row[1].condition.split), -row[1].scores.mean()))
+    order = [*dict.fromkeys(name for name, _ in rows)]
+    rows.sort(key=lambda row: order.index(row[0]))
+    return Leaderboard(tuple(report for _, report in rows), tuple(name for name, _ in rows))
 
 
 def _check_comparable(paths: Sequence[Path], names: Sequence[str], reports: Sequence[StrangersReport]) -> None:
@@ -404,7 +343,6 @@ def _check_comparable(paths: Sequence[Path], names: Sequence[str], reports: Sequ
     first = reports[0]
     folders: dict[tuple[str, str], Path] = {}
     firsts: dict[str, Condition] = {}
-    codes: dict[tuple[str, str, str], str] = {}
     for path, name, report in zip(paths, names, reports, strict=True):
         condition = report.condition
         if (known := folders.setdefault((name, condition.split), path)) is not path:
@@ -414,25 +352,9 @@ def _check_comparable(paths: Sequence[Path], names: Sequence[str], reports: Sequ
             )
         differences = {*condition.list_differences(first.condition)} - {"split", "scenes", "data"}
         differences.update(condition.list_differences(firsts.setdefault(condition.split, condition)))
-        if report.partners != first.partners:
-            differences.add("partners")
-        for (agent, label), code in check_code(path, report.reports.values()).items():
-            # Two methods may have policies of one label, and the policies of a method and the partners one code.
-            if codes.setdefault((agent, label, name if agent == first.agent else ""), code) != code:
-                differences.add(f"code of {label!r}")
+        differences.update(["partners"] if report.partner_codes != first.partner_codes else [])
         if differences:
             raise ResultsError(
                 f"{path} must have the {' and '.join(sorted(differences))} of the other folders; evaluate with the "
                 "same version, partners, seed, scenes, data and physics"
             )
-
-
-def _format_difference(
-    statistic: Statistic,
-    report: StrangersReport,
-    first: npt.NDArray[np.float64],
-    second: npt.NDArray[np.float64],
-) -> str:
-    references = report.best_scores if statistic is compute_proximity else None
-    found = estimate_difference(statistic, first, second, report.partner_families, references)
-    return format_estimate(found, spec="+.1f")

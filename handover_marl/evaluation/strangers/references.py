@@ -105,28 +105,22 @@ class ReferenceTable(TabularResult):
 
     def build_sections(self) -> list[str | ReportTable]:
         """Build a heading and a table with one row for each partner and condition."""
-        rows = [
-            [
-                partner,
-                f"{condition.dataset} {condition.setup} {condition.split}",
-                condition.physics,
-                reference.policy,
-                f"{100 * reference.mean:.1f}",
-                len(condition.scenes),
-            ]
-            for condition, section in self.sections.items()
-            for partner, reference in section.items()
-        ]
+        rows: list[list[object]] = []
+        for condition, section in self.sections.items():
+            cells = f"{condition.dataset} {condition.setup} {condition.split}", condition.physics
+            for partner, best in section.items():
+                rows.append([partner, *cells, best.policy, f"{100 * best.mean:.1f}", len(condition.scenes)])
         table = ReportTable(["partner", "scenes", "physics", "best policy", "AS %", "n"], rows)
         return [f"Best policies known for the partners of {self.population.label}.", table]
 
     def find(self, condition: Condition, partner: str) -> Reference | None:
         """Return the best reference for a partner, with its scores in the scenes of a condition; None without one."""
-        found = [
-            _select_scores(known, section[partner], condition)
-            for known, section in self.sections.items()
-            if partner in section and known.contains(condition)
-        ]
+        found = []
+        for known, section in self.sections.items():
+            if partner in section and known.contains(condition):
+                by_scene = dict(zip(known.scenes, section[partner].scores, strict=True))
+                scores = tuple(by_scene[scene] for scene in condition.scenes)
+                found.append(replace(section[partner], scores=scores))
         return max(found, key=lambda reference: reference.mean, default=None)
 
     def find_all(self, condition: Condition, partners: Sequence[str]) -> tuple[Reference, ...] | None:
@@ -144,20 +138,13 @@ class ReferenceTable(TabularResult):
 
     def to_json(self) -> str:
         """Return the table as JSON."""
-        sections = [
-            {
-                **asdict(condition),
-                "partners": {
-                    name: {
-                        **asdict(each),
-                        "mean": round(each.mean, _DIGITS),
-                        "scores": [round(score, _DIGITS) for score in each.scores],
-                    }
-                    for name, each in section.items()
-                },
+        sections = []
+        for condition, section in self.sections.items():
+            rounded = {
+                name: {**asdict(each), "scores": [round(score, _DIGITS) for score in each.scores]}
+                for name, each in section.items()
             }
-            for condition, section in self.sections.items()
-        ]
+            sections.append({**asdict(condition), "partners": rounded})
         return json.dumps({"population_hash": self.population.content_hash, "sections": sections}, indent=1) + "\n"
 
 
@@ -214,8 +201,3 @@ def _parse_section(section: Mapping[str, Any]) -> tuple[Condition, dict[str, Ref
     if {len(condition.data), *(len(each.scores) for each in partners.values())} - {len(condition.scenes)}:
         raise ValueError("each partner must have one score for each scene, and each scene its data")
     return condition, partners
-
-
-def _select_scores(known: Condition, reference: Reference, condition: Condition) -> Reference:
-    by_scene = dict(zip(known.scenes, reference.scores, strict=True))
-    return replace(reference, scores=tuple(by_scene[scene] for scene in condition.scenes))

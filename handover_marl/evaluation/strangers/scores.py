@@ -13,11 +13,12 @@ and Graubard, Survey Methodology 24(2), 1998). Percentiles of a bootstrap are to
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import scipy
+
+from handover_marl.evaluation.reports.tables import Estimate
 
 Array = npt.NDArray[np.float64]
 #: Function from returns (policies, partners) and reference returns (partners) to a number.
@@ -26,29 +27,10 @@ Statistic = Callable[[Array, Array], float]
 _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at each end
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Value of a statistic with its 95 % interval.
-
-    Attributes:
-        value: Value for all policies, partners and scenes.
-        interval_95: Lower and upper end of the interval; None if it has none.
-    """
-
-    value: float
-    interval_95: tuple[float, float] | None
-
-
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities (policies, partners).
+    """Compute best-response proximities of returns (policies, partners) to those of the best policies (partners,).
 
-    Args:
-        returns: Returns (policies, partners).
-        references: Returns (partners,) of the best policy known for each partner.
-
-    Returns:
-        Proximities, above 1 where a policy exceeds the reference; 1 for partners with whom no policy has a positive
-        return.
+    They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
     return np.divide(returns, references, out=np.ones_like(returns), where=references > 0.0)
 
@@ -94,9 +76,7 @@ def estimate(
     def compute(own: Array, best: Array) -> float:
         return statistic(own.mean(axis=-1), best[0].mean(axis=-1))
 
-    value, error, quantile = _apply_jackknife(compute, [scores], families, references)
-    limit = 1.0 if references is None else np.inf
-    return Estimate(value, (max(0.0, value - quantile * error), min(limit, value + quantile * error)))
+    return _estimate(compute, [scores], families, references, 0.0)
 
 
 def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | None) -> Estimate:
@@ -112,7 +92,7 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
     weight = quantile**2 / (min(n, value * (1.0 - value) / error**2) if error else n)
     center = (value + weight / 2.0) / (1.0 + weight)
     half = np.sqrt(weight * value * (1.0 - value) + weight**2 / 4.0) / (1.0 + weight)
-    return Estimate(value, (max(0.0, float(center - half)), min(1.0, float(center + half))))
+    return Estimate(value, (max(0.0, float(center - half)), min(1.0, float(center + half))), n)
 
 
 def estimate_difference(
@@ -130,20 +110,26 @@ def estimate_difference(
         second: Scores of the second method with the same partners and scenes; its number of policies may differ.
         families: Family of every partner; see `estimate`.
         references: Scores (partners, scenes) of the best policy for each partner; default: none.
-
-    Raises:
-        ValueError: Partners or scenes of the methods differ in number.
     """
-    if first.shape[1:] != second.shape[1:]:
-        raise ValueError(f"first and second must have the same partners and scenes, got {first.shape}, {second.shape}")
 
     def compute(one: Array, other: Array, best: Array) -> float:
         returns = best[0].mean(axis=-1)
         return statistic(one.mean(axis=-1), returns) - statistic(other.mean(axis=-1), returns)
 
-    value, error, quantile = _apply_jackknife(compute, [first, second], families, references)
-    limit = 1.0 if references is None else np.inf
-    return Estimate(value, (max(-limit, value - quantile * error), min(limit, value + quantile * error)))
+    return _estimate(compute, [first, second], families, references, -1.0 if references is None else -np.inf)
+
+
+def _estimate(
+    compute: Callable[..., float],
+    methods: list[Array],
+    families: Sequence[str] | None,
+    references: Array | None,
+    lowest: float,
+) -> Estimate:
+    """Estimate a function of the scores of methods and references; its smallest value is given."""
+    value, error, quantile = _apply_jackknife(compute, methods, families, references)
+    low, high = value - quantile * error, value + quantile * error
+    return Estimate(value, (max(lowest, low), min(1.0 if references is None else np.inf, high)), methods[0].size)
 
 
 def _apply_jackknife(
@@ -151,12 +137,7 @@ def _apply_jackknife(
 ) -> tuple[float, float, float]:
     """Return a function's value of the scores of methods and references, its standard error, and the quantile."""
     shape = methods[0].shape
-    if len(shape) != 3 or 0 in shape:
-        raise ValueError(f"scores must have the axes policies, partners and scenes, none empty, got {shape}")
-    best = np.zeros(shape[1:]) if references is None else references
-    if best.shape != shape[1:]:
-        raise ValueError(f"references must have shape {shape[1:]}, got {best.shape}")
-    arrays = [*methods, best[None]]
+    arrays = [*methods, np.zeros((1, *shape[1:])) if references is None else references[None]]
     everywhere = range(len(arrays))
     # Which arrays vary together, along which axis, and the index sets that are left out one at a time.
     variations: list[tuple[Sequence[int], int, list[list[int]]]] = [(everywhere, 2, _group(range(shape[2])))]

@@ -13,7 +13,7 @@ from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
-from handover_marl.execution.pool import pickle_by_value
+from handover_marl.execution.tasks import pickle_by_value
 from handover_marl.learning.adapters.export import is_sb3_model
 from handover_marl.learning.adapters.function_policy import FunctionPolicy, TorchFunction
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike

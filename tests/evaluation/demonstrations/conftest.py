@@ -1,21 +1,15 @@
 """Fixtures for the tests of recordings."""
 
-from typing import Any
+from pathlib import Path
 
 import pytest
 
-from handover_marl.evaluation import episode_runner
+from tests.evaluation.demonstrations.recording import OPTIONS, record
 
 
-@pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Return a list to which the number of every scene that this process simulates is added."""
-    scenes: list[int] = []
-    play = episode_runner.EpisodeRunner.run
-
-    def noted(player: Any, task: Any) -> Any:
-        scenes.append(task.scene_id)
-        return play(player, task)
-
-    monkeypatch.setattr(episode_runner.EpisodeRunner, "run", noted)
-    return scenes
+@pytest.fixture(scope="package")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a recording with point clouds and actions of the giver; do not write to it."""
+    folder = tmp_path_factory.mktemp("demonstrations") / "out"
+    record(folder, **OPTIONS)
+    return folder

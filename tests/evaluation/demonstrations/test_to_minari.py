@@ -10,7 +10,7 @@ from handover_marl import Demonstrations
 from handover_marl.cli import main
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.demonstrations.convert import convert_to_minari
-from tests.evaluation.demonstrations.recording import SCENES, record
+from tests.evaluation.demonstrations.recording import SCENES
 
 
 @pytest.fixture(autouse=True)
@@ -20,16 +20,11 @@ def minari_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "minari"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("obs_mode", ["state+pointcloud", "rgbd"])
-def test_minari_reads_the_data_set(
-    tmp_path: Path, minari_folder: Path, obs_mode: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_minari_reads_the_data_set(out: Path, minari_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
-    ours = record(None, tmp_path / "out", obs_mode=obs_mode, giver="noisy")
-    capsys.readouterr()
-    assert main(["convert", str(tmp_path / "out"), "--to", "minari", "--name", "handover/moving-v0"]) == 0
+    ours = Demonstrations(out)
+    assert main(["convert", str(out), "--to", "minari", "--name", "handover/moving-v0"]) == 0
     assert f"Data set: {minari_folder / 'handover' / 'moving-v0'}" in capsys.readouterr().out
     dataset = minari.load_dataset("handover/moving-v0")
     assert dataset.observation_space == ours.observation_space
@@ -49,13 +44,11 @@ def test_minari_reads_the_data_set(
         assert {name: metadata[name] for name in demonstration.metadata} == demonstration.metadata
     assert len(dataset.filter_episodes(lambda episode: bool(episode.truncations[-1]))) == 2
     with pytest.raises(OptionError, match=r"name must be a new data set of Minari, got 'handover/moving-v0' .*exists"):
-        convert_to_minari(tmp_path / "out", "handover/moving-v0")
+        convert_to_minari(out, "handover/moving-v0")
 
 
-def test_without_minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    record(None, tmp_path / "out", keep="success", scenes=[5])
-    assert not len(Demonstrations(tmp_path / "out"))
+def test_without_minari(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "minari" else found(name))
     with pytest.raises(OptionError, match=r"needs minari: pip install 'handover-marl\[minari\]'"):
-        convert_to_minari(tmp_path / "out", "handover/moving-v0")
+        convert_to_minari(out, "handover/moving-v0")

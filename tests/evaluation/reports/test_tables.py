@@ -12,18 +12,17 @@ from handover_marl.cli import main
 from handover_marl.evaluation.comparison import Agreement, Comparison
 from handover_marl.evaluation.crossplay import CrossPlay
 from handover_marl.evaluation.reports.tables import (
-    FLUENCY,
     TABLE_FORMATS,
+    Estimate,
     ReportTable,
     TabularResult,
-    compute_mean_interval,
-    compute_paired_difference,
     compute_wilson_interval,
+    estimate_mean,
+    estimate_paired_difference,
 )
 from tests.evaluation.quick import write_results
 from tests.evaluation.reports.test_report import report
 
-TITLES = [column.title for column in FLUENCY]
 WIDE = ReportTable(["giver", "receiver", *(f"column_{n} %" for n in range(9))], [["a_b", "50 %", *["x & y"] * 9]], 0, 2)
 
 
@@ -42,26 +41,16 @@ def test_other_formats_are_not_split() -> None:
     assert r"column\_8 \%" in latex
     assert r" a\_b" in latex
     assert r"x \& y" in latex
-    for style in TABLE_FORMATS:
-        # The name of a format may be any equal string, not only the same object.
-        assert WIDE.format("".join([style[:2], style[2:]])) == WIDE.format(style)  # type: ignore[arg-type]
     assert ReportTable(["a"], []).format("latex") == ReportTable(["a"], []).format("csv") == ""
 
 
-def results() -> list[TabularResult]:
-    """Return one result of every kind that commands print."""
+@pytest.mark.parametrize("kind", ["report", "comparison", "agreement", "crossplay"])
+def test_every_result_has_every_format(kind: str) -> None:
     first, other = report(1, 2), report(2, 1, physics="fast")
-    both = {("replay", name): first for name in ("hold", "yang2021")}
-    return [
-        first,
-        Comparison(first, other),
-        Agreement(first, other),
-        CrossPlay(both),
-    ]
-
-
-@pytest.mark.parametrize("result", results(), ids=lambda result: type(result).__name__)
-def test_every_result_has_every_format(result: TabularResult) -> None:
+    results: dict[str, TabularResult] = {"report": first, "comparison": Comparison(first, other)}
+    results |= {"agreement": Agreement(first, other)}
+    results |= {"crossplay": CrossPlay({("replay", name): first for name in ("hold", "yang2021")})}
+    result = results[kind]
     sections = result.build_sections()
     tables = [section for section in sections if isinstance(section, ReportTable) and section.rows]
     texts = [section for section in sections if isinstance(section, str) and section]
@@ -75,21 +64,18 @@ def test_every_result_has_every_format(result: TabularResult) -> None:
         assert all(f"% {line}" in latex.splitlines() for line in text.splitlines())
 
 
-@pytest.mark.parametrize("table_format", TABLE_FORMATS)
-def test_stdout_of_a_command_is_the_result(
-    table_format: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_stdout_of_a_command_is_the_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The standard output in CSV or LaTeX has the result only; notes are printed to the standard error."""
     folder = write_results(tmp_path)
-    expected = handover_marl.evaluate(folder).format(table_format)  # type: ignore[arg-type]
-    assert main(["evaluate", str(folder), "--format", table_format]) == 0
-    printed = capsys.readouterr()
-    note = "Page not saved; add --out FILE.html.\n"
-    if table_format == "markdown":
-        assert printed.out == f"{expected}\n\n{note}"
-    else:
-        assert (printed.out, printed.err) == (f"{expected}\n", f"handover-marl: {note}")
-    assert main(["compare", str(folder), str(folder), "--format", table_format]) == 0
+    for table_format in TABLE_FORMATS:
+        expected = handover_marl.evaluate(folder).format(table_format)
+        assert main(["evaluate", str(folder), "--format", table_format]) == 0
+        printed = capsys.readouterr()
+        note = "Page not saved; add --out FILE.html.\n"
+        if table_format == "markdown":
+            assert printed.out == f"{expected}\n\n{note}"
+        else:
+            assert (printed.out, printed.err) == (f"{expected}\n", f"handover-marl: {note}")
 
 
 def test_episodes_as_csv(tmp_path: Path) -> None:
@@ -116,35 +102,30 @@ def test_wilson_against_known_values() -> None:
     np.testing.assert_allclose(compute_wilson_interval(0, 20), (0.0, 0.1611), atol=5e-5)
 
 
-def test_mean_interval() -> None:
+def test_means() -> None:
     # One of the 27 resamples of three values has the lowest mean and one the highest; 1/27 is more than 2.5 %.
-    assert compute_mean_interval([1.0, 2.0, 3.0]) == (1.0, 3.0)
-    assert compute_mean_interval([2.0, 2.0]) == (2.0, 2.0)
-    assert compute_mean_interval([1.0]) is None
-    assert compute_mean_interval([]) is None
-
-
-def test_mean_intervals_are_those_of_two_thousand_resamples() -> None:
-    """The 2000 resamples are fixed, so that later versions reproduce the intervals of the results pages."""
+    assert estimate_mean([1.0, 2.0, 3.0]) == Estimate(2.0, (1.0, 3.0), 3)
+    assert estimate_mean([1.0]) == Estimate(1.0, None, 1)
+    assert estimate_mean([]) == Estimate(None, None, 0)
+    # The 2000 resamples are fixed, so that later versions reproduce the intervals of the results pages.
     values = np.random.default_rng(2).normal(5.0, 2.0, 25)
     resamples = np.random.default_rng(0).integers(0, 25, (2000, 25))
     expected = np.percentile(values[resamples].mean(axis=1), [2.5, 97.5])
-    np.testing.assert_allclose(compute_mean_interval(values.tolist()), expected, rtol=1e-12)
+    np.testing.assert_allclose(estimate_mean(values.tolist()).interval_95, expected, rtol=1e-12)
 
 
-def test_paired_differences_against_a_worked_example() -> None:
-    """The interval is that of Agresti, Categorical Data Analysis: 150 of 1600 approved only first, 86 only later."""
+def test_paired_differences() -> None:
+    """The intervals are those of worked examples.
+
+    First Agresti, Categorical Data Analysis: 150 of 1600 approved only first, 86 only later. Then 4 of 10 scenes that
+    only the first solves, and 1 that only the second solves, which count as 4.5 and 1.5 of 12.
+    """
     first = [True] * 794 + [True] * 150 + [False] * 86 + [False] * 570
     second = [True] * 794 + [False] * 150 + [True] * 86 + [False] * 570
-    mean, low, high = compute_paired_difference(first, second)
-    assert mean == pytest.approx(0.04)
-    assert (low, high) == (pytest.approx(0.021, abs=1e-3), pytest.approx(0.059, abs=1e-3))
-
-
-def test_paired_differences_of_few_scenes_add_half_an_episode_to_each_kind_of_pair() -> None:
-    """Count 4 of 10 scenes that only the first solves, and 1 that only the second solves, as 4.5 and 1.5 of 12."""
-    first = [True] * 4 + [False] + [True] * 5
-    second = [False] * 4 + [True] + [True] * 5
-    mean, low, high = compute_paired_difference(first, second)
+    found = estimate_paired_difference(first, second)
+    assert found.mean == pytest.approx(0.04)
+    assert found.interval_95 == pytest.approx((0.021, 0.059), abs=1e-3)
+    found = estimate_paired_difference([True] * 4 + [False] + [True] * 5, [False] * 4 + [True] + [True] * 5)
     half = 1.959964 * (((4.5 + 1.5) / 12 - (3 / 12) ** 2) / 12) ** 0.5
-    assert (mean, low, high) == pytest.approx((0.3, 0.25 - half, 0.25 + half), abs=1e-5)
+    assert found.mean == pytest.approx(0.3)
+    assert found.interval_95 == pytest.approx((0.25 - half, 0.25 + half), abs=1e-5)

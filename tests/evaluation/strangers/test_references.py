@@ -39,21 +39,11 @@ def test_scores_of_some_of_the_scenes() -> None:
     assert table.find_all(CONDITION, ["fast", "slow"]) is None
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"scenes": (3, 4), "data": ("a", "b")},
-        {"data": ("a", "b", "other hash, models or number of objects")},
-        {"physics": "exact"},
-        {"split": "val"},
-        {"seed": "1"},
-        {"version": "0.9.0"},
-    ],
-)
-def test_references_of_other_conditions_are_refused(changes: dict[str, Any]) -> None:
+def test_references_of_other_conditions_are_not_used() -> None:
     table = EMPTY.update(CONDITION, "fast", GOOD)
-    assert table.find(CONDITION, "fast") is not None
-    assert table.find(replace(CONDITION, **changes), "fast") is None
+    others: list[dict[str, Any]] = [{"scenes": (3, 4), "data": ("a", "b")}, {"data": ("a", "b", "other hash")}]
+    for changes in [*others, {"physics": "exact"}, {"split": "val"}, {"seed": "1"}, {"version": "0.9.0"}]:
+        assert table.find(replace(CONDITION, **changes), "fast") is None
 
 
 def test_files(tmp_path: Path) -> None:

@@ -1,0 +1,101 @@
+"""Tasks that worker processes run.
+
+A job is a function that a process creates once and then applies to its tasks. Jobs, tasks and results are pickled by
+value, so that functions and classes of scripts and notebooks work.
+"""
+
+import pickle
+import traceback
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from typing import Any, ClassVar, TypeAlias, TypeVar
+
+from loky import wrap_non_picklable_objects
+
+from handover_marl.errors import HandoverError, PolicyError, WorkerError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+#: Factory of the function that a worker process applies to its tasks; entered once per process.
+OpenWorker: TypeAlias = Callable[[], AbstractContextManager[Callable[[Task], Result]]]
+
+
+class _ProcessState:
+    """State of a worker process: its present job, and the function that the job has created."""
+
+    job_id: ClassVar[str] = ""
+    job: ClassVar[tuple[OpenWorker[Any, Any], Callable[[Any], str]]]
+    function: ClassVar[Callable[[Any], Any] | None] = None
+    resources: ClassVar[ExitStack] = ExitStack()
+
+
+def pickle_by_value(value: object) -> bytes:
+    """Return a pickled value, with the code of functions and classes that another process cannot import."""
+    return pickle.dumps(wrap_non_picklable_objects((value,), keep_wrapper=False))
+
+
+def unpickle(pickled: bytes) -> Any:
+    """Return the value that `pickle_by_value` pickled."""
+    (value,) = pickle.loads(pickled)
+    return value
+
+
+def run_pickled_task(job_id: str, pickled_job: bytes, pickled_task: bytes) -> bytes:
+    """Run a task of a job in the current process and return its result, or the error that ended it, pickled.
+
+    Args:
+        job_id: Unique label of the job; the resources of another job are freed.
+        pickled_job: Job, the pair (open_worker, describe), pickled by `pickle_by_value`.
+        pickled_task: Task, pickled likewise.
+    """
+    state, description = _ProcessState, "a task"
+    try:
+        if state.job_id != job_id:
+            state.function = None
+            state.resources.close()
+            state.job_id, state.job = job_id, unpickle(pickled_job)
+        task = unpickle(pickled_task)
+        open_worker, describe = state.job
+        description = describe(task)
+        if state.function is None:
+            state.function = state.resources.enter_context(open_worker())
+        answer: object = state.function(task)
+    except PolicyError as error:
+        # The cause is lost when an exception is pickled, so its traceback goes into the text.
+        answer = PolicyError(f"{error}\n{traceback.format_exc()}")
+    except HandoverError as error:
+        answer = error
+    except Exception as error:
+        # As text, since the class of a foreign exception may not exist in the main process.
+        answer = WorkerError(f"{description}: {type(error).__name__}: {error}\n{traceback.format_exc()}")
+    return pickle_result(answer)
+
+
+def pickle_result(result: object) -> bytes:
+    """Return the pickled result of a task, or the error that ended it."""
+    try:
+        return pickle_by_value(result)
+    except Exception as error:  # pickling a user's object may raise anything
+        message = f"a task's result cannot be pickled ({type(error).__name__}: {error})"
+        return pickle_by_value(WorkerError(message))
+
+
+def unpickle_result(pickled: bytes) -> Any:
+    """Return the result of a task from `run_pickled_task`.
+
+    Raises:
+        HandoverError: The task failed.
+    """
+    result = unpickle(pickled)
+    if isinstance(result, HandoverError):
+        raise result
+    return result
+
+
+def make_picklable(error: Exception) -> Exception:
+    """Return an error, or a `WorkerError` with its message if the error cannot be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return WorkerError(f"{type(error).__name__}: {error}")
+    return error
