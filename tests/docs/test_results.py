@@ -100,9 +100,8 @@ def list_outcome_rows(folder: Path) -> list[tuple[dict[str, str], Path]]:
         header: list[str] = []
         for line in page.read_text().splitlines():
             row = cells(line)
-            if "outcomes" in row:
-                header = row
-            elif header and (link := re.search(r"\]\((data/episodes/[^)]+)\)", row[-1])):
+            header = row if "version" in row else header
+            if link := re.search(r"\]\((data/episodes/[^)]+)\)", row[-1]):
                 found.append((dict(zip(header, row, strict=True)), folder / link[1]))
     return found
 
@@ -124,7 +123,7 @@ def check_outcome_row(row: dict[str, str], path: Path) -> None:
     ):
         assert float(row[title].partition(" ")[0]) == pytest.approx(value, abs=0.0006 if title != "AS %" else 0.051)
     metadata = json.loads(path.read_text())["metadata"]
-    assert row["version"] == f"{metadata['version']} ({metadata['receiver_hash']})"
+    assert row["version"].startswith(f"[{metadata['version']} ({metadata['receiver_hash']})]")
 
 
 def test_rows_with_stored_outcomes_are_recomputed() -> None:
