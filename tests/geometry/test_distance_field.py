@@ -116,3 +116,14 @@ def test_fields_are_computed_without_a_cache_folder(cache: Path, caplog: pytest.
     cache.parent.write_text("")
     assert load_object_sdf(find_object_urdf("040_large_marker"), MARGIN).values.min() < 0.0
     assert "not saved" in caplog.text
+
+
+def test_users_without_a_home_have_a_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Containers run programs as users who have neither HOME nor an entry in the list of users."""
+
+    def find_no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", find_no_home)
+    assert get_cache_folder(CACHE_KIND).parts[-2:] == ("handover_marl", CACHE_KIND)

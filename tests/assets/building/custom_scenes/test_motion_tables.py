@@ -67,7 +67,11 @@ CSV_FAULTS = {
     "missing column": ("object_qw", "object_q", "column 'object_qw' is missing"),
     "repeated column": ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
     "text in a cell": ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
-    "semicolons": (",", ";", "missing|not a CSV"),
+    "unnamed column": ("time,", ",", "column '' is unknown; columns are time, "),
+    "column of another program": ("time,", "frame,", "column 'frame' is unknown"),
+    "capital letter": ("time,", "Time,", "column 'Time' is unknown"),
+    "name with a dot": ("object_x", "object.x", r"column 'object\.x' is unknown"),
+    "unit in the name": ("time,", "timestamp_ns,", "column 'timestamp_ns' is unknown"),
 }
 
 
@@ -77,6 +81,23 @@ def test_damaged_csv_files(kind: str, tmp_path: Path) -> None:
     path = edit(write_csv(tmp_path / "motion.csv", make_recording()), before, after)
     with pytest.raises(DataFormatError, match=message):
         read_motion_table(path, MotionConfig())
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "sep=,"])
+def test_csv_files_of_spreadsheets(separator: str, tmp_path: Path) -> None:
+    """Semicolons and tabs may separate numbers with decimal commas; Excel writes a line that names the separator."""
+    recording = make_recording()
+    path = write_csv(tmp_path / "motion.csv", recording)
+    text = path.read_text()
+    if separator == "sep=,":
+        path.write_text(f"sep=,\n{text}")
+    else:
+        path.write_text(text.replace(",", separator).replace(".", ","))
+    np.testing.assert_allclose(read_motion_table(path, MotionConfig()).bodies["object"], recording["object"], atol=1e-6)
+
+
+def test_gaps_may_be_as_long_as_the_largest_gap() -> None:
+    assert len(read_motion_table(make_recording(rate=5.0), MotionConfig(max_gap=0.2)).time) == 16
 
 
 def test_objects_are_not_unpickled(tmp_path: Path) -> None:
@@ -130,6 +151,8 @@ def test_units_frames_and_orders() -> None:
     config = MotionConfig(frame="table", length="mm", time="ms", quaternion="wxyz")
     table = read_motion_table(changed, config)
     np.testing.assert_allclose(table.time, recording["time"], atol=1e-9)
+    stamps = {**recording, "time": (recording["time"] * 1e9).astype(np.int64)}
+    np.testing.assert_allclose(read_motion_table(stamps, MotionConfig(time="ns")).time, recording["time"], atol=1e-8)
     np.testing.assert_allclose(table.bodies["object"][:, :3], expected[:, :3], atol=1e-9)
     np.testing.assert_allclose(np.abs(table.bodies["object"][:, 6]), 1.0)
 
