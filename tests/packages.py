@@ -1,7 +1,7 @@
-"""Build the wheel and the sdist, check them, and play an episode with each in a clean environment.
+"""Build the sdist and from it the wheel, check them, and play episodes with the wheel in a clean environment.
 
-    python -m tests.packages                    # with this Python
-    python -m tests.packages --every --final    # with every installed Python that is supported; for publication
+    python -m tests.packages              # with this Python, and the lowest versions that setup.cfg allows
+    python -m tests.packages --release    # before publishing: with every installed Python, and constraints.txt
 
 A version can be published if CHANGELOG.md has an entry for it, the working tree has no uncommitted changes, and the
 version is not tagged yet.
@@ -14,171 +14,125 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
 from handover_marl import __version__
-from handover_marl.evaluation.reports.tables import format_table
 
 ROOT = Path(__file__).parents[1]
 #: Largest size of a wheel (bytes).
 LARGEST = 12_000_000
-#: Arguments of the command that plays an episode with an installed package; the name of the physics is appended.
-#: PyBullet has no wheels for Python versions after _LAST_WITH_PYBULLET.
-EPISODE = (
-    *("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9"),
-    *("--out", "results", "--fresh", "--physics"),
-)
-_LAST_WITH_PYBULLET = (3, 13)
-# The modules are not compiled, because most modules of the dependencies are never imported.
-_PIP_INSTALL = ("-m", "pip", "--disable-pip-version-check", "install", "--no-compile", "--quiet")
-_PLAYED, _REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
-
-
-@dataclass(frozen=True)
-class Args:
-    """Options of building and testing packages.
-
-    Attributes:
-        every: Test with every supported Python that is found on PATH or in pyenv, instead of only with this one.
-        final: Refuse a version that cannot be published.
-        out: Folder for the packages.
-    """
-
-    every: bool = False
-    final: bool = False
-    out: str = "dist"
+#: PyBullet has no wheels for Python versions after this one.
+LAST_WITH_PYBULLET = (3, 13)
+EPISODE = ("benchmark", "--dataset", "synthetic", "--split", "val", "--scenes", "9", "--out", "results", "--fresh")
+# The web page that the last line of the output names needs templates, which are data files of the package.
+PLAYED, REPORT = "1 of 36 scenes (partial)", "Report: results/report.html"
 
 
 class PackageError(Exception):
     """A package does not pass a check."""
 
 
-def supported() -> list[str]:
-    """Return the versions of Python, such as "3.11", that setup.cfg lists as supported."""
+def read_setup() -> configparser.ConfigParser:
+    """Return the content of setup.cfg."""
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
-    return re.findall(r"Python :: (3\.\d+)$", setup["metadata"]["classifiers"], re.MULTILINE)
+    return setup
 
 
-def pythons() -> dict[str, str]:
-    """Return the program of every supported version of Python that is installed, by version."""
+def list_supported() -> list[str]:
+    """Return the versions of Python, such as "3.11", that setup.cfg lists as supported."""
+    return re.findall(r"Python :: (3\.\d+)$", read_setup()["metadata"]["classifiers"], re.MULTILINE)
+
+
+def list_lowest() -> list[str]:
+    """Return the requirements in setup.cfg, pinned to their lower bounds."""
+    lines = [line.strip() for line in read_setup()["options"]["install_requires"].splitlines()]
+    return [line.replace(">=", "==", 1) for line in lines if line and not line.startswith("#")]
+
+
+def find_pythons() -> dict[str, str]:
+    """Return the program of every supported version of Python on PATH or in pyenv, by version."""
     kept = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     found = {}
-    for version in supported():
+    for version in list_supported():
         candidates = [shutil.which(f"python{version}"), *sorted(kept.glob(f"{version}.*/bin/python{version}"))]
-        # A program of that name may be a shim of pyenv without a program behind it.
-        works = (str(program) for program in candidates if program and _runs(str(program), "--version"))
-        program = next(works, None)
-        if program is not None:
-            found[version] = program
+        for program in filter(None, candidates):
+            # A program of that name may be a shim of pyenv without a program behind it.
+            if subprocess.run([program, "--version"], capture_output=True, check=False).returncode == 0:
+                found[version] = str(program)
+                break
     return found
 
 
-def check_final(version: str) -> None:
-    """Check that a version can be published.
-
-    Raises:
-        PackageError: The version cannot be published; the message states the reason.
-    """
+def check_publishable(version: str) -> None:
+    """Raise a `PackageError` if a version cannot be published."""
     if not re.search(rf"^## {re.escape(version)}$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE):
         raise PackageError(f"CHANGELOG.md has no entry '## {version}'")
-    if _git("status", "--porcelain"):
+    if run("git", "-C", str(ROOT), "status", "--porcelain").strip():
         raise PackageError("there are changes that are not committed; commit or stash them")
-    if _git("tag", "--list", f"v{version}"):
+    if run("git", "-C", str(ROOT), "tag", "--list", f"v{version}").strip():
         raise PackageError(f"v{version} is tagged already; raise __version__ in handover_marl/version.py")
 
 
-def check_wheel(wheel: Path) -> None:
-    """Check the size of a wheel, and that it contains only the library.
-
-    Raises:
-        PackageError: The wheel is too large, or contains another file.
-    """
-    size = wheel.stat().st_size
-    if size > LARGEST:
-        raise PackageError(f"{wheel.name} has {size / 1e6:.1f} MB; at most {LARGEST / 1e6:.0f}")
+def build(out: Path) -> Path:
+    """Build the packages in the folder `out`, which is replaced, check them, and return the path of the wheel."""
+    shutil.rmtree(out, ignore_errors=True)
+    run(sys.executable, "-m", "build", "--outdir", str(out), str(ROOT))
+    run(sys.executable, "-m", "twine", "check", "--strict", *map(str, out.iterdir()))
+    (wheel,) = out.glob("*.whl")
+    if wheel.stat().st_size > LARGEST:
+        raise PackageError(f"{wheel.name} has {wheel.stat().st_size / 1e6:.1f} MB; at most {LARGEST / 1e6:.0f}")
     strange = [name for name in zipfile.ZipFile(wheel).namelist() if not name.startswith("handover_marl")]
     if strange:
         raise PackageError(f"{wheel.name} holds {strange[0]}, which is not the library's")
+    return wheel
 
 
-def build(out: Path) -> list[Path]:
-    """Delete the folder `out`, build the wheel and the sdist in it, and return their paths."""
-    shutil.rmtree(out, ignore_errors=True)
-    _run(sys.executable, "-m", "build", "--outdir", str(out), str(ROOT))
-    packages = [*out.glob("*.whl"), *out.glob("*.tar.gz")]
-    _run(sys.executable, "-m", "twine", "check", "--strict", *map(str, packages))
-    return packages
+def play_with(wheel: Path, version: str, python: str, constraints: Path) -> None:
+    """Install a wheel for a version of Python in a clean environment, and play an episode in each kind of physics."""
+    place = ROOT / "build" / "smoke"
+    run(python, "-m", "venv", "--clear", str(place))
+    pip = (str(place / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--no-compile")
+    run(*pip, "--quiet", "-c", str(constraints), str(wheel))
+    number = tuple(map(int, version.split(".")))
+    for physics in (["fast"] if number <= LAST_WITH_PYBULLET else []) + (["mujoco"] if number > (3, 10) else []):
+        reported = run(str(place / "bin" / "handover-marl"), *EPISODE, "--physics", physics, folder=place)
+        if PLAYED not in reported or REPORT not in reported:
+            raise PackageError(f"{wheel.name} did not play with {python} in {physics} physics:\n{reported}")
+        print(f"{wheel.name}: an episode played with Python {version} in {physics} physics")
 
 
-def play_with(package: Path, version: str, python: str, place: Path) -> None:
-    """Install a package in a clean environment, and play an episode.
+def main(release: bool = False) -> None:
+    """Build and check the packages, and play episodes with the wheel.
 
     Args:
-        package: Wheel or sdist.
-        version: Version of Python, such as "3.11".
-        python: Program of that Python.
-        place: Folder for the environment.
-
-    Raises:
-        PackageError: The package cannot be installed, or does not play the episode.
+        release: Test with every installed Python, and refuse a version that cannot be published.
     """
-    _run(python, "-m", "venv", "--clear", str(place))
-    pip = (str(place / "bin" / "python"), *_PIP_INSTALL)
-    _run(*pip, "-c", str(ROOT / "constraints.txt"), str(package))
-    physics = "fast" if tuple(map(int, version.split("."))) <= _LAST_WITH_PYBULLET else "mujoco"
-    reported = _run(str(place / "bin" / "handover-marl"), *EPISODE, physics, folder=place)
-    # The web page that the last line names needs templates, which are data files of the package.
-    if _PLAYED not in reported or _REPORT not in reported:
-        raise PackageError(f"{package.name} did not play with {python}:\n{reported}")
+    if release:
+        check_publishable(__version__)
+    wheel, constraints = build(ROOT / "dist"), ROOT / "constraints.txt"
+    pythons = find_pythons() if release else {".".join(map(str, sys.version_info[:2])): sys.executable}
+    if not release:
+        constraints = ROOT / "dist" / "lowest.txt"
+        constraints.write_text("\n".join(list_lowest()))
+    for version, python in pythons.items():
+        play_with(wheel, version, python, constraints)
+    if release:
+        print(f"without a test, since there is no such Python here: {sorted({*list_supported()} - {*pythons})}")
 
 
-def main(args: Args) -> str:
-    """Build and check the packages, play an episode with each, and return a table of the results.
-
-    Raises:
-        PackageError: A package does not pass a check.
-    """
-    if args.final:
-        check_final(__version__)
-    packages = build(Path(args.out).absolute())
-    for package in packages:
-        if package.suffix == ".whl":
-            check_wheel(package)
-    chosen = pythons() if args.every else {".".join(map(str, sys.version_info[:2])): sys.executable}
-    rows = []
-    for package in packages:
-        for version, program in chosen.items():
-            play_with(package, version, program, ROOT / "build" / "smoke")
-            rows.append([package.name, f"{package.stat().st_size / 1e6:.1f}", version, "an episode played"])
-    missing = sorted(set(supported()) - set(chosen)) if args.every else []
-    note = f"\n\nnot tried, for there is no such Python here: {', '.join(missing)}" if missing else ""
-    return format_table(["package", "MB", "Python", ""], rows) + note
-
-
-def _run(*command: str, folder: Path | None = None) -> str:
+def run(*command: str, folder: Path | None = None) -> str:
+    """Run a command and return its output."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         raise PackageError(f"{' '.join(command)} failed:\n{done.stdout}{done.stderr}")
     return done.stdout
 
 
-def _runs(*command: str) -> bool:
-    try:
-        return subprocess.run(command, capture_output=True, check=False).returncode == 0
-    except OSError:
-        return False
-
-
-def _git(*arguments: str) -> str:
-    return _run("git", "-C", str(ROOT), *arguments).strip()
-
-
 if __name__ == "__main__":
     try:
-        print(main(tyro.cli(Args)))
+        tyro.cli(main)
     except PackageError as error:
         sys.exit(f"packages: {error}")

@@ -5,7 +5,7 @@ import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ActionError, ConformanceError, OptionError, PolicyError
+from handover_marl.errors import ActionError, ConformanceError
 from handover_marl.givers import Giver, make_giver_action
 from handover_marl.policies.policy import Action
 from handover_marl.receivers import Receiver
@@ -56,19 +56,10 @@ class Short(Obedient):
         return super().act(observation)[:8]
 
 
-class Impatient(Obedient):
-    control_period = -1.0
-
-
-class Failing(Obedient):
-    def act(self, observation: Observation) -> Action:
-        raise KeyError("no such key")
-
-
-def test_conforming_policies() -> None:
-    check_receiver(Obedient, scenes=ONE, steps=500)
-    for name in ("hold", "random"):
-        check_receiver(name, scenes=ONE, steps=500)
+@pytest.mark.slow
+@pytest.mark.parametrize("receiver", [Obedient, "random", "yang2021"])
+def test_conforming_receivers(receiver: str | type[Receiver]) -> None:
+    check_receiver(receiver, scenes=ONE, steps=3400 if receiver == "yang2021" else 500)
 
 
 @pytest.mark.slow
@@ -77,13 +68,6 @@ def test_our_givers_conform(name: str) -> None:
     check_giver(name, scenes=ONE, steps=600)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["yang2021", "omg"])
-def test_our_receivers_conform(name: str) -> None:
-    check_receiver(name, scenes=ONE, steps=3600)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "error", "message"),
     [
@@ -92,13 +76,11 @@ def test_our_receivers_conform(name: str) -> None:
         (Global, ConformanceError, "seeded there"),
         (Remembering, ConformanceError, "in another order of scenes"),
         (Short, ActionError, r"shape \(8,\)"),
-        (Impatient, OptionError, "hold_time"),
-        (Failing, PolicyError, "KeyError"),
     ],
 )
 def test_what_does_not_conform(kind: type[Receiver], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        check_receiver(kind, scenes=(9, 14), steps=400)
+        check_receiver(kind, scenes=(9, 14), steps=200)
 
 
 def test_givers_that_do_not_conform() -> None:
