@@ -32,7 +32,7 @@ INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-ba
 # The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
 SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: test benchmark quick fast types lint check loops lerobot newer docs smoke release resolve clean
+.PHONY: test benchmark quick fast types lint check loops lerobot newer docs smoke play release resolve clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
@@ -111,11 +111,37 @@ $(VENV)/.tested-with: $(VENV)/.installed
 	$(BIN)/python $(INSTALL) -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
+# The wheel is built from the sdist.
 smoke: $(VENV)/.tested-with
-	$(BIN)/python -m tests.packages
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	test $$(cat dist/*.whl | wc -c) -lt 12000000
+	! $(BIN)/python -m zipfile --list dist/*.whl | sed 1d | grep -v '^handover_marl'
+	mkdir -p build
+	sed -n '/^install_requires/,/^$$/{s/>=/==/;s/^    \([a-z]\)/\1/p}' setup.cfg > build/lowest.txt
+	test $$(grep -c == build/lowest.txt) -ge 10
+	$(MAKE) --no-print-directory play CONSTRAINTS=build/lowest.txt
 
-release: $(VENV)/.tested-with
-	$(BIN)/python -m tests.packages --release
+# Episodes with the wheel in a clean environment. The page with the report needs templates, which are data files.
+play:
+	$(PYTHON) -m venv --clear build/smoke
+	build/smoke/bin/python $(INSTALL) --quiet -c $(CONSTRAINTS) dist/*.whl
+	cd build/smoke && for physics in $$(bin/python -c \
+		"from handover_marl.simulation.engines import list_available_physics; print(*list_available_physics()[-2:])"); do \
+		bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics $$physics --fresh --out results | \
+			grep "Report: results/report.html" || exit 1; \
+	done
+
+release: smoke
+	test -z "$$(git status --porcelain)"
+	version=$$($(BIN)/python -c "import handover_marl; print(handover_marl.__version__)"); \
+		grep "^## $$version$$" CHANGELOG.md && test -z "$$(git tag --list "v$$version")"
+	for version in $$(sed -n 's/.*Python :: \(3\.[0-9]*\)$$/\1/p' setup.cfg); do \
+		if python$$version --version; then \
+			$(MAKE) --no-print-directory play PYTHON=python$$version CONSTRAINTS=constraints.txt || exit 1; \
+		else echo "not tried, for there is no such Python here: $$version"; fi; \
+	done
 
 # pip resolves for the Python that it runs in; uv for any, here for patch 9, since packages leave out early ones.
 resolve:

@@ -2,10 +2,7 @@
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCES = ("handover_marl", "givers", "receivers", "assets", "experiments", "tests")
@@ -24,29 +21,19 @@ def list_files(top: str) -> list[Path]:
     return [path for path in sorted((REPOSITORY / top).rglob("*.py")) if path != Path(__file__).resolve()]
 
 
-def find_docstrings(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line and text of every docstring of a file."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            text = ast.get_docstring(node)
-            if text:
-                yield getattr(node, "lineno", 1), text
-
-
 def find_wrong_words(text: str) -> set[str]:
     """Return the forbidden words and phrases of a text; identifiers are taken apart."""
     words = {word.lower() for word in _WORD.findall(text)}
     return {word for word in words if METAPHORS.fullmatch(word)} | {found.lower() for found in PHRASES.findall(text)}
 
 
-@pytest.mark.parametrize("top", SOURCES[:-1])
-def test_docstrings_start_with_a_description(top: str) -> None:
-    wrong = [
-        f"{path.relative_to(REPOSITORY)}:{line}: {text.splitlines()[0]}"
-        for path in list_files(top)
-        for line, text in find_docstrings(path)
-        if re.split(r"\W+", text.lower(), maxsplit=1)[0] in CLAUSES
-    ]
+def test_docstrings_start_with_a_description() -> None:
+    kinds, wrong = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef), []
+    for path in (path for top in SOURCES[:-1] for path in list_files(top)):
+        for node in ast.walk(ast.parse(path.read_text())):
+            text = ast.get_docstring(node) if isinstance(node, kinds) else None
+            if text and re.split(r"\W+", text.lower(), maxsplit=1)[0] in CLAUSES:
+                wrong.append(f"{path.relative_to(REPOSITORY)}: {text.splitlines()[0]}")
     assert wrong == []
 
 

@@ -4,7 +4,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests import packages
+from tests.setup_file import ROOT, list_supported, read_setup
 
 #: Packages of physics engines that the library needs, by version of Python.
 ENGINES = {
@@ -23,16 +23,12 @@ def list_needed(version: str, requirements: str) -> dict[str, Requirement]:
     return {canonicalize_name(one.name): one for one in admitted}
 
 
-@pytest.mark.parametrize("version", packages.list_supported())
+@pytest.mark.parametrize("version", list_supported())
 def test_every_python_has_physics_and_pinned_packages(version: str) -> None:
-    core = list_needed(version, packages.read_setup()["options"]["install_requires"])
+    core = list_needed(version, read_setup()["options"]["install_requires"])
     assert [name for name in ("pybullet", "pybullet-arm64", "mujoco") if name in core] == ENGINES[version]
-    pins = list_needed(version, (packages.ROOT / "constraints.txt").read_text())
+    pins = list_needed(version, (ROOT / "constraints.txt").read_text())
     for name, requirement in core.items():
         (pin,) = pins[name].specifier
         assert pin.operator == "=="
         assert requirement.specifier.contains(pin.version), name
-
-
-def test_the_lowest_versions_are_those_of_setup_cfg() -> None:
-    assert {"tyro==1.0.14", 'mujoco==4.0,<5; python_version >= "3.11"'} <= {*packages.list_lowest()}

@@ -6,7 +6,6 @@ import pytest
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
 from handover_marl.errors import ActionError, ConformanceError
-from handover_marl.givers import Giver, make_giver_action
 from handover_marl.policies.policy import Action
 from handover_marl.receivers import Receiver
 from handover_marl.testing import check_giver, check_receiver
@@ -81,17 +80,3 @@ def test_our_givers_conform(name: str) -> None:
 def test_what_does_not_conform(kind: type[Receiver], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         check_receiver(kind, scenes=(9, 14), steps=200)
-
-
-def test_givers_that_do_not_conform() -> None:
-    class Wandering(Giver):
-        name = "wandering"
-
-        def reset(self, seed: int | None = None) -> None:
-            self.rng = np.random.default_rng()
-
-        def act(self, observation: Observation) -> Action:
-            return make_giver_action(rate=self.rng.uniform(-0.1, 0.1))
-
-    with pytest.raises(ConformanceError, match=r"wandering.*scene 9"):
-        check_giver(Wandering, scenes=ONE, steps=400)

@@ -17,13 +17,12 @@ from handover_marl.cli import main
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.execution.options import is_pybullet_installed
 from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.receivers import make, yang2021
+from tests.playing import play
 
 pytest.importorskip("mujoco", reason="without PyBullet, MuJoCo is what plays")
-needs_pybullet = pytest.mark.skipif(not is_pybullet_installed(), reason="there is nothing to compare with")
 
 SCENE = 209
 NEEDS = "needs PyBullet, which is not installed (it has wheels up to Python 3.13"
@@ -54,31 +53,18 @@ def run_without_pybullet(folder: Path, code: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-class Noting(EpisodeCallback):
-    """Callback that hashes the observation of every 20th step."""
-
-    def __init__(self) -> None:
-        self.digest = hashlib.sha256()
-
-    def on_step(self, episode: Episode) -> None:
-        if episode.steps % 20 == 0:
-            for value in episode.observe().values():
-                self.digest.update(np.asarray(value).tobytes())
-
-
 def rollout() -> str:
     """Play a handover in MuJoCo with the library's own inverse kinematics.
 
-    Return the outcome, the number of steps and a hash of the observations.
+    Return the outcome, the number of steps and a hash of all actions and of the last observation.
     """
-    data = SyntheticDataset()
-    receiver, episode, noting = make("yang2021", data), Episode("mujoco"), Noting()
-    episode.reset(data.load_scene(SCENE))
+    data, episode = SyntheticDataset(), Episode("mujoco")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yang2021, "make_ik_solver", PandaIkSolver)
-        run_episode(episode, receiver, callbacks=[noting])
+        actions, _ = play(episode, data.load_scene(SCENE), make("yang2021", data))
+    values = [actions, *map(np.asarray, episode.observe().values())]
     episode.close()
-    return f"{episode.status.label} {episode.steps} {noting.digest.hexdigest()}"
+    return f"{episode.status.label} {episode.steps} {hashlib.sha256(b''.join(v.tobytes() for v in values)).hexdigest()}"
 
 
 PROGRAM = """
@@ -134,10 +120,8 @@ def test_the_library_runs_and_says_what_it_cannot(tmp_path: Path, capsys: pytest
         assert "'PyBullet' in the folder, '' now" in capsys.readouterr().err
 
 
-@needs_pybullet
 def test_the_panda_that_ships_is_pybullets() -> None:
-    import pybullet_data
-
+    pybullet_data = pytest.importorskip("pybullet_data")
     theirs = Path(pybullet_data.getDataPath()) / "franka_panda"
     files = sorted(path.relative_to(theirs) for path in theirs.rglob("*") if path.is_file())
     assert len(files) > 25

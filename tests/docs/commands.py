@@ -18,7 +18,7 @@ from handover_marl.datasets.splits import check_setup_and_split
 from handover_marl.evaluation.config import EvaluationConfig
 from handover_marl.policies.reference import parse_policy, split_policy_list
 from tests.docs.pages import REPOSITORY
-from tests.packages import read_setup
+from tests.setup_file import read_setup
 
 _PYTHONS = ("python", ".venv/bin/python")
 _SHELL = ("cd", "done", "git", "pytest", "tar")

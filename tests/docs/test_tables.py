@@ -32,13 +32,21 @@ from tests.evaluation.quick import make_report
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
 BENCHMARK = REPOSITORY / "docs" / "reference" / "rules_and_metrics.md"
-#: Marks of the tables that are checked here and in `tests/receivers/test_information.py`; `tests/learning/test_columns.py`
-#: checks those of features and action schemes, which have a slash.
+#: Marks of the tables that are checked here and in `tests/receivers/test_information.py`. Those of features and action
+#: schemes, which have a slash, are checked in `tests/learning/test_columns.py`.
 CHECKED = {
     *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
     *("shared observations", "giver observations", "camera observations"),
     *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
 }
+OFFICIAL_COLUMNS = (
+    tables.N_EPISODES,
+    *tables.RATES,
+    *tables.COUNTS,
+    tables.AVERAGE_SUCCESS,
+    tables.WAIT,
+    *tables.TIMES,
+)
 CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
 
 
@@ -94,25 +102,29 @@ def test_camera_observations(data: str) -> None:
     assert documented_space(rows) == actual_space(spaces.Dict(camera_observation_space(data)))
 
 
-def test_state() -> None:
-    env = handover_marl.parallel_env(dataset="synthetic")
+def test_state_and_infos() -> None:
+    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
+    _, infos = env.reset(seed=0)
+    env.close()
     text = ENVIRONMENT.read_text()
     assert f"one vector of shape {env.state_space.shape} " in text
     assert f"({env.config.control_period} s by default)" in text
     for agent in env.possible_agents:
         assert f"{agent} {env.action_space(agent).shape}" in text
+    documented = re.search(r"\| key \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)", text)
+    assert documented is not None
+    keys = {bare(line.split("|")[1]) for line in documented[1].splitlines()}
+    assert keys == {"reward/..." if key.startswith("reward/") else key for key in infos["giver"]}
 
 
 def test_rewards() -> None:
-    documented = {
-        (row[0], bare(row[1])): (float(row[2]), float(row[3])) for row in checked_table(ENVIRONMENT, "rewards")
-    }
+    rows = checked_table(ENVIRONMENT, "rewards")
     true = {
         (agent, term): (getattr(SPARSE, agent).get(term, 0.0), weight)
         for agent in ("receiver", "giver")
         for term, weight in getattr(SHAPED, agent).items()
     }
-    assert documented == true
+    assert {(row[0], bare(row[1])): (float(row[2]), float(row[3])) for row in rows} == true
 
 
 def test_reward_terms() -> None:
@@ -123,16 +135,6 @@ def test_reward_terms() -> None:
     assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
 
 
-def test_infos() -> None:
-    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
-    _, infos = env.reset(seed=0)
-    env.close()
-    documented = re.search(r"\| key \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)", ENVIRONMENT.read_text())
-    assert documented is not None
-    keys = {bare(line.split("|")[1]) for line in documented[1].splitlines()}
-    assert keys == {"reward/..." if key.startswith("reward/") else key for key in infos["giver"]}
-
-
 def test_rules() -> None:
     for _, field, value in checked_table(BENCHMARK, "rules"):
         assert getattr(OFFICIAL_CONFIG.protocol, bare(field)) == ast.literal_eval(value), field
@@ -140,12 +142,8 @@ def test_rules() -> None:
     assert set(asdict(OFFICIAL_CONFIG.protocol)) - documented == {"region_lower", "region_upper"}
 
 
-def code_spans(cell: str) -> list[str]:
-    return re.findall(r"`([^`]+)`", cell)
-
-
 def documented_names(mark: str, column: int = 0) -> list[str]:
-    return [word for row in checked_table(BENCHMARK, mark) for word in code_spans(row[column])]
+    return [word for row in checked_table(BENCHMARK, mark) for word in re.findall(r"`([^`]+)`", row[column])]
 
 
 def sample_report(physics: str = "exact", *statuses: int) -> Report:
@@ -164,18 +162,7 @@ def sample_crossplay() -> CrossPlay:
 @pytest.mark.parametrize(
     ("mark", "group", "columns"),
     [
-        (
-            "official metrics",
-            "",
-            (
-                tables.N_EPISODES,
-                *tables.RATES,
-                *tables.COUNTS,
-                tables.AVERAGE_SUCCESS,
-                tables.WAIT,
-                *tables.TIMES,
-            ),
-        ),
+        ("official metrics", "", OFFICIAL_COLUMNS),
         ("fluency metrics", "fluency.", tables.FLUENCY),
     ],
 )
