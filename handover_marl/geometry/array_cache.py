@@ -50,13 +50,11 @@ def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
 
 
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
-    """Load arrays by name from a cache file; warn, and return None, if it is missing or damaged."""
-    if not path.exists():
-        return None
+    """Load arrays by name from a cache file; None if it is missing, and with a warning if it cannot be read."""
     try:
-        return read_arrays(path, tuple(names))
+        return read_arrays(path, tuple(names)) if path.exists() else None
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        _log.warning("%s: damaged %s (%s); computing it again", path, what, error)
+        _log.warning("%s: %s cannot be read (%s); computing it again", path, what, error)
         return None
 
 
