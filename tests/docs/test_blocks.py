@@ -74,6 +74,7 @@ def test_commands_are_taken(block: Block, monkeypatch: pytest.MonkeyPatch) -> No
         check(words, monkeypatch)
 
 
+@pytest.mark.slow
 def test_a_wrong_command_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     for text in (
         "handover-marl benchmark --recever hold",

@@ -43,10 +43,8 @@ def test_the_readme_is_short_and_starts_with_what_runs() -> None:
 
 def test_supported_pythons_are_tested_and_the_site_is_built() -> None:
     job = yaml.safe_load((WORKFLOWS / "tests.yml").read_text())["jobs"]["tests"]
-    assert {"run": "${{ matrix.command }}"} in job["steps"]
-    tested = {entry["python"]: entry["command"] for entry in job["strategy"]["matrix"]["include"]}
-    assert list(tested) == list_supported()
-    assert all(re.search(r"\.ci/run|make .*(test|newer)", command) for command in tested.values())
+    assert {"run": ".ci/run"} in job["steps"]
+    assert job["strategy"]["matrix"]["python"] == list_supported()
     steps = yaml.safe_load((WORKFLOWS / "docs.yml").read_text())["jobs"]["build"]["steps"]
     assert {"run": "make docs"} in steps
     built = next(step["with"]["path"] for step in steps if "upload-pages-artifact" in step.get("uses", ""))
