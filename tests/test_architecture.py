@@ -105,10 +105,3 @@ def test_a_class_name_means_one_thing() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Args":
                 homes[node.name].append(name)
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
-
-
-def test_test_folders_mirror_packages() -> None:
-    folders = {path.parent.relative_to(REPOSITORY / "tests") for path in (REPOSITORY / "tests").rglob("test_*.py")}
-    packages = {name.removeprefix("handover_marl").removeprefix(".").replace(".", "/") for name in find_modules()}
-    others = {"", ".", "docs", "integration", "experiments"}
-    assert {folder.as_posix() for folder in folders} <= packages | others
