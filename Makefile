@@ -1,15 +1,14 @@
 # make benchmark   a venv with the library, then the s3 test: with DATA=folder in HandoverSim's layout on DexYCB in
 #                  exact physics, which is the official evaluation, else on the synthetic scenes in fast physics
 # make test        a venv with everything, then all tests
-# make quick       lint, types and the fast tests, in two minutes on two cores
+# make quick       lint, types and the fast tests
 # make check       lint and types
-# make loops       a venv with other RL libraries, then the tests of their training loops
+# make loops       a venv with other RL libraries over that of the tests, then the tests of their training loops
 # make lerobot     a venv with LeRobot, then the conversion of demonstrations to its format
 # make newer       a venv with everything, then the tests without PyBullet: for Python 3.14, which it has no wheels for
 # make docs        the site in build/site, with the notebook executed; a warning is an error
-# make smoke       wheel and sdist in clean environments, one episode with each
-# make release     the same with every supported Python; and checks before publishing
-# make lowest      the lowest versions that setup.cfg claims
+# make smoke       the wheel in a clean environment with the lowest versions that setup.cfg claims, and episodes with it
+# make release     the same with every supported Python and pinned versions; and checks before publishing
 # make resolve     checks that constraints.txt holds for every Python that setup.cfg names; needs the network
 
 PYTHON ?= python3
@@ -33,7 +32,7 @@ INSTALL := -m pip --disable-pip-version-check install --no-compile --progress-ba
 # The tests of a file run in one process, which makes its fixtures once; tests/conftest.py sorts the files.
 SIDE_BY_SIDE := -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: test benchmark quick fast types lint check loops lerobot newer docs smoke release lowest resolve clean
+.PHONY: test benchmark quick fast types lint check loops lerobot newer docs smoke play release resolve clean
 
 test: $(VENV)/.tested-with
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
@@ -64,10 +63,15 @@ check: lint types
 
 # These libraries have their own pins, see constraints-loops.txt. Learning uses one thread.
 loops: $(LOOPS)/.installed
-	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest tests/learning/training/test_loops.py tests/envs/test_flatten.py
+	OMP_NUM_THREADS=1 $(LOOPS)/bin/python -m pytest -p no:xdist -k "loops or supersuit" \
+		tests/learning/training/test_loops.py tests/envs/test_flatten.py
 
-$(LOOPS)/.installed: setup.cfg constraints-loops.txt
-	$(PYTHON) -m venv $(LOOPS)
+# Packages of which both environments have the same version are not installed twice: the path of the second one ends with
+# that of the first. pip reports those of the first that do not fit the second; the tests do not import them.
+$(LOOPS)/.installed: setup.cfg constraints-loops.txt $(VENV)/.tested-with
+	$(PYTHON) -m venv --clear $(LOOPS)
+	$(BIN)/python -c "import sysconfig; print(sysconfig.get_path('purelib'))" \
+		> "$$($(LOOPS)/bin/python -c "import sysconfig; print(sysconfig.get_path('purelib'))")/tested.pth"
 	$(LOOPS)/bin/python $(INSTALL) -c constraints-loops.txt \
 		-e ".[benchmarl,plot,rllib,supersuit,tianshou]" hypothesis pytest pytest-timeout
 	touch $@
@@ -107,23 +111,37 @@ $(VENV)/.tested-with: $(VENV)/.installed
 	$(BIN)/python $(INSTALL) -c constraints.txt -e ".[$(EXTRAS)]"
 	touch $@
 
-# Wheel and sdist, each in a clean environment, and one episode with each.
+# The wheel is built from the sdist.
 smoke: $(VENV)/.tested-with
-	$(BIN)/python -m tests.packages
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	test $$(cat dist/*.whl | wc -c) -lt 12000000
+	! $(BIN)/python -m zipfile --list dist/*.whl | sed 1d | grep -v '^handover_marl'
+	mkdir -p build
+	sed -n '/^install_requires/,/^$$/{s/>=/==/;s/^    \([a-z]\)/\1/p}' setup.cfg > build/lowest.txt
+	test $$(grep -c == build/lowest.txt) -ge 10
+	$(MAKE) --no-print-directory play CONSTRAINTS=build/lowest.txt
 
-# The same with every installed Python, and checks before publishing.
-release: $(VENV)/.tested-with
-	$(BIN)/python -m tests.packages --every --final
+# Episodes with the wheel in a clean environment. The page with the report needs templates, which are data files.
+play:
+	$(PYTHON) -m venv --clear build/smoke
+	build/smoke/bin/python $(INSTALL) --quiet -c $(CONSTRAINTS) dist/*.whl
+	cd build/smoke && for physics in $$(bin/python -c \
+		"from handover_marl.simulation.engines import list_available_physics; print(*list_available_physics()[-2:])"); do \
+		bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics $$physics --fresh --out results | \
+			grep "Report: results/report.html" || exit 1; \
+	done
 
-# The lowest versions that setup.cfg claims, and the same episode.
-lowest: $(VENV)/.tested-with
-	$(PYTHON) -m venv --clear build/lowest
-	$(BIN)/python -m tests.lowest_versions > build/lowest.txt
-	build/lowest/bin/python $(INSTALL) --quiet -r build/lowest.txt
-	build/lowest/bin/python $(INSTALL) --quiet --no-deps .
-	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics fast
-	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9
-	cd build/lowest && bin/handover-marl benchmark --dataset synthetic --split val --scenes 9 --physics mujoco
+release: smoke
+	test -z "$$(git status --porcelain)"
+	version=$$($(BIN)/python -c "import handover_marl; print(handover_marl.__version__)"); \
+		grep "^## $$version$$" CHANGELOG.md && test -z "$$(git tag --list "v$$version")"
+	for version in $$(sed -n 's/.*Python :: \(3\.[0-9]*\)$$/\1/p' setup.cfg); do \
+		if python$$version --version; then \
+			$(MAKE) --no-print-directory play PYTHON=python$$version CONSTRAINTS=constraints.txt || exit 1; \
+		else echo "not tried, for there is no such Python here: $$version"; fi; \
+	done
 
 # pip resolves for the Python that it runs in; uv for any, here for patch 9, since packages leave out early ones.
 resolve:

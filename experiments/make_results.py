@@ -46,20 +46,18 @@ DATA = FOLDER / "data"
 EPISODES, EVALUATIONS, TEST_USE = DATA / "episodes", DATA / "evaluations.json", DATA / "test_use.csv"
 HEADER = (
     "receiver",
-    "input",
     "setup",
     "wait s",
     "n episodes",
     "success %",
-    "exec s",
-    "plan s",
-    "total s",
     "contact %",
     "drop %",
     "timeout %",
+    "exec s",
+    "plan s",
+    "total s",
     "AS %",
     "version",
-    "outcomes",
 )
 OUTCOMES = ("success", "contact", "drop", "timeout")
 POSE, POSES, POSES_AND_HAND = "true pose of the object", "true poses of all objects", "true poses of all objects, hand"
@@ -80,7 +78,6 @@ MARKERS = {
 }
 #: Published methods that are compared with each receiver.
 METHODS = {"yang2021": ("Yang",), "omg": ("OMG",), "gaddpg": ("GA-DDPG",)}
-NOT_STORED = "not stored"
 NO_DIFFERENCES = (
     "Paired differences are not shown: the outcomes of single scenes were not stored for at least one of the receivers."
 )
@@ -248,24 +245,23 @@ def add_evaluation(folder: Path, purpose: str) -> None:
 
 def format_row(one: Evaluation) -> list[str]:
     """Return the cells of the table row of an evaluation that was made with this library."""
-    rates = [one.format_rate(name) for name in OUTCOMES]
-    start = [f"`{one.receiver}`", INPUTS[one.name][0], one.setup, f"{one.wait_s:g}", str(one.episodes)]
-    total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
-    times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
-    score, version, outcomes = f"{one.as_percent:.1f}", one.version, NOT_STORED
+    start = [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(one.episodes)]
+    score, version = f"{one.as_percent:.1f}", one.version
     if one.path:
         score = f"{score} ({one.report.official_means['AS'].format_interval()})"
-        version = f"{version} ({one.report.metadata.receiver_hash})"
-        outcomes = f"[scenes]({one.path})"
-    return [*start, rates[0], *times, *rates[1:], score, version, outcomes]
+        version = f"[{version} ({one.report.metadata.receiver_hash})]({one.path})"
+    rates = [one.format_rate(name) for name in OUTCOMES]
+    total = None if one.exec_s is None or one.plan_s is None else one.exec_s + one.plan_s
+    times = ["" if value is None else f"{value:.3f}" for value in (one.exec_s, one.plan_s, total)]
+    return [*start, *rates, *times, score, version]
 
 
-def format_published_row(row: PublishedResult, receiver: str, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result of the method of a receiver of this library."""
-    cells = [f"{value:.2f}" for value in (row.contact, row.drop, row.timeout)]
-    start = [f"published: {row.method}", INPUTS[receiver][0], setup, f"{row.wait_s:g}", str(episodes)]
+def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
+    """Return the cells of the table row of a published result, of a setup with some number of test episodes."""
+    rates = [f"{value:.2f}" for value in (row.success, row.contact, row.drop, row.timeout)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
-    return [*start, f"{row.success:.2f}", *times, *cells, f"{row.average_success:.1f} (derived)", "", ""]
+    start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]
+    return [*start, *rates, *times, f"{row.average_success:.1f}", ""]
 
 
 def select_evaluations(
@@ -279,7 +275,10 @@ def select_evaluations(
 
 
 def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb") -> str:
-    """Return a Markdown table of the test results of some receivers on one data set, with the published results."""
+    """Return a Markdown table of the test results of some receivers on one data set, with published results and inputs.
+
+    Planning and total times are left out if no evaluation has them.
+    """
     chosen = select_evaluations(evaluations, receivers, dataset)
     methods = METHODS.get(receivers[0], ()) if dataset == "dexycb" else ()
     rows = []
@@ -287,12 +286,19 @@ def make_table(evaluations: Iterable[Evaluation], receivers: tuple[str, ...], da
         group = [one for one in chosen if (one.setup, one.wait_s) == (setup, wait)]
         rows += [format_row(one) for one in group]
         rows += [
-            format_published_row(row, receivers[0], setup, group[0].episodes)
+            format_published_row(row, setup, group[0].episodes)
             for row in PUBLISHED[setup]
             if row.wait_s == wait and row.source == "HandoverSim" and any(method in row.method for method in methods)
         ]
+    unknown = () if any(one.plan_s is not None for one in chosen) else ("plan s", "total s")
+    kept = [number for number, title in enumerate(HEADER) if title not in unknown]
+    table = format_table([HEADER[number] for number in kept], [[row[number] for number in kept] for row in rows])
+    inputs: dict[str, list[str]] = {}
+    for receiver in receivers:
+        inputs.setdefault(INPUTS[receiver][0], []).append(f"`{receiver}`")
+    listed = "; ".join(f"{', '.join(names)}: {words}" for words, names in inputs.items())
     note = " Published rows: all objects, MANO hands." if methods else ""
-    return f"{format_table(HEADER, rows)}\n\nTest splits, {chosen[0].conditions}.{note}"
+    return f"{table}\n\nTest splits, {chosen[0].conditions}.{note} Input of {listed}."
 
 
 def make_difference_table(
@@ -352,8 +358,8 @@ def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a table with header and rows as Markdown text."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    head, *lines = (f"| {' | '.join(line)} |" for line in (header, *rows))
+    return "\n".join([head, f"|{'---|' * len(header)}", *lines])
 
 
 def make_csv_table(name: str) -> str:

@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import random
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,14 +32,6 @@ SCENES = (
     FakeScene(105),
     FakeScene(204),
 )
-
-
-def spoil(whole: bytes, rng: random.Random) -> bytes:
-    """Return a copy in which one to eight random bytes have random values."""
-    spoilt = bytearray(whole)
-    for _ in range(rng.choice((1, 1, 2, 8))):
-        spoilt[rng.randrange(len(spoilt))] = rng.randrange(256)
-    return bytes(spoilt)
 
 
 def write_layout(folder: Path, scenes: tuple[FakeScene, ...] = SCENES) -> Path:

@@ -22,16 +22,12 @@ def count_lines() -> dict[str, int]:
     return counts
 
 
-def find_faults() -> list[str]:
-    """Return a message for each package without budget or above it."""
+if __name__ == "__main__":
     budgets = {name: int(budget) for name, budget in _ROW.findall((ROOT / "CONTRIBUTING.md").read_text())}
-    return [
+    faults = [
         f"{package} has {count} lines of Python, its budget is {budgets.get(package, 0)}; remove code that repeats "
         "other code, or raise the budget in CONTRIBUTING.md and say why in the commit"
         for package, count in sorted(count_lines().items())
         if count > budgets.get(package, 0)
     ]
-
-
-if __name__ == "__main__":
-    sys.exit("\n".join(find_faults()) or 0)
+    sys.exit("\n".join(faults) or 0)

@@ -1,84 +1,86 @@
 """Tests of the architecture rules: packages, their order, file counts, and where engines may be imported."""
 
 import ast
+import functools
 import re
 from collections import Counter, defaultdict
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-from tests.import_graph import (
-    FOLDERS,
-    REPOSITORY,
-    build_import_graph,
-    build_package_graph,
-    find_modules,
-    sort_into_layers,
-)
-
+REPOSITORY = Path(__file__).resolve().parents[1]
 ROOT = REPOSITORY / "handover_marl"
+#: Folder of each top-level package of the import tree.
+FOLDERS = {"handover_marl": ROOT} | {f"handover_marl.{name}": ROOT / name for name in ("givers", "receivers", "assets")}
+#: Subpackages that count apart from their parents, because they import packages that import the parent.
+APART = ("learning.imitation", "learning.networks", "learning.training", "assets.building")
 MAX_PACKAGES, MAX_FILES = 12, 20
 
 
-def strongly_connected(edges: dict[str, set[str]]) -> list[list[str]]:
-    """Return the groups of modules that import each other in a cycle."""
-    reach: dict[str, set[str]] = {}
-    for start in edges:
-        found: set[str] = set()
-        stack = list(edges[start])
-        while stack:
-            name = stack.pop()
-            if name not in found:
-                found.add(name)
-                stack += edges[name]
-        reach[start] = found
-    circles = {tuple(sorted(b for b in reach[a] if a in reach[b])) for a in edges if a in reach[a]}
-    return [list(circle) for circle in sorted(circles)]
+@functools.cache
+def find_modules() -> dict[str, Path]:
+    """Return the files of all modules of the library by module name."""
+    found = {}
+    for package, folder in FOLDERS.items():
+        for path in folder.rglob("*.py"):
+            parts = path.relative_to(folder).with_suffix("").parts
+            found[".".join([package, *(part for part in parts if part != "__init__")])] = path
+    return found
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    edges = build_import_graph()
-    # The library's own __init__ is left out, because it imports modules lazily, by name.
-    edges = {name: found - {"handover_marl"} for name, found in edges.items() if name != "handover_marl"}
-    assert strongly_connected(edges) == []
+def find_imports(path: Path) -> set[str]:
+    """Return the modules of the library that a file imports, also in functions and for type checking alone."""
+    modules, names = find_modules(), set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names} & modules.keys()
+            names |= submodules | ({node.module} if len(submodules) < len(node.names) else set())
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return names & modules.keys()
 
 
-def test_no_module_imports_what_stands_above_it() -> None:
-    """Layers are those of all imports, in functions, too: no module imports the library itself, or a module by text."""
-    edges = build_import_graph()
-    assert [name for name, found in edges.items() if "handover_marl" in found] == []
+@functools.cache
+def build_import_graph() -> dict[str, set[str]]:
+    """Return the other modules that each module imports; without the library's own, which imports by name."""
+    modules = {name: path for name, path in find_modules().items() if name != "handover_marl"}
+    return {name: find_imports(path) - {name} for name, path in modules.items()}
+
+
+def find_package(module: str) -> str | None:
+    """Return the package to which a module belongs, by its full name; None for modules at the root."""
+    parts = module.split(".")[1:]
+    apart = [name for name in APART if parts[:2] == name.split(".")]
+    is_package = len(parts) > 1 or find_modules()[module].name == "__init__.py"
+    return apart[0] if apart else parts[0] if is_package else None
+
+
+def test_modules_and_packages_are_in_layers() -> None:
+    modules, packages = build_import_graph(), defaultdict(set)
+    for module, imported in modules.items():
+        packages[find_package(module)] |= {find_package(name) for name in imported if name != "handover_marl"}
+    layers = {name: found - {name, None} for name, found in packages.items() if name is not None}
+    TopologicalSorter(modules).prepare()
+    TopologicalSorter(layers).prepare()
+    with pytest.raises(CycleError):
+        TopologicalSorter({**modules, "handover_marl.errors": {"handover_marl.cli"}}).prepare()
+
+
+def test_no_module_imports_the_library_itself_or_a_module_by_text() -> None:
+    assert [name for name, found in build_import_graph().items() if "handover_marl" in found] == []
     texts = {name: path.read_text() for name, path in find_modules().items()}
     assert [name for name, text in texts.items() if re.search(r"import_module\(f?.handover_marl", text)] == []
 
 
-def test_circles_are_found() -> None:
-    assert strongly_connected({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
-
-
-def test_packages_are_in_layers() -> None:
-    edges = build_package_graph()
-    assert sorted(name for row in sort_into_layers(edges) for name in row) == sorted(edges)
-
-
-def test_at_most_twelve_packages() -> None:
+def test_packages_and_files_are_few() -> None:
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"assets", "givers", "receivers"}
     assert len(packages) <= MAX_PACKAGES, sorted(packages)
-
-
-def test_few_files_at_the_root() -> None:
     files = {path.name for path in ROOT.glob("*.py")}
     assert files <= {"__init__.py", "config.py", "errors.py", "testing.py", "registration.py", "version.py"}
-
-
-@pytest.mark.parametrize("top", [*FOLDERS.values(), REPOSITORY / "experiments"], ids=lambda path: path.name)
-def test_few_files_in_a_folder(top: Path) -> None:
-    counts = Counter(path.parent for path in top.rglob("*.py"))
+    tops = (*FOLDERS.values(), REPOSITORY / "experiments")
+    counts = Counter(path.parent for top in tops for path in top.rglob("*.py"))
     assert {str(folder): count for folder, count in counts.items() if count > MAX_FILES} == {}
-
-
-def users_of(package: str) -> set[str]:
-    pattern = re.compile(rf"^\s*(import|from) {package}\b", re.MULTILINE)
-    return {name.rpartition(".")[0] for name, path in find_modules().items() if pattern.search(path.read_text())}
 
 
 @pytest.mark.parametrize(
@@ -91,7 +93,9 @@ def users_of(package: str) -> set[str]:
     ],
 )
 def test_only_some_packages_import_an_engine(engine: str, packages: set[str]) -> None:
-    assert users_of(engine) == {f"handover_marl.{package}" for package in packages}
+    pattern = re.compile(rf"^\s*(import|from) {engine}\b", re.MULTILINE)
+    users = {name.rpartition(".")[0] for name, path in find_modules().items() if pattern.search(path.read_text())}
+    assert users == {f"handover_marl.{package}" for package in packages}
 
 
 def test_a_class_name_means_one_thing() -> None:
@@ -101,10 +105,3 @@ def test_a_class_name_means_one_thing() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_") and node.name != "Args":
                 homes[node.name].append(name)
     assert {name: places for name, places in homes.items() if len(places) > 1} == {}
-
-
-def test_test_folders_mirror_packages() -> None:
-    folders = {path.parent.relative_to(REPOSITORY / "tests") for path in (REPOSITORY / "tests").rglob("test_*.py")}
-    packages = {name.removeprefix("handover_marl").removeprefix(".").replace(".", "/") for name in find_modules()}
-    others = {"", ".", "docs", "integration", "experiments"}
-    assert {folder.as_posix() for folder in folders} <= packages | others

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from handover_marl.config import (
     OFFICIAL_CONFIG,
@@ -16,14 +14,13 @@ from handover_marl.config import (
     HandConfig,
     MotorConfig,
     PandaConfig,
-    PhysicsConfig,
     ProtocolConfig,
     WorldConfig,
 )
 from handover_marl.errors import OptionError
 from handover_marl.simulation.camera.noise import CameraNoise
 
-MADE: tuple[CheckedConfig, ...] = (
+CONFIGS: tuple[CheckedConfig, ...] = (
     OFFICIAL_CONFIG,
     OFFICIAL_CONFIG.physics,
     OFFICIAL_CONFIG.physics.panda,
@@ -35,69 +32,39 @@ MADE: tuple[CheckedConfig, ...] = (
     CameraConfig(),
     CameraNoise(),
 )
-FIELDS = [(config, part.name) for config in MADE for part in fields(config)]  # type: ignore[arg-type]
-WRONG = (
-    None,
-    "13",
-    "down",
-    math.nan,
-    math.inf,
-    -math.inf,
-    {},
-    (),
-    (math.nan,) * 9,
-    True,
-    -(10**400),
-    1j,
-    "ab",
-    b"abc",
-    WorldConfig,
-)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("config", "name"), FIELDS, ids=lambda part: part if isinstance(part, str) else type(part).__name__
-)
-@pytest.mark.parametrize("value", WRONG, ids=lambda value: repr(value)[:20])
-def test_wrong_values_are_refused_with_the_name_of_the_field(config: CheckedConfig, name: str, value: Any) -> None:
-    values = {part.name: getattr(config, part.name) for part in fields(config)} | {name: value}  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match=name):
-        type(config)(**values)
+@pytest.mark.parametrize("value", [None, "13", math.nan, -math.inf, (), (math.nan,) * 9, True, -(10**400), b"a", dict])
+def test_wrong_values_are_refused_with_the_name_of_the_field(value: Any) -> None:
+    for config in CONFIGS:
+        values: dict[str, Any] = {part.name: getattr(config, part.name) for part in fields(config)}  # type: ignore[arg-type]
+        for name in values:
+            with pytest.raises(OptionError, match=name):
+                type(config)(**values | {name: value})
 
 
 @pytest.mark.parametrize(
-    "make",
+    ("make", "value"),
     [
-        lambda: MotorConfig(force=-1.0, position_gain=0.1),
-        lambda: PandaConfig(base_orientation=(0.0, 0.0, 0.0, 0.0)),
-        lambda: PandaConfig(start_joints=(0.0, 0.0, 0.0)),
-        lambda: HandConfig(restitution=1.5),
-        lambda: GiverConfig(displacement=-1.0),
-        lambda: GiverConfig(preview=(-1.0, 0.2, 0.3, 0.4, 0.5)),
-        lambda: GiverConfig(preview=(0.1, 0.2)),
-        lambda: ProtocolConfig(goal_center=(0.0, 0.0)),  # type: ignore[arg-type]
-        lambda: ProtocolConfig(goal_radius=-0.1),
-        lambda: ProtocolConfig(release_steps=0),
-        lambda: ProtocolConfig(horizon_steps=13.0),  # type: ignore[arg-type]
-        lambda: ProtocolConfig(region_lower=(1.0, 1.0, 1.0)),
-        lambda: WorldConfig(initial_joint_noise=-0.1),
-        lambda: WorldConfig(initial_joint_noise=0.31),
-        lambda: CameraConfig(width=0),
-        lambda: CameraConfig(vertical_fov=180.0),
-        lambda: CameraConfig(near=1.0, far=0.5),
-        lambda: CameraConfig(position=(1.0, 1.0, 1.0), target=(1.0, 1.0, 1.0)),
+        (lambda value: MotorConfig(force=value, position_gain=0.1), -1.0),
+        (lambda value: PandaConfig(base_orientation=value), (0.0, 0.0, 0.0, 0.0)),
+        (lambda value: PandaConfig(start_joints=value), (0.0, 0.0, 0.0)),
+        (lambda value: HandConfig(restitution=value), 1.5),
+        (lambda value: GiverConfig(displacement=value), -1.0),
+        (lambda value: GiverConfig(preview=value), (-1.0, 0.2, 0.3, 0.4, 0.5)),
+        (lambda value: ProtocolConfig(goal_center=value), (0.0, 0.0)),
+        (lambda value: ProtocolConfig(release_steps=value), 0),
+        (lambda value: ProtocolConfig(horizon_steps=value), 13.0),
+        (lambda value: ProtocolConfig(region_lower=value), (1.0, 1.0, 1.0)),
+        (lambda value: WorldConfig(initial_joint_noise=value), 0.31),
+        (lambda value: CameraConfig(vertical_fov=value), 180.0),
+        (lambda value: CameraConfig(near=value, far=0.5), 1.0),
+        (lambda value: CameraConfig(position=value, target=value), (1.0, 1.0, 1.0)),
     ],
 )
-def test_values_out_of_range_are_refused(make: Callable[[], CheckedConfig]) -> None:
+def test_values_out_of_range_are_refused(make: Callable[[Any], CheckedConfig], value: object) -> None:
     with pytest.raises(OptionError):
-        make()
-
-
-@given(st.floats(-100.0, 100.0), st.integers(1, 10**6))
-def test_values_in_range_are_kept(gravity: float, steps: int) -> None:
-    assert PhysicsConfig(gravity=gravity).gravity == gravity
-    assert ProtocolConfig(horizon_steps=steps).horizon_steps == steps
+        make(value)
 
 
 def test_lists_and_arrays_become_tuples() -> None:

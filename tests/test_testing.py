@@ -5,8 +5,7 @@ import pytest
 
 from handover_marl import givers
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import ActionError, ConformanceError, OptionError, PolicyError
-from handover_marl.givers import Giver, make_giver_action
+from handover_marl.errors import ActionError, ConformanceError
 from handover_marl.policies.policy import Action
 from handover_marl.receivers import Receiver
 from handover_marl.testing import check_giver, check_receiver
@@ -56,19 +55,10 @@ class Short(Obedient):
         return super().act(observation)[:8]
 
 
-class Impatient(Obedient):
-    control_period = -1.0
-
-
-class Failing(Obedient):
-    def act(self, observation: Observation) -> Action:
-        raise KeyError("no such key")
-
-
-def test_conforming_policies() -> None:
-    check_receiver(Obedient, scenes=ONE, steps=500)
-    for name in ("hold", "random"):
-        check_receiver(name, scenes=ONE, steps=500)
+@pytest.mark.slow
+@pytest.mark.parametrize("receiver", [Obedient, "random", "yang2021"])
+def test_conforming_receivers(receiver: str | type[Receiver]) -> None:
+    check_receiver(receiver, scenes=ONE, steps=3400 if receiver == "yang2021" else 500)
 
 
 @pytest.mark.slow
@@ -77,13 +67,6 @@ def test_our_givers_conform(name: str) -> None:
     check_giver(name, scenes=ONE, steps=600)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["yang2021", "omg"])
-def test_our_receivers_conform(name: str) -> None:
-    check_receiver(name, scenes=ONE, steps=3600)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "error", "message"),
     [
@@ -92,24 +75,8 @@ def test_our_receivers_conform(name: str) -> None:
         (Global, ConformanceError, "seeded there"),
         (Remembering, ConformanceError, "in another order of scenes"),
         (Short, ActionError, r"shape \(8,\)"),
-        (Impatient, OptionError, "hold_time"),
-        (Failing, PolicyError, "KeyError"),
     ],
 )
 def test_what_does_not_conform(kind: type[Receiver], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        check_receiver(kind, scenes=(9, 14), steps=400)
-
-
-def test_givers_that_do_not_conform() -> None:
-    class Wandering(Giver):
-        name = "wandering"
-
-        def reset(self, seed: int | None = None) -> None:
-            self.rng = np.random.default_rng()
-
-        def act(self, observation: Observation) -> Action:
-            return make_giver_action(rate=self.rng.uniform(-0.1, 0.1))
-
-    with pytest.raises(ConformanceError, match=r"wandering.*scene 9"):
-        check_giver(Wandering, scenes=ONE, steps=400)
+        check_receiver(kind, scenes=(9, 14), steps=200)

@@ -108,8 +108,10 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
     """Return the chosen scenes (None: all) of a split in ascending order without repetitions.
 
     Raises:
-        SceneError: `scenes` is empty, holds something other than integers, or a scene outside of the split.
+        SceneError: The split or `scenes` is empty, or `scenes` has something other than the split's scene numbers.
     """
+    if not split_ids:
+        raise SceneError(f"{where} has no scenes; choose another split, or a data set with more scenes")
     if scenes is None:
         return split_ids
     try:

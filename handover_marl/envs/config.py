@@ -102,6 +102,6 @@ def _count_physics_steps(control_period: float) -> int:
     if not 1 <= steps <= _LONGEST_PERIOD or abs(steps * TIME_STEP - control_period) > 1e-9:
         raise OptionError(
             f"control_period must be a whole number of milliseconds, in seconds, got {control_period!r}; "
-            "take 0.1 or 0.001"
+            f"take {(steps if 1 <= steps <= _LONGEST_PERIOD else 100) * TIME_STEP:g}"
         )
     return steps

@@ -142,7 +142,9 @@ def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
                 stream.write(content.encode() if isinstance(content, str) else content)
                 stream.flush()
                 os.fsync(stream.fileno())
-            Path(name).chmod(0o644)
+            mask = os.umask(0o077)
+            os.umask(mask)
+            Path(name).chmod(0o666 & ~mask)
             yield Path(name)
         finally:
             Path(name).unlink(missing_ok=True)

@@ -20,6 +20,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 LOCAL: Final = "local"
 RAY: Final = "ray"
 BACKENDS = (LOCAL, RAY)
+#: Largest length of the name of a file or folder (bytes) in usual file systems.
+_LONGEST_NAME = 255
 
 
 def forward_signature(
@@ -127,9 +129,11 @@ def check_path(name: str, path: object) -> Path:
         text = os.fsdecode(path)  # type: ignore[arg-type]
         if not text or "\0" in text:
             raise ValueError("it is empty" if not text else "it has a zero byte")
+        if any(len(os.fsencode(part)) > _LONGEST_NAME for part in Path(text).parts):
+            raise ValueError(f"a part of it has more than {_LONGEST_NAME} bytes")
         return Path(text).expanduser()
     except (TypeError, ValueError, RuntimeError) as error:
-        raise OptionError(f"{name} must be a path, got {path!r} ({error})") from error
+        raise OptionError(f"{name} must be a path, got {str(path)[:80]!r} ({error})") from error
 
 
 def check_boolean(name: str, value: object) -> None:

@@ -6,6 +6,7 @@ Several processes may share the folder: files are written atomically, and unread
 import hashlib
 import logging
 import os
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -25,9 +26,16 @@ _log = logging.getLogger(__name__)
 
 
 def get_cache_folder(kind: str) -> Path:
-    """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set."""
+    """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set.
+
+    Users without a home folder, as in some containers, have it in the folder for temporary files.
+    """
     folder = os.environ.get("XDG_CACHE_HOME")
-    return (Path(folder) if folder else Path.home() / ".cache") / "handover_marl" / kind
+    try:
+        caches = Path(folder) if folder else Path.home() / ".cache"
+    except RuntimeError:
+        caches = Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"
+    return caches / "handover_marl" / kind
 
 
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
@@ -42,13 +50,11 @@ def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
 
 
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
-    """Load arrays by name from a cache file; warn, and return None, if it is missing or damaged."""
-    if not path.exists():
-        return None
+    """Load arrays by name from a cache file; None if it is missing, and with a warning if it cannot be read."""
     try:
-        return read_arrays(path, tuple(names))
+        return read_arrays(path, tuple(names)) if path.exists() else None
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
-        _log.warning("%s: damaged %s (%s); computing it again", path, what, error)
+        _log.warning("%s: %s cannot be read (%s); computing it again", path, what, error)
         return None
 
 

@@ -344,7 +344,9 @@ def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) ->
     if policy_class is None:
         # Registered names have no second part, classes are named "module:Class".
         if not colon or not tail:
-            raise UnknownNameError(agent, text, list_available(agent))
+            other = "giver" if agent == "receiver" else "receiver"
+            hint = f"{text!r} is a {other}" if text in list_available(other) else ""
+            raise UnknownNameError(agent, text, list_available(agent), hint)
         attribute, _, rest = tail.partition(":")
         name, tail = f"{head}:{attribute}", rest
         policy_class = import_reference(agent, name, list_available(agent))

@@ -1,7 +1,7 @@
 """Pages of the documentation, and functions that read their code blocks and tables."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
@@ -14,16 +14,8 @@ _COMMANDS = ("handover-marl ", "python ", "make ")
 _MARK = "<!-- checked: "
 
 
-@dataclass(frozen=True)
-class Block:
-    """Block of code in a page.
-
-    Attributes:
-        page: File of the page.
-        line: Line at which the code starts, from 1.
-        language: Language that the fence names; "" for none.
-        text: Code of the block.
-    """
+class Block(NamedTuple):
+    """Block of code in a page: file, line at which the code starts (from 1), language of the fence, and code."""
 
     page: Path
     line: int

@@ -27,41 +27,26 @@ from handover_marl.evaluation.reports.episode_tables import SCENE_HEADER, build_
 from handover_marl.evaluation.reports.report import Report, render_report_page
 from handover_marl.evaluation.reports.tables import Column
 from handover_marl.evaluation.verification import Difference, Verification
-from handover_marl.learning.features import list_features
-from handover_marl.learning.schemes import list_schemes
-from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks, name
+from tests.docs.pages import PAGES, REPOSITORY, checked_table, marks
 from tests.evaluation.quick import make_report
 
 ENVIRONMENT = REPOSITORY / "docs" / "reference" / "environment.md"
 BENCHMARK = REPOSITORY / "docs" / "reference" / "rules_and_metrics.md"
+#: Marks of the tables that are checked here and in `tests/receivers/test_information.py`. Those of features and action
+#: schemes, which have a slash, are checked in `tests/learning/test_columns.py`.
 CHECKED = {
-    "docs/reference/environment.md": {
-        "receiver actions",
-        "giver actions",
-        "shared observations",
-        "giver observations",
-        "camera observations",
-        "rewards",
-    },
-    "docs/reference/features.md": {
-        f"{kind} {agent}/{name}"
-        for agent in ("giver", "receiver")
-        for kind, names in (("features", list_features(agent)), ("scheme", list_schemes(agent)))
-        for name in names
-        if not name.startswith("flat_")
-    },
-    "docs/how_to/generate_scenes.md": {"generated scenes"},
-    "docs/reference/policies.md": {"receiver inputs"},
-    "docs/reference/rewards.md": {"reward terms"},
-    "docs/reference/rules_and_metrics.md": {
-        "rules",
-        "official metrics",
-        "fluency metrics",
-        "episode columns",
-        "identity",
-        "comparison columns",
-    },
+    *("receiver actions", "giver actions", "rewards", "reward terms", "generated scenes", "receiver inputs"),
+    *("shared observations", "giver observations", "camera observations"),
+    *("rules", "official metrics", "fluency metrics", "episode columns", "identity", "comparison columns"),
 }
+OFFICIAL_COLUMNS = (
+    tables.N_EPISODES,
+    *tables.RATES,
+    *tables.COUNTS,
+    tables.AVERAGE_SUCCESS,
+    tables.WAIT,
+    *tables.TIMES,
+)
 CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
 
 
@@ -85,8 +70,8 @@ def actual_space(space: spaces.Dict) -> dict[str, tuple[tuple[int, ...], np.dtyp
     return {key: (part.shape or (), np.dtype(part.dtype)) for key, part in space.spaces.items()}
 
 
-def test_every_mark_is_looked_at() -> None:
-    assert {name(page): marks(page) for page in PAGES if marks(page)} == CHECKED
+def test_every_mark_is_checked() -> None:
+    assert {mark for page in PAGES for mark in marks(page) if "/" not in mark} == CHECKED
 
 
 @pytest.mark.parametrize(
@@ -117,25 +102,29 @@ def test_camera_observations(data: str) -> None:
     assert documented_space(rows) == actual_space(spaces.Dict(camera_observation_space(data)))
 
 
-def test_state() -> None:
-    env = handover_marl.parallel_env(dataset="synthetic")
+def test_state_and_infos() -> None:
+    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
+    _, infos = env.reset(seed=0)
+    env.close()
     text = ENVIRONMENT.read_text()
     assert f"one vector of shape {env.state_space.shape} " in text
     assert f"({env.config.control_period} s by default)" in text
     for agent in env.possible_agents:
         assert f"{agent} {env.action_space(agent).shape}" in text
+    documented = re.search(r"\| key \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)", text)
+    assert documented is not None
+    keys = {bare(line.split("|")[1]) for line in documented[1].splitlines()}
+    assert keys == {"reward/..." if key.startswith("reward/") else key for key in infos["giver"]}
 
 
 def test_rewards() -> None:
-    documented = {
-        (row[0], bare(row[1])): (float(row[2]), float(row[3])) for row in checked_table(ENVIRONMENT, "rewards")
-    }
+    rows = checked_table(ENVIRONMENT, "rewards")
     true = {
         (agent, term): (getattr(SPARSE, agent).get(term, 0.0), weight)
         for agent in ("receiver", "giver")
         for term, weight in getattr(SHAPED, agent).items()
     }
-    assert documented == true
+    assert {(row[0], bare(row[1])): (float(row[2]), float(row[3])) for row in rows} == true
 
 
 def test_reward_terms() -> None:
@@ -146,16 +135,6 @@ def test_reward_terms() -> None:
     assert documented == [[cell.strip() for cell in line[1:4]] for line in lines]
 
 
-def test_infos() -> None:
-    env = handover_marl.parallel_env(dataset="synthetic", physics="fast")
-    _, infos = env.reset(seed=0)
-    env.close()
-    documented = re.search(r"\| key \| meaning \|\n\|---\|---\|\n((?:\|.*\n)+)", ENVIRONMENT.read_text())
-    assert documented is not None
-    keys = {bare(line.split("|")[1]) for line in documented[1].splitlines()}
-    assert keys == {"reward/..." if key.startswith("reward/") else key for key in infos["giver"]}
-
-
 def test_rules() -> None:
     for _, field, value in checked_table(BENCHMARK, "rules"):
         assert getattr(OFFICIAL_CONFIG.protocol, bare(field)) == ast.literal_eval(value), field
@@ -163,12 +142,8 @@ def test_rules() -> None:
     assert set(asdict(OFFICIAL_CONFIG.protocol)) - documented == {"region_lower", "region_upper"}
 
 
-def code_spans(cell: str) -> list[str]:
-    return re.findall(r"`([^`]+)`", cell)
-
-
 def documented_names(mark: str, column: int = 0) -> list[str]:
-    return [word for row in checked_table(BENCHMARK, mark) for word in code_spans(row[column])]
+    return [word for row in checked_table(BENCHMARK, mark) for word in re.findall(r"`([^`]+)`", row[column])]
 
 
 def sample_report(physics: str = "exact", *statuses: int) -> Report:
@@ -187,18 +162,7 @@ def sample_crossplay() -> CrossPlay:
 @pytest.mark.parametrize(
     ("mark", "group", "columns"),
     [
-        (
-            "official metrics",
-            "",
-            (
-                tables.N_EPISODES,
-                *tables.RATES,
-                *tables.COUNTS,
-                tables.AVERAGE_SUCCESS,
-                tables.WAIT,
-                *tables.TIMES,
-            ),
-        ),
+        ("official metrics", "", OFFICIAL_COLUMNS),
         ("fluency metrics", "fluency.", tables.FLUENCY),
     ],
 )

@@ -47,7 +47,7 @@ from handover_marl.datasets.custom.scene_file import (
 from handover_marl.datasets.generated.shapes import read_solid
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import DataFormatError, OptionError, ResultsError, check_name
-from handover_marl.execution.files import exclusive_lock, write_arrays
+from handover_marl.execution.files import exclusive_lock, shorten_text, write_arrays
 from handover_marl.execution.options import check_path
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
@@ -308,6 +308,8 @@ def _split_scenes(
         for number, scene in enumerate(content.scenes)
     ]
     groups = list(dict.fromkeys(keys))
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise OptionError(f"seed must be a whole number from 0 on, got {shorten_text(seed)}; choose another one")
     drawn = [groups[index] for index in np.random.default_rng(seed).permutation(len(groups))]
     home: dict[str, str] = {}
     for split, chosen in shares.items():

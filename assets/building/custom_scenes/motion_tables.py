@@ -32,10 +32,11 @@ N_FINGER_ANGLES: Final = 45
 # World poses of frames of recorded poses: the world of the simulation, and the table's frame of DexYCB.
 _FRAMES: Final = {"world": (0.0,) * 6 + (1.0,), "table": (0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0)}
 _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_TIMES: Final = {"s": 1.0, "ms": 0.001}
+_TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
 _MAX_NORM_ERROR = 0.02  # of quaternions
+_ROUNDING = 1e-9  # of differences of times (s)
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class MotionConfig:
             same axes with the origin at the height of the table's surface), or the pose of the recording's frame in
             the world: seven numbers, position (m) and quaternion xyzw.
         length: Unit of positions: m, cm or mm.
-        time: Unit of times: s or ms.
+        time: Unit of times: s, ms, us or ns.
         quaternion: Order of quaternions in NPZ files: xyzw or wxyz; CSV columns have names.
         fingers: Form of finger angles (rad): "euler" (intrinsic XYZ) or "rotvec" (rotation vectors, as in MANO).
         max_gap: Largest gap (s) that is filled by interpolation.
@@ -138,15 +139,19 @@ def _read_file(path: Path) -> dict[str, Any]:
 
 
 def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:
-    """Return the arrays of a CSV file; empty cells are NaN."""
+    """Return the arrays of a CSV file; empty cells are NaN.
+
+    Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
+    """
     try:
         lines = [line for line in data.decode("utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
-        header = [cell.strip() for cell in lines[0].split(",")]
+        if lines[0].lower().startswith("sep="):  # a line that Excel writes
+            del lines[0]
+        separator = max(",", ";", "\t", key=lines[0].count)
+        header = [cell.strip() for cell in lines[0].split(separator)]
         if len(lines) < 2:
             raise ValueError("it has no rows")
-        values = np.loadtxt(
-            lines[1:], delimiter=",", ndmin=2, encoding="utf-8", converters=lambda cell: float(cell.strip() or "nan")
-        )
+        values = np.loadtxt(lines[1:], delimiter=separator, ndmin=2, encoding="utf-8", converters=_parse_cell)
         columns = dict(zip(header, values.T, strict=True))
     except (ValueError, IndexError) as error:
         raise DataFormatError(f"{path}: not a CSV file of numbers ({shorten_text(error)}); export it again") from error
@@ -166,9 +171,19 @@ def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:
     if any(name.startswith("finger_") for name in columns):
         arrays["fingers"] = take([f"finger_{number}" for number in range(N_FINGER_ANGLES)])
     while columns:
-        body = next(iter(columns)).rpartition("_")[0]
+        name = next(iter(columns))
+        body, _, part = name.rpartition("_")
+        if not body or part not in _PARTS:
+            raise DataFormatError(
+                f"{path}: column {shorten_text(name)!r} is unknown; columns are {TIME}, BODY_x, _y, _z, _qx, _qy, _qz, "
+                "_qw and finger_0 to finger_44; rename or remove it"
+            )
         arrays[body] = take([f"{body}_{part}" for part in _PARTS])
     return arrays
+
+
+def _parse_cell(cell: str) -> float:
+    return float(cell.strip().replace(",", ".") or "nan")
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
@@ -224,7 +239,7 @@ def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
             f"a motion must last {DURATION[0]} to {DURATION[1]:g} s, got {seconds[-1]:.4g} s; cut it, or pass "
             "the unit of time (time='ms')"
         )
-    if steps.max() > max(config.max_gap, 1e-9):
+    if steps.max() > config.max_gap + _ROUNDING:
         row = int(np.argmax(steps))
         raise ValueError(
             f"the gap between rows {row + 1} and {row + 2} must be at most {config.max_gap:g} s (max_gap), "
@@ -265,7 +280,7 @@ def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionCo
         )
     gaps = np.where(np.diff(valid) > 1, np.diff(time[valid]), 0.0)
     longest = int(np.argmax(gaps))
-    if gaps[longest] > config.max_gap:
+    if gaps[longest] > config.max_gap + _ROUNDING:
         raise ValueError(
             f"{key} has no pose from row {first + int(valid[longest]) + 2} to {first + int(valid[longest + 1])}, "
             f"for {gaps[longest]:.3g} s; gaps must be at most max_gap={config.max_gap:g} s. Record it again "

@@ -12,6 +12,7 @@ from handover_marl.config import MAX_OBJECTS
 from handover_marl.datasets.generated.random_stream import Seed
 from handover_marl.datasets.splits import SPLITS
 from handover_marl.errors import OptionError, check_name
+from handover_marl.execution.files import shorten_text
 
 #: First word of the name of generated data sets.
 GENERATED: Final = "generated"
@@ -84,7 +85,7 @@ class GeneratedConfig:
             value = getattr(self, name)
             if not low <= value <= high:  # Also refuses NaN.
                 raise OptionError(
-                    f"{name} must be from {low:g} to {high:g}, got {value:g}; choose a number in this range"
+                    f"{name} must be from {low:g} to {high:g}, got {shorten_text(value)}; choose a number in this range"
                 )
         if not any(self.kind_weights):
             raise OptionError(f"one of {', '.join(OBJECT_KINDS)} must be above 0, got 0 for all; leave them out")

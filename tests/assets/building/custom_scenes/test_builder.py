@@ -191,6 +191,7 @@ def test_splits(scenes: CustomSceneFolder) -> None:
         ("a", {"by": "person", "val": ["ben"], "test": ["ben"]}, "must not share a name"),
         ("a", {"by": "object"}, "train split must not be empty"),
         ("a", {"by": "random", "val": 1.5}, "share from 0 to 1"),
+        ("a", {"by": "random", "seed": -1}, "seed must be a whole number from 0 on, got -1"),
     ):
         with pytest.raises(HandoverError, match=message):
             scenes.add_split(name, **options)

@@ -56,6 +56,9 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
         ("object_qw", "object_q", "column 'object_qw' is missing"),
         ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
         ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
+        ("time,", ",", "column '' is unknown; columns are time, "),
+        ("time,", "Time,", "column 'Time' is unknown"),
+        ("time,", "timestamp_ns,", "column 'timestamp_ns' is unknown"),
     ],
 )
 def test_damaged_files(before: str, after: str, message: str, tmp_path: Path) -> None:
@@ -88,6 +91,16 @@ def test_a_hand_that_appears_later() -> None:
     assert trajectory["hand_span"].tolist() == [200, 3000]
     assert not trajectory["hand_dof"][:200].any()
     assert trajectory["hand_dof"][200:, :3].all()
+
+
+@pytest.mark.parametrize("separator", [";", "sep=,"])
+def test_csv_files_of_spreadsheets(separator: str, tmp_path: Path) -> None:
+    """Semicolons may separate numbers with decimal commas; Excel writes a line that names the separator."""
+    recording = make_recording()
+    path = write_csv(tmp_path / "motion.csv", recording)
+    text = path.read_text()
+    path.write_text(f"sep=,\n{text}" if separator == "sep=," else text.replace(",", separator).replace(".", ","))
+    np.testing.assert_allclose(read_motion_table(path, MotionConfig()).bodies["object"], recording["object"], atol=1e-6)
 
 
 def test_units_frames_and_orders_of_files(tmp_path: Path) -> None:
