@@ -43,16 +43,7 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
 
 
 def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
-    """Return the content of a plain file.
-
-    Args:
-        path: File, or link to a file.
-        largest: Largest allowed size (bytes).
-
-    Raises:
-        ValueError: The path is a folder, pipe, socket or device, or the file is too large.
-        OSError: The file cannot be read.
-    """
+    """Return the content of a plain file of at most `largest` bytes; see `check_plain_file` for errors."""
     size = check_plain_file(path, largest)
     with path.open("rb") as stream:
         return stream.read(size)  # which may be less than the file has by now
