@@ -254,25 +254,30 @@ class GaddpgReceiver(PhasedReceiver):
             raise PolicyError(f"the network of {self.name!r} must return six numbers, got an array of {step.shape}")
         goal = pose @ _matrix_from_step(step)
         self.memory.remaining -= 1
-        solver = require_reset(self._ik_stepper, self.name)
+        solver = self._solver
         target = solver.to_world_frame(np.concatenate([goal[:3, 3], quaternion_from_matrix(goal[:3, :3])]))
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
         """Return joints on the straight path to the goal, computed in float32."""
-        solver, position = require_reset(self._ik_stepper, self.name), observation["gripper_pose"][:3].copy()
+        position = observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
         step = offset / length * RETREAT_STEP
         joints = []
         for _ in range(math.ceil(length / RETREAT_STEP)):
             position += step
-            joints.append(solver.solve_step(observation["robot_joint_position_exact"], position))
+            joints.append(self._solver.solve_step(observation["robot_joint_position_exact"], position))
         return joints or [self._target]
+
+    @property
+    def _solver(self) -> IkStepper:
+        stepper: IkStepper = require_reset(self._ik_stepper, self.name)  # type: ignore[assignment]
+        return stepper
 
     def _base_from_hand(self, observation: Observation) -> Array:
         """Return the pose (4, 4) of the hand link in the base frame."""
-        pose = require_reset(self._ik_stepper, self.name).to_base_frame(observation["gripper_pose"])
+        pose = self._solver.to_base_frame(observation["gripper_pose"])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = _rotation_matrix(pose[3:]), pose[:3]
         return matrix

@@ -34,12 +34,7 @@ def print_result(text: object) -> None:
 
 
 def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str = "") -> None:
-    """Print a result and a note, which goes to stderr if the format is CSV or LaTeX.
-
-    Args:
-        result: Result to print.
-        table_format: Format of the tables.
-        note: Sentence on files, such as the path of a report.
+    """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr.
 
     Raises:
         OSError: The output is closed, or its disk full.

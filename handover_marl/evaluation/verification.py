@@ -215,11 +215,7 @@ def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task:
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
     """Compare a stored result with the simulated one; values that HandoverSim's files lack are skipped.
 
-    Args:
-        stored: Result in the folder.
-        simulated: Result of simulating the stored actions.
-        same_version: Whether the present version of the library made the folder; other versions may
-            compute hashes of data and descriptions of models differently.
+    Versions may compute hashes of data and descriptions of models differently, so these are compared within one only.
     """
     values, expected = describe_episode(stored), describe_episode(simulated)
     skipped = {*_UNVERIFIED, *(() if same_version else _VERSIONED)}

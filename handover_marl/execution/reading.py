@@ -46,7 +46,7 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
 
 
 def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
-    """Return the content of a plain file; arguments and errors are those of `check_plain_file`."""
+    """Return the content of a plain file of at most `largest` bytes; see `check_plain_file` for errors."""
     size = check_plain_file(path, largest)
     with path.open("rb") as stream:
         return stream.read(size)  # which may be less than the file has by now
