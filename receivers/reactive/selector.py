@@ -215,13 +215,6 @@ class GraspSelector:
             self._poor_time += self._receiver_config.period
         self.chosen, self.failure_reason = None, reason
 
-    def _compute_switch_margin(self, is_near: bool) -> float:
-        """Return the cost difference (s) for which the selected grasp is replaced."""
-        margin = _SWITCH_MARGIN + (_NEAR_SWITCH_MARGIN if is_near else 0.0)
-        if self.chosen is not None and self.chosen.via_joints is not None:
-            margin += _BLOCKED_PATH_COST
-        return margin
-
     def _compute_clearances(self, scene: SceneEstimate) -> Array:
         """Return the clearances (n,) in m beside the hand, which moves with the object."""
         human_hand = scene.hand_in_object
@@ -324,7 +317,10 @@ class GraspSelector:
         """
         old = None if self.chosen is None else int(np.flatnonzero(numbers == self.chosen.number)[0])
         best = int(np.argmin(costs)) if is_near else self._add_path_costs(costs, standoffs, old, joints, obstacles)
-        if old is not None and costs[old] < min(costs[best] + self._compute_switch_margin(is_near), _FORBIDDEN):
+        margin = _SWITCH_MARGIN + (_NEAR_SWITCH_MARGIN if is_near else 0.0)
+        if self.chosen is not None and self.chosen.via_joints is not None:
+            margin += _BLOCKED_PATH_COST
+        if old is not None and costs[old] < min(costs[best] + margin, _FORBIDDEN):
             best = old
         return best
 

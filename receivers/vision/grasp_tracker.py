@@ -98,19 +98,19 @@ class PositionFilter:
     """Filter of an object's position and velocity in the world (g-h filter).
 
     Attributes:
-        position: (3,) estimated position (m), None before the first measurement.
+        is_known: Whether a position has been measured.
+        position: (3,) estimated position (m).
         velocity: (3,) estimated velocity (m/s).
     """
 
     def __init__(self) -> None:
-        self.position: Array | None = None
-        self.velocity = np.zeros(3)
+        self.is_known, self.position, self.velocity = False, np.zeros(3), np.zeros(3)
         self._time = 0.0
 
     def update(self, time: float, position: Array, gains: FilterGains) -> None:
         """Update position and velocity by a measured position (3,) in m at a time (s)."""
-        if self.position is None:
-            self.position = position.copy()
+        if not self.is_known:
+            self.is_known, self.position = True, position.copy()
         elif time > self._time:
             step = time - self._time
             error = position - self.position - step * self.velocity
@@ -119,18 +119,12 @@ class PositionFilter:
         self._time = time
 
     def predict(self, time: float) -> Array:
-        """Return the position (3,) in m predicted for a time (s).
-
-        Raises:
-            ValueError: No position has been measured yet.
-        """
-        if self.position is None:
-            raise ValueError("no position yet; call update() first")
+        """Return the position (3,) in m predicted for a time (s)."""
         return self.position + (time - self._time) * self.velocity
 
     def coast(self, time: float) -> None:
         """Advance the estimate to a time (s) without a measurement; the velocity decays."""
-        if self.position is not None and time > self._time:
+        if self.is_known and time > self._time:
             self.velocity = (1.0 - _VELOCITY_DECAY) * self.velocity
             self.position = self.position + (time - self._time) * self.velocity
             self._time = time
@@ -216,13 +210,12 @@ class GraspTracker:
     @property
     def is_initialized(self) -> bool:
         """Whether the object's position is known."""
-        return self.position.position is not None
+        return self.position.is_known
 
     @property
     def object_pose(self) -> Array:
         """(7,) world pose of the object's center, with the identity rotation."""
-        position = np.zeros(3) if self.position.position is None else self.position.position
-        return np.array([*position, 0.0, 0.0, 0.0, 1.0])
+        return np.array([*self.position.position, 0.0, 0.0, 0.0, 1.0])
 
     @property
     def velocity(self) -> Array:

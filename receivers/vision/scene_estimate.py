@@ -40,7 +40,7 @@ class PointCloudHandTracker(HandTracker):
         self.spheres = tracker.human_hand
         self.points = np.zeros((0, 3)) if tracker.human_hand is None else tracker.human_hand.centers
         self.velocity = tracker.velocity
-        self._object_position = tracker.position.position
+        self._object_position = tracker.position.position if tracker.is_initialized else None
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the present world pose (7,) of a frame that moves with the person's hand."""

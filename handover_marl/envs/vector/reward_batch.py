@@ -133,7 +133,7 @@ class RewardBatch:
                 {agent: values[number] for agent, values in actions.items()},
                 infos=infos[number],
                 contacts=self._episodes.read_contacts(row),
-                status=EpisodeStatus(infos[number][GIVER]["status"]),
+                status=EpisodeStatus(int(infos[number][GIVER]["status"])),
                 terminated=is_terminated,
                 truncated=is_truncated,
             )
