@@ -52,6 +52,7 @@ SMALLER = {
     "episode.steps[:-1]": "episode.steps[:4]",
     "    64, ": f"    {ENVIRONMENTS}, ",
     "vector_env(64, ": f"vector_env({ENVIRONMENTS}, ",
+    "zeros((64, ": f"zeros(({ENVIRONMENTS}, ",
     "    8, ": "    3, ",
     "vector_env(4, ": "vector_env(3, ",
     'backend="ray"': "workers=1",
