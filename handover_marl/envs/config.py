@@ -10,7 +10,7 @@ import numpy as np
 from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig, check_config
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
-from handover_marl.episode.scene_config import SceneConfig
+from handover_marl.episode.episode import SceneConfig
 from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.simulation.contacts import Contacts
+from handover_marl.simulation.world import Contacts
 
 Observations = Mapping[str, Observation]
 _NO_CONTACTS = Contacts()

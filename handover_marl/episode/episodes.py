@@ -7,8 +7,8 @@ from handover_marl.episode.observations import Observation, observe_giver_motion
 from handover_marl.episode.referee import RELEASE_REASONS, Referee, RefereeState, ReleaseReason, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, AnyArray, AnyIndices, make_tensor_factory
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
-from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import WARP, BatchBackend, make_worlds
+from handover_marl.simulation.world import Contacts
 
 _VOLUNTARY = RELEASE_REASONS.index(ReleaseReason.VOLUNTARY)
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, is_tensor, make_constant
-from handover_marl.simulation.contacts import (
+from handover_marl.simulation.world import (
     ContactBatch,
     Contacts,
     JudgeFunction,

@@ -137,21 +137,26 @@ class KinematicTree:
         These are the shapes, in bounding spheres by link number, of the link and its descendants; joints may
         have any position.
         """
-        farthest = 0.0
-        rigid = [(link, np.zeros(3), np.eye(3))]
-        while rigid:
-            number, origin, turn = rigid.pop()
-            if number in spheres:
-                sphere = spheres[number]
-                farthest = max(farthest, float(np.linalg.norm(origin + turn @ sphere.center)) + sphere.radius)
-            for child in (child for child, joint in enumerate(self.joints) if joint.parent == number):
-                joint = self.joints[child]
-                start = origin + turn @ joint.offset
-                if joint.kind == "fixed":
-                    rigid.append((child, start, turn @ joint.rotation))
-                else:
-                    farthest = max(farthest, float(np.linalg.norm(start)) + self.compute_reach(child, spheres))
-        return farthest
+        reaches: dict[int, float] = {}
+        # Children follow their parents.
+        for start in range(len(self.joints) - 1, link - 1, -1):
+            if start != link and self.joints[start].kind == "fixed":
+                continue
+            farthest, rigid = 0.0, [(start, np.zeros(3), np.eye(3))]
+            while rigid:
+                number, origin, turn = rigid.pop()
+                if number in spheres:
+                    sphere = spheres[number]
+                    farthest = max(farthest, float(np.linalg.norm(origin + turn @ sphere.center)) + sphere.radius)
+                for child in (child for child, joint in enumerate(self.joints) if joint.parent == number):
+                    joint = self.joints[child]
+                    place = origin + turn @ joint.offset
+                    if joint.kind == "fixed":
+                        rigid.append((child, place, turn @ joint.rotation))
+                    else:
+                        farthest = max(farthest, float(np.linalg.norm(place)) + reaches[child])
+            reaches[start] = farthest
+        return reaches[link]
 
 
 def compute_tree_frames(

@@ -8,9 +8,8 @@ import numpy as np
 from handover_marl.config import ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, AnyIntegers, Indices
-from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import RolloutWorld, WorldState
+from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutWorld, WorldState
 
 
 class Worlds(ABC):

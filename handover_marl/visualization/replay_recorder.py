@@ -13,7 +13,7 @@ from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data_kind
 from handover_marl.policies.policy import Policy
 from handover_marl.simulation.camera.images import JointSnapshot
-from handover_marl.simulation.contacts import Points
+from handover_marl.simulation.world import Points
 
 #: Physics steps between two frames of a replay (40 ms).
 FRAME_STEPS = 40

@@ -14,8 +14,7 @@ from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import PROPRIOCEPTION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
 from handover_marl.errors import ResetNeededError
-from handover_marl.simulation.contacts import NO_POINTS
-from handover_marl.simulation.world import World
+from handover_marl.simulation.world import NO_POINTS, World
 
 DATASET = SyntheticDataset()
 SCENE = DATASET.load_scene(209)

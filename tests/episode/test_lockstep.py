@@ -17,7 +17,7 @@ from handover_marl.episode.referee import (
     judge_steps,
 )
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
-from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
+from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import EpisodeStatus, Referee, ReleaseReason
-from handover_marl.simulation.contacts import NO_POINTS, Contacts
+from handover_marl.simulation.world import NO_POINTS, Contacts
 
 CONFIG = ProtocolConfig()
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)

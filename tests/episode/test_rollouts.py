@@ -7,7 +7,7 @@ import pytest
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
-from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts
+from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts
 from tests.episode.test_lockstep import stack_contacts
 
 pytest.importorskip("mujoco")

@@ -17,8 +17,8 @@ from handover_marl.simulation.bullet.bodies import (
 from handover_marl.simulation.bullet.rendering import render_wrist_camera
 from handover_marl.simulation.bullet.world import BulletWorld
 from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
-from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.world import Contacts
 
 
 class ExactWorld(BulletWorld):

@@ -23,9 +23,9 @@ from handover_marl.simulation.bullet.sleepable_bodies import (
     read_bounding_spheres,
 )
 from handover_marl.simulation.bullet.world import BulletWorld
-from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.reference_tracking import ReferenceMotion, track_references
+from handover_marl.simulation.world import Contacts
 
 _NO_CONTACTS = Contacts()
 # A body with fewer contact-free steps ahead is woken: frequent predictions cost more than its simulation.

@@ -24,8 +24,7 @@ from handover_marl.simulation.bullet.client import (
     pybullet_error,
 )
 from handover_marl.simulation.bullet.rendering import SceneRenderer
-from handover_marl.simulation.contacts import NO_POINTS, Contacts, Points
-from handover_marl.simulation.world import AgentJoints, World, WorldState
+from handover_marl.simulation.world import NO_POINTS, AgentJoints, Contacts, Points, World, WorldState
 
 # Period at which the window is drawn (steps).
 _WINDOW_PERIOD = 20

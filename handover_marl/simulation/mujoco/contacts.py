@@ -15,7 +15,7 @@ import numpy.typing as npt
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.simulation.contacts import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
+from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
 

@@ -25,7 +25,6 @@ from handover_marl.geometry.poses import (
     quaternion_from_matrix,
     transform_points,
 )
-from handover_marl.simulation.contacts import find_points_in_grasp_region
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
@@ -37,6 +36,7 @@ from handover_marl.simulation.mujoco.models.scene_spec import (
     read_object_friction,
 )
 from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_xyzw
+from handover_marl.simulation.world import find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
 

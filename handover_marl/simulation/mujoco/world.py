@@ -9,7 +9,6 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import OptionError, ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.simulation import BatchSimulation, HandKinematics, WorldData
 from handover_marl.simulation.mujoco.control import ABSENT, compute_controls, count_hand_free_steps, place_hand
 from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
@@ -22,7 +21,7 @@ from handover_marl.simulation.reference_tracking import (
     select_keypoint_links,
     track_references,
 )
-from handover_marl.simulation.world import AgentJoints, RolloutWorld, WorldState
+from handover_marl.simulation.world import AgentJoints, ContactBatch, Contacts, JudgeFunction, RolloutWorld, WorldState
 
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]

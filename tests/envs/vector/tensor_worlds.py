@@ -8,10 +8,9 @@ import numpy as np
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
-from handover_marl.simulation.contacts import ContactBatch, Contacts, JudgeFunction, RolloutEnd
 from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import WorldState
+from handover_marl.simulation.world import ContactBatch, Contacts, JudgeFunction, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
 from tests.fake_device import DeviceTensor
 

@@ -30,9 +30,8 @@ from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
-from handover_marl.simulation.contacts import Contacts
 from handover_marl.simulation.engines import make_distance_query
-from handover_marl.simulation.world import AgentJoints
+from handover_marl.simulation.world import AgentJoints, Contacts
 from tests.playing import play
 
 PERIOD = SAMPLE_STEPS * TIME_STEP

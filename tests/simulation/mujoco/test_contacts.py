@@ -13,8 +13,8 @@ from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, make_tensor_factory
 from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
-from handover_marl.simulation.contacts import Contacts, find_points_in_grasp_region
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
+from handover_marl.simulation.world import Contacts, find_points_in_grasp_region
 
 FACTORIES = [NUMPY_ARRAYS, *([make_tensor_factory("cpu")] if importlib.util.find_spec("torch") else [])]
 RULES = ProtocolConfig()

@@ -12,7 +12,6 @@ from handover_marl.errors import ResetNeededError, SimulationError
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, expand_mask, make_constant, to_numpy
 from handover_marl.geometry.kinematic_tree import TreeBank, read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix, quaternions_from_euler
-from handover_marl.simulation.contacts import Contacts, JudgeFunction
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
@@ -23,7 +22,7 @@ from handover_marl.simulation.reference_tracking import (
     list_hand_motors,
     select_keypoint_links,
 )
-from handover_marl.simulation.world import WorldState
+from handover_marl.simulation.world import Contacts, JudgeFunction, WorldState
 from handover_marl.simulation.worlds import Worlds
 
 

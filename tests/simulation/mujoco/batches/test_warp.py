@@ -21,7 +21,6 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
 from handover_marl.geometry.poses import transform_points
-from handover_marl.simulation.contacts import ContactBatch, RolloutEnd
 from handover_marl.simulation.mujoco.batches import warp_group
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
@@ -29,6 +28,7 @@ from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.world import ContactBatch, RolloutEnd
 
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
