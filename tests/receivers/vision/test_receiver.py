@@ -16,7 +16,7 @@ from handover_marl.episode.observations import Observation
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
 from handover_marl.geometry.poses import compose, invert_pose, transform_points
-from handover_marl.learning.imitation.vision.grasp_labels import GraspLabelConfig, GraspLabeller
+from handover_marl.learning.imitation.vision.views import GraspViewConfig, ViewRenderer
 from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
 from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.planning.arm_control import ArmInWorld
@@ -51,7 +51,7 @@ class TruePredictor:
 
     def __init__(self, episode: Episode) -> None:
         preparation = GraspPreparationConfig(tilts=(), lateral_offsets=(), release_offsets=(), advances=())
-        self._labels = GraspLabeller(CONTEXT, GraspLabelConfig(receiver=ReactiveConfig(preparation=preparation)))
+        self._labels = ViewRenderer(GraspViewConfig("synthetic", reactive=ReactiveConfig(preparation=preparation)))
         self._arm, self._episode = ArmInWorld.for_panda(CONTEXT.panda_urdf, CONTEXT.panda), episode
 
     def __call__(self, item: Array, hand: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
@@ -59,7 +59,7 @@ class TruePredictor:
         pose, tracker = observation["object_poses"][0].astype(np.float64), HandTracker()
         tracker.update(0.0, observation)
         known, link = (
-            self._labels.load_grasps(name),
+            self._labels.load_grasps(name, None, pose),
             self._arm.compute_hand_pose(observation["robot_joint_position"][:7].astype(np.float64)),
         )
         link_from_object = compose(invert_pose(link), pose)
