@@ -128,6 +128,7 @@ def test_version_and_weights_count(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_policy("receiver", "hold").resolve(open_dataset("synthetic")).code_hash == code
     assert hash_policy(policy, (), b"1").startswith(f"{code}.")
     assert hash_policy(policy, (), b"1") != hash_policy(policy, (), b"2")
+    assert hash_policy(Weighted(state=np.zeros(2)), ()) != hash_policy(Weighted(state=np.ones(2)), ())
     monkeypatch.setattr(hashing, "__version__", "0.0.1")
     assert hash_policy(policy, ()) != code
 

@@ -122,7 +122,7 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     args = args.resolve_setup()
     folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     checkpoint = folder / _CHECKPOINT
-    model = _make_ppo(args, agent, partner)
+    model, envs = _make_ppo(args, agent, partner)
     if args.resume and checkpoint.exists():
         # Without the pickled Python objects in the file, which `PPO.load` reads.
         model.set_parameters(str(checkpoint), device="cpu")
@@ -137,11 +137,11 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     remaining = max(0, args.decisions - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()
-    model.env.close()
+    envs.close()
     return folder / POLICY
 
 
-def _make_ppo(args: PpoArgs, agent: str, partner: str) -> PPO:
+def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]:
     """Make an untrained model, and its seeded environments in a process per core."""
     envs = vector_env(
         args.resolved_num_envs,
@@ -156,7 +156,7 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> PPO:
     )
     monitored = VecMonitor(BatchVecEnv(envs))
     monitored.seed(args.seed)
-    return PPO(
+    model = PPO(
         "MlpPolicy",
         monitored,
         learning_rate=args.learning_rate,
@@ -169,6 +169,7 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> PPO:
         seed=args.seed,
         device="cpu",
     )
+    return model, monitored
 
 
 class EvaluationCallback(BaseCallback):

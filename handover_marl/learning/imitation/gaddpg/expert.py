@@ -284,7 +284,7 @@ def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
     heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))
-    costs = compute_travel_costs(hand, world) + _TABLE_COST * (heights < TABLE_HEIGHT + _TABLE_CLEARANCE)
+    costs: Array = compute_travel_costs(hand, world) + _TABLE_COST * (heights < TABLE_HEIGHT + _TABLE_CLEARANCE)
     if occluder[3] > 0.0:
         clearances = compute_grasp_clearances(world, Spheres(occluder[None, :3], occluder[3:]), _SWEEP)
         costs += _CLEARANCE_COST * np.maximum(0.0, _CLEARANCE - clearances)
