@@ -1,8 +1,7 @@
 """Models, robot grasps, grasp validations and network weights that are part of the library.
 
 The objects have the outer dimensions and the frames of the YCB scans that DexYCB and HandoverSim
-use, so object poses and grasps of both apply to them. Their shapes are simplified and made by
-`python -m handover_marl.assets.building objects`.
+use, so object poses and grasps of both apply to them. Their shapes are simplified.
 
 Gripper poses follow the convention of HandoverSim's grasp files: the fingers close along x, the hand approaches along
 z, and the Panda's hand link is the gripper frame rotated by -90 degrees about z.

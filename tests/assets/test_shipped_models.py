@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from handover_marl.assets.hand_model import (
-    HANDS_FOLDER,
-    MESH_NAMES,
     SIDES,
     SUBJECT_SIZES,
     SUBJECTS,
@@ -89,18 +87,6 @@ def test_openings_are_open(name: str, point: tuple[float, float, float]) -> None
     assert not client.getContactPoints(ball)
 
 
-@pytest.mark.parametrize("name", ["024_bowl", "035_power_drill"])
-def test_rebuild_gives_the_shipped_bytes(tmp_path: Path, name: str) -> None:
-    pytest.importorskip("trimesh")
-    from handover_marl.assets.building.objects import build_object
-
-    rebuilt = build_object(name, tmp_path)
-    shipped = OBJECTS_ROOT / name
-    assert sorted(path.name for path in rebuilt.iterdir()) == sorted(path.name for path in shipped.iterdir())
-    for path in rebuilt.iterdir():
-        assert path.read_bytes() == (shipped / path.name).read_bytes(), path.name
-
-
 SOLID_LINKS = [6, *range(9, 52, 3)]
 
 
@@ -127,22 +113,6 @@ def test_every_hand_has_the_official_structure_and_the_kinematics_of_its_model(s
     keypoints = model.compute_keypoints(np.zeros(51))
     reach = np.linalg.norm(keypoints[8] - keypoints[0])
     assert reach == pytest.approx(SUBJECT_SIZES[subject - 1].length, abs=1e-3)
-
-
-def test_rebuild_gives_the_shipped_hands(tmp_path: Path) -> None:
-    """The meshes of a left hand and its model are equal; only the visible palm takes too long to build here."""
-    pytest.importorskip("trimesh")
-    pytest.importorskip("manifold3d")
-    from handover_marl.assets.building import hands
-
-    path = hands.write_hand_urdf(tmp_path, 3, "left")
-    assert path.read_bytes() == find_hand_urdf(3, "left").read_bytes()
-    folder = HANDS_FOLDER / "meshes" / "left"
-    for link, name in enumerate(MESH_NAMES):
-        built = {"collision": hands.make_collision_mesh(link)}
-        built |= {"visual": hands.make_visual_mesh(link)} if link else {}
-        for kind, mesh in built.items():
-            assert (folder / kind / f"{name}.obj").read_text() == hands.format_obj(mesh, mirror=True), (kind, name)
 
 
 def joints(client: BulletClient, urdf: Path) -> dict[str, tuple[Any, ...]]:

@@ -9,7 +9,6 @@ import numpy.typing as npt
 import trimesh
 from scipy.spatial import QhullError
 
-from handover_marl.assets.building.objects import write_convex_parts, write_visual
 from handover_marl.assets.shipped import (
     COLLISION_NAME,
     FRICTION,
@@ -17,6 +16,7 @@ from handover_marl.assets.shipped import (
     URDF_NAME,
     VISUAL_NAME,
     format_object_urdf,
+    format_visual,
     read_palette_files,
 )
 from handover_marl.datasets.custom.dataset import EXTENT, MASS, MAX_OFFSET
@@ -25,7 +25,7 @@ from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file, report_damage
 from handover_marl.geometry.model_files.meshes import compute_convex_hull, decompose_convex
-from handover_marl.geometry.model_files.obj_files import read_obj
+from handover_marl.geometry.model_files.obj_files import format_convex_parts, read_obj
 
 Array = npt.NDArray[np.float64]
 
@@ -120,8 +120,9 @@ def make_object_mesh(source: "str | Path | trimesh.Trimesh", config: MeshConfig)
 
 def write_object(folder: Path, item: ObjectMesh, config: MeshConfig) -> None:
     """Write the URDF and the meshes of an object into an existing folder."""
-    write_visual(folder / VISUAL_NAME, [(config.color, item.mesh)])
-    write_convex_parts(folder / COLLISION_NAME, list(item.parts))
+    visual = format_visual([(config.color, *_canonicalize(item.mesh))])
+    (folder / VISUAL_NAME).write_text(visual, newline="\n")
+    (folder / COLLISION_NAME).write_text(format_convex_parts(map(_canonicalize, item.parts)), newline="\n")
     for name, content in read_palette_files().items():
         (folder / name).write_bytes(content)
     (folder / URDF_NAME).write_text(format_object_urdf(item.mass, config.friction), newline="\n")
@@ -200,3 +201,15 @@ def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
             f"{name}: must be a solid body, got a flat or empty one of {extents.min():.2g} m thickness; export a "
             "closed surface"
         )
+
+
+def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
+    """Return rounded vertices and faces in an order that depends only on the shape."""
+    # Adding zero turns -0.0 into 0.0.
+    rounded = np.round(np.asarray(mesh.vertices, dtype=np.float64), 6) + 0.0
+    vertices, renumbered = np.unique(rounded, axis=0, return_inverse=True)
+    faces = renumbered.reshape(-1)[np.asarray(mesh.faces)]
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = faces[whole]
+    turned = np.stack([np.roll(face, -int(np.argmin(face))) for face in faces])
+    return vertices, turned[np.lexsort(turned.T[::-1])]
