@@ -114,18 +114,16 @@ def test_yang_receiver_gives_the_recording(name: str, recordings: Path, real_dat
     episode.close()
 
 
-# One of the scenes without a recording is played; experiments/make_results.py evaluates all test splits.
+# One of the scenes without a recording is played, which ends with a drop; experiments/make_results.py evaluates all
+# test splits.
 def test_yang_receiver_on_s0_val(recordings: Path, real_dataset: OfficialDataset) -> None:
     expected = json.loads((recordings / "yang_s0_val.json").read_text())
     scene_ids = real_dataset.list_scenes("s0", "val")
     assert sorted(expected) == sorted(map(str, scene_ids))
     episode = Episode("exact")
     policy = receivers.make("yang2021", real_dataset)
-    recorded = {int(name[5:8]) for name in YANG}
-    outcomes = {}
-    for scene_id in [number for number in scene_ids if number not in recorded][7::20]:
-        play(episode, real_dataset.load_scene(scene_id), policy)
-        outcomes[str(scene_id)] = (int(episode.status), episode.steps, episode.release_step or -1)
-    wanted = {key: (row["status"], row["steps"], row["release"]) for key, row in expected.items()}
-    assert outcomes == {key: wanted[key] for key in outcomes}
+    play(episode, real_dataset.load_scene(84), policy)
+    wanted = expected["84"]
+    found = episode.status, episode.steps, episode.release_step or -1
+    assert found == (wanted["status"], wanted["steps"], wanted["release"])
     episode.close()
