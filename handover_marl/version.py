@@ -1,3 +1,3 @@
 """Version of the library."""
 
-__version__ = "0.8.2"
+__version__ = "0.8.3"
