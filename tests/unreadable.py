@@ -47,3 +47,14 @@ def refuses_within(seconds: float, error: type[Exception] | tuple[type[Exception
     match = "larger than" if kind == "large" else "not a plain file"
     with ends_within(seconds), pytest.raises(error, match=match):
         yield
+
+
+def write_model(folder: Path, mesh: str) -> Path:
+    """Write a URDF of one link, its mesh in OBJ format whatever its suffix."""
+    (folder / mesh).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
+    urdf = folder / "body.urdf"
+    urdf.write_text(
+        f'<robot name="body"><link name="body"><collision>{shape}</collision><visual>{shape}</visual></link></robot>'
+    )
+    return urdf

@@ -329,13 +329,12 @@ def override_options(config: _Config, options: Mapping[str, object], example: st
     Raises:
         OptionError: A name is not that of a number in the configuration, or a value is not a finite number.
     """
-    # Names of sections have underscores, too: of `quick` and `quick_preparation`, the longer one counts.
     sections = [field.name for field in fields(config) if is_dataclass(getattr(config, field.name))]  # type: ignore[arg-type]
     changed: Any = config
     for name, value in options.items():
-        section_name = max((one for one in sections if name.startswith(f"{one}_")), key=len, default="")
+        start, _, rest = name.partition("_")
+        section_name, field_name = (start, rest) if start in sections else ("", name)
         section = getattr(changed, section_name) if section_name else changed
-        field_name = name.removeprefix(f"{section_name}_") if section_name else name
         known = getattr(section, field_name, None)
         if isinstance(known, bool) or not isinstance(known, (int, float)):
             raise OptionError(

@@ -4,6 +4,7 @@ import io
 import os
 import tarfile
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -14,12 +15,12 @@ from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileE
 CONTENT = {"assets/a.obj": b"v 0 0 0\n", "assets/grasps/b.npy": b"\x93NUMPY", "README": b""}
 
 
-def tar(path: Path, mode: str, *extra: tarfile.TarInfo) -> Path:
+def tar(path: Path, mode: str, *extra: tarfile.TarInfo, content: Mapping[str, bytes] = CONTENT) -> Path:
     with tarfile.open(path, mode) as archive:  # type: ignore[call-overload]
-        for name, content in CONTENT.items():
+        for name, data in content.items():
             entry = tarfile.TarInfo(name)
-            entry.size = len(content)
-            archive.addfile(entry, io.BytesIO(content))
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
         for entry in extra:
             archive.addfile(entry)
     return path

@@ -1,7 +1,6 @@
 """Tests of the context of givers, of waiting times, and of numbers of a configuration as options."""
 
 import re
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +41,7 @@ class Alone(Plain):
     name = "alone"
 
     def __init__(self, height: float = 0.1) -> None:
+        super().__init__()
         self.height = height
 
 
@@ -119,9 +119,3 @@ def test_a_wait_is_waited() -> None:
 def test_invalid_options(name: str, value: object, message: str) -> None:
     with pytest.raises(OptionError, match=re.escape(message)):
         override_options(ReactiveConfig(), {name: value}, "approach_standoff")
-
-
-def test_section_with_an_underscore_in_its_name() -> None:
-    config = ReactiveConfig()
-    changed = override_options(config, {"quick_preparation_max_copies": 5}, "approach_standoff")
-    assert changed == replace(config, quick_preparation=replace(config.quick_preparation, max_copies=5))

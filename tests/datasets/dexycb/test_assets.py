@@ -126,7 +126,7 @@ def test_files_are_installed(tmp_path: Path) -> None:
         "LICENSE": b"",
         "x/y/z.obj": b"",
     }
-    (note,) = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", entries), tmp_path / "assets")
+    (note,) = install_third_party(tar(tmp_path / "a.tar.gz", "w:gz", content=entries), tmp_path / "assets")
     assert f"1 of the {len(FILES)} " in note
     assert "grasps/003_cracker_box.npy" in note, "the one whose sum is known"
     assert all_files(tmp_path / "assets") == FILES
@@ -162,6 +162,6 @@ def test_stand_ins_are_marked_and_replaced_by_originals(tmp_path: Path) -> None:
     with contextlib.closing(Episode("exact")) as episode:
         episode.reset(dataset.load_scene(5))
     # Originals replace stand-ins, and stand-ins do not replace originals.
-    install_third_party(tar(tmp_path / "a.tar", "w", {"assets/grasps/025_mug.npy": b"original"}), assets)
+    install_third_party(tar(tmp_path / "a.tar", "w", content={"assets/grasps/025_mug.npy": b"original"}), assets)
     write_stand_ins(tmp_path, assets, workers=1, progress=False)
     assert (assets / "grasps/025_mug.npy").read_bytes() == b"original"

@@ -116,8 +116,10 @@ def test_features_and_action_schemes(
     request: pytest.FixtureRequest, agent: str | None, options: dict[str, Any]
 ) -> None:
     # The receiver waits for 2 s: one case simulates as long again, the others have shorter episodes.
-    is_long = options.get("autoreset") == "next_step"
+    is_long, lasts = options.get("autoreset") == "next_step", options.get("schemes") == "offer"
     steps, max_cycles = (30, 20) if is_long else (24, 15)
+    # An offer lasts a whole episode.
+    steps, max_cycles = (3, 12) if lasts else (steps, max_cycles)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 

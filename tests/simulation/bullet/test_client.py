@@ -11,8 +11,7 @@ import pytest
 from handover_marl.errors import SimulationError
 from handover_marl.simulation.bullet import client as client_module
 from handover_marl.simulation.bullet.client import connect, load_urdf
-from tests.geometry.test_unreadable_models import write_model
-from tests.unreadable import UNREADABLE, refuses_within, replace_by
+from tests.unreadable import UNREADABLE, refuses_within, replace_by, write_model
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's way to a screen")

@@ -22,8 +22,7 @@ from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import _NEVER_COLLIDING, ModelPadding, SceneModelBuilder
-from tests.geometry.test_unreadable_models import write_model
-from tests.unreadable import UNREADABLE, refuses_within, replace_by
+from tests.unreadable import UNREADABLE, refuses_within, replace_by, write_model
 
 CONFIG = PhysicsConfig()
 ASSETS = SyntheticDataset().load_scene(209).assets
