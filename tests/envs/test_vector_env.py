@@ -169,24 +169,22 @@ def test_whole_handovers_to_yang_are_equal_to_the_bit() -> None:
     for arguments in ({"seed": 5}, {"options": {"reset_mask": mask}}):
         found, expected = (envs.reset(**copy.deepcopy(arguments)) for envs in (together, alone))
         assert_equal(list(found), list(expected))
-        for _ in range(2):
-            outputs = rng.uniform(-0.3, 0.3, (2, 7)).astype(np.float32)
-            steps = [envs.step(outputs) for envs in (together, alone)]
-            assert_equal(list(steps[0]), list(steps[1]))
-            rewards += steps[0][1].tolist()
+        outputs = rng.uniform(-0.3, 0.3, (2, 7)).astype(np.float32)
+        steps = [envs.step(outputs) for envs in (together, alone)]
+        assert_equal(list(steps[0]), list(steps[1]))
+        rewards += steps[0][1].tolist()
     together.close()
     assert max(rewards) > 0.8, "an object was handed over"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rewards", "noise"), [("sparse", 0.0), ("shaped", 0.1)])
-def test_the_next_episode_is_the_one_that_a_single_environment_draws(rewards: str, noise: float) -> None:
+def test_the_next_episode_is_the_one_that_a_single_environment_draws() -> None:
     """Resets with a seed, a scene, a mask or no argument start the same episodes as in single environments.
 
     This also holds if the next episodes are simulated in advance.
     """
-    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": rewards}
-    options["world_config"] = WorldConfig(initial_joint_noise=noise)
+    options = {**OPTIONS, "control_period": 0.2, "max_cycles": 14, "rewards": "shaped"}
+    options["world_config"] = WorldConfig(initial_joint_noise=0.1)
     together = handover_marl.vector_env(
         3, "receiver", "hesitant", features="close", schemes="grasp_servo", threads=1, **options
     )

@@ -29,6 +29,10 @@ KINDS = {
     "one finger": (ONE_FINGER, 10),
     "apart": (APART, 10),
     "far push": (PUSH._replace(gripper_position=(0.0, 0.0, 0.0)), 25),
+    # Just inside and outside of the goal's ball, along its diagonal.
+    "in the ball": (HOLD._replace(gripper_position=tuple(value + 0.085 for value in RULES.goal_center)), 35),
+    "out of the ball": (HOLD._replace(gripper_position=tuple(value - 0.088 for value in RULES.goal_center)), 35),
+    "far apart": (APART, 130),
     "low": (APART._replace(object_height=0.5), 1),
     "supported": (ONE_FINGER._replace(object_supported=True), 1),
     "contact": (APART._replace(robot_touches_hand=True), 1),
@@ -91,7 +95,7 @@ class ScriptedWorld:
 def draw_steps(rng: np.random.Generator) -> list[Contacts]:
     steps: list[Contacts] = []
     while len(steps) < N_STEPS:
-        kinds = [*(["hold", "goal", "push", "far push"] * 4), *KINDS]
+        kinds = [*(["hold", "goal", "push", "far push", "in the ball"] * 4), *KINDS]
         contacts, count = KINDS[kinds[rng.integers(len(kinds))]]
         steps += [contacts] * count
     return steps[:N_STEPS]

@@ -25,6 +25,7 @@ from tests.evaluation.test_workers import files
 
 ray = pytest.importorskip("ray", reason="needs the extra `ray`")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
+NodeAffinitySchedulingStrategy = pytest.importorskip("ray.util.scheduling_strategies").NodeAffinitySchedulingStrategy
 services = pytest.importorskip("ray._private.services")
 raylet = pytest.importorskip("ray._raylet")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -204,6 +205,10 @@ def test_results_are_the_same_if_a_node_dies(cluster: Any, nodes: list[Any], alo
     """Results stay the same if a node is killed while it simulates a scene; the node creates a file to show this."""
     playing = tmp_path / "playing"
     doomed = add_node(cluster, env_vars={STUCK_VARIABLE: str(playing)})
+    # Without a process of its own, the node might start to work when the others have finished all scenes.
+    ray.init(cluster.address, ignore_reinit_error=True, logging_level="error")
+    strategy = NodeAffinitySchedulingStrategy(doomed.node_id, soft=False)
+    ray.get(ray.remote(num_cpus=1, scheduling_strategy=strategy)(lambda: None).remote())
 
     def kill_when_playing() -> None:
         until = time.monotonic() + PATIENCE

@@ -161,7 +161,7 @@ class TraceRecorder(EpisodeCallback):
             monitor, (origins, rotations) = self._monitors[assets.panda], robot_frames
             motion = assets.hand, robot[has_hand], hand, (origins[has_hand], rotations[has_hand]), hand_frames
             min_distance = 0.0 if self._hand_forces else monitor.compute_min_margin(*motion)
-            protective = self._compute_protective_distances(wrist, gripper, n_samples)
+            protective = compute_sampled_distances(wrist, gripper, n_samples)
             min_margin = monitor.compute_min_margin(*motion, protective[has_hand])
             if self._hand_forces:
                 min_margin = min(min_margin, -float(protective[-1]))
@@ -186,14 +186,6 @@ class TraceRecorder(EpisodeCallback):
         for monitor in self._monitors.values():
             monitor.close()
         self._monitors.clear()
-
-    @staticmethod
-    def _compute_protective_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-        """Return the protective distance at each sample; the last step has the speeds of the last sample."""
-        period = SAMPLE_STEPS * TIME_STEP
-        speeds = (compute_speeds(positions[:n_samples], period) for positions in (wrist, gripper))
-        distances = compute_protective_distances(*speeds)
-        return np.append(distances, distances[-1])
 
     def _sample(self, episode: "Episode") -> None:
         joints = episode.world.read_agent_joints()
@@ -298,3 +290,17 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
     person = person_speeds * (REACTION_TIME + braking_time)
     distances: Array = person + robot_speeds * REACTION_TIME + 0.5 * robot_speeds * braking_time
     return distances
+
+
+def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
+    """Compute the protective distances (n + 1,) at n samples and at the last step, which has the last sample's speeds.
+
+    Args:
+        wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN without a hand.
+        gripper: (n + 1, 3) positions of the gripper (m).
+        n_samples: Number n of samples.
+    """
+    period = SAMPLE_STEPS * TIME_STEP
+    speeds = (compute_speeds(positions[:n_samples], period) for positions in (wrist, gripper))
+    distances = compute_protective_distances(*speeds)
+    return np.append(distances, distances[-1])

@@ -11,6 +11,7 @@ from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode import loop
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
+from handover_marl.episode.metrics import motion
 from handover_marl.episode.metrics.fluency import FluencyMetrics, compute_fluency
 from handover_marl.episode.metrics.motion import (
     SAMPLE_STEPS,
@@ -89,7 +90,7 @@ def test_the_delay_is_between_the_last_activities_before_the_release() -> None:
 def test_the_margin_at_a_contact_is_that_of_the_last_sample(monkeypatch: pytest.MonkeyPatch) -> None:
     """At a contact the distance is 0, so that the margin is minus the protective distance at that time."""
     protective = np.array([0.3, 0.1, 0.2, 0.15])
-    monkeypatch.setattr(TraceRecorder, "_compute_protective_distances", lambda *motion: protective)
+    monkeypatch.setattr(motion, "compute_sampled_distances", lambda *motion: protective)
     monkeypatch.setattr(ClearanceMonitor, "compute_min_margin", lambda *motion: 0.5)
     scene, recorder, episode = SyntheticDataset().load_scene(209), TraceRecorder(), Episode("fast")
     episode.reset(scene)
@@ -125,6 +126,21 @@ def test_protective_distance_of_a_moving_person_and_of_a_moving_robot() -> None:
     """The person moves for 0.1 s and while the robot brakes, the robot moves for 0.1 s and brakes with 13 m/s^2."""
     found = compute_protective_distances(np.array([0.0, 1.6, 0.0, 1.6]), np.array([0.0, 0.0, 1.3, 1.3]))
     assert found == pytest.approx([0.0, 0.16, 0.13 + 0.065, 0.16 + 0.16 + 0.13 + 0.065])
+
+
+def test_protective_distance_of_samples() -> None:
+    """Person and robot move at 0.5 and 0.4 m/s; the last step has the distance of the last sample."""
+    wrist, gripper = ramp(0.0, 5.0, 5.0, 2.5), ramp(0.0, 5.0, 5.0, 2.0)
+    (expected,) = compute_protective_distances(np.array([0.5]), np.array([0.4]))
+    assert motion.compute_sampled_distances(wrist, gripper, N - 1) == pytest.approx(np.full(N, expected))
+
+
+def test_the_fewest_positions_with_speed_and_jerk() -> None:
+    line = np.arange(13.0)[:, None] * [[0.01, 0.0, 0.0]]
+    assert motion.compute_speeds(line[:2], 0.02) == pytest.approx([0.5, 0.5])
+    assert motion.compute_speeds(line[:1], 0.02) == pytest.approx([0.0])
+    assert compute_rms_jerk(line, PERIOD) == pytest.approx(0.0, abs=1e-6)
+    assert compute_rms_jerk(line[:12], PERIOD) is None
 
 
 def test_nothing_to_tell() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers.scores import (
@@ -98,3 +99,24 @@ def test_differences_are_paired_by_scene() -> None:
     found = estimate_difference(compute_mean, first + 0.1, first, ["a", "a", "b", "b"])
     assert found.mean == pytest.approx(0.1)
     assert found.interval_95 == pytest.approx((0.1, 0.1))
+
+
+def test_intervals_of_a_single_partner_are_those_of_student() -> None:
+    """Means have Student's interval; rates have Wilson's, with its quantile and the variance between scenes."""
+    scores = np.array([[[0.2, 0.9, 0.4, 0.7, 0.1]]])
+    found = estimate(compute_mean, scores, None)
+    expected = scipy.stats.t.interval(0.95, 4, scores.mean(), scipy.stats.sem(scores.ravel()))
+    assert found.interval_95 == pytest.approx((max(0.0, expected[0]), min(1.0, expected[1])), abs=1e-12)
+    flags = np.array([[[1.0, 1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 1.0]]])
+    rate, weight = 0.75, scipy.stats.t.ppf(0.975, 7) ** 2 / 7
+    center, half = rate + weight / 2.0, np.sqrt(weight * rate * (1.0 - rate) + weight**2 / 4.0)
+    wanted = (center - half) / (1.0 + weight), (center + half) / (1.0 + weight)
+    assert estimate_rate(compute_mean, flags, None).interval_95 == pytest.approx(wanted, abs=1e-12)
+
+
+def test_differences_of_rates_are_at_least_minus_one() -> None:
+    first, second = np.array([[[0.0, 0.0, 1.0]]]), np.array([[[1.0, 1.0, 0.0]]])
+    assert estimate_difference(compute_mean, first, second, None).interval_95 == pytest.approx((-1.0, 1.0))
+    proximity = estimate_difference(compute_proximity, first, second, None, np.ones((1, 3)))
+    assert proximity.interval_95 is not None
+    assert proximity.interval_95[0] < -1.0
