@@ -227,9 +227,6 @@ class OfficialDataset(Dataset):
         notes += describe_origins("Panda", self._origin(PANDA_FILES[self.robot]))
         return ", ".join(notes)
 
-    def _read_info(self, scene_id: int) -> tuple[SceneInfo, list[int]]:
-        return _read_scene_info(self._find_meta_file(scene_id), scene_id)
-
     def _find_meta_file(self, scene_id: int) -> Path:
         return require_file(self.data_dir / CACHE_FOLDER / f"meta_{scene_id:03d}.json")
 
