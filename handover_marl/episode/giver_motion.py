@@ -20,6 +20,7 @@ from handover_marl.geometry.arrays import (
     Indices,
     RowBank,
     get_namespace,
+    is_tensor,
     make_constant,
     widen,
 )
@@ -47,6 +48,9 @@ class RecordedFrames(Protocol):
     def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
         """Return copies of the recorded frames (r, k) of r givers."""
 
+    def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
+        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+
 
 class HostFrames:
     """Recorded frames as NumPy arrays, which are read from the scenes.
@@ -58,10 +62,12 @@ class HostFrames:
     def __init__(self, count: int) -> None:
         self._scenes: list[Scene | None] = [None] * count
         self._hand_present: list[npt.NDArray[np.bool_]] = [np.zeros(0, dtype=bool)] * count
+        self._poses: list[npt.NDArray[np.float32]] = [np.zeros((0, 2, 7), dtype=np.float32)] * count
 
     def set_scene(self, row: int, scene: Scene) -> None:
         """Choose the scene that a giver plays."""
         self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
+        self._poses[row] = compute_recorded_poses(scene)
 
     def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
         """Return copies of the recorded frames (r, k) of r givers."""
@@ -76,9 +82,13 @@ class HostFrames:
             objects[index, :, : scene.object_dof.shape[1]] = scene.object_dof[own]
         return ReferenceMotion(objects, hand, present)
 
+    def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
+        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+        return np.stack([self._poses[row][own] for row, own in zip(rows.tolist(), frames, strict=True)])
+
 
 class DeviceFrames:
-    """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 0.9 MB.
+    """Recorded frames as tensors, which stay on the device. A recording of DexYCB takes 1.1 MB.
 
     Args:
         count: Number n of givers.
@@ -90,6 +100,7 @@ class DeviceFrames:
         self._first_by_scene: dict[int, int] = {}
         self._hand, self._present = RowBank(arrays, (HAND_DOF,), "float32"), RowBank(arrays, (), "bool")
         self._objects = RowBank(arrays, (MAX_OBJECTS, OBJECT_DOF), "float32")
+        self._poses = RowBank(arrays, (2, 7), "float32")
 
     def set_scene(self, row: int, scene: Scene) -> None:
         """Choose the scene that a giver plays, and copy it to the device unless it is there."""
@@ -99,6 +110,7 @@ class DeviceFrames:
             objects[:, : scene.object_dof.shape[1]] = scene.object_dof
             self._objects.extend(objects)
             self._present.extend(scene.is_hand_present(np.arange(scene.n_frames)))
+            self._poses.extend(compute_recorded_poses(scene))
             self._first_by_scene[key] = self._hand.extend(scene.hand_dof)
         self._firsts[row] = self._first_by_scene[key]
 
@@ -106,6 +118,10 @@ class DeviceFrames:
         """Return copies of the recorded frames (r, k) of r givers."""
         places = self._firsts[rows][:, None] + frames
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
+
+    def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
+        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+        return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 
 class GiverState(NamedTuple):
@@ -216,16 +232,9 @@ class GiverMotion:
             (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the objects to be handed over:
             xyz (m) and quaternion xyzw, float32.
         """
-        xp = self._arrays.xp
-        frames = xp.minimum(self.state.frame[rows][:, None] + self._ahead, self._last_frame[rows][:, None])
-        recorded = self._recorded.read(rows, frames)
-        bases, objects = widen(recorded.hand[..., :BASE_JOINTS]), widen(recorded.objects[..., 0, :])
-        turns = quaternions_from_euler(bases[..., _HALF:])
-        wrists = bases[..., :_HALF] + rotate_points(turns, self._wrists_in_base[rows][:, None])
-        wrist_poses = xp.concat([wrists, turns], axis=-1)
-        object_poses = xp.concat([objects[..., :_HALF], quaternions_from_euler(objects[..., _HALF:])], axis=-1)
-        wrist_poses = xp.where(recorded.hand_present[..., None], wrist_poses, 0.0)
-        return xp.astype(wrist_poses, xp.float32), xp.astype(object_poses, xp.float32)
+        frames = self.state.frame[rows][:, None] + self._ahead
+        poses = self._recorded.read_poses(rows, self._arrays.xp.minimum(frames, self._last_frame[rows][:, None]))
+        return poses[:, :, 0], poses[:, :, 1]
 
     def plan(
         self, rows: AnyIndices, steps: int, actions: AnyArray, released: AnyArray, is_opening: AnyArray
@@ -239,30 +248,29 @@ class GiverMotion:
             released: Whether each object has been released, so that it does not follow the hand, (r,).
             is_opening: Whether each hand opens after a voluntary release, (r,).
         """
-        xp, config, state = self._arrays.xp, self._config, GiverState(*(values[rows] for values in self.state))
+        xp, state = self._arrays.xp, GiverState(*(values[rows] for values in self.state))
         actions = widen(actions)
-        rates = ramp_rates(state.rate, actions[:, 0], config.rate_change, steps)
-        clocks = state.clock[:, None] + xp.cumsum(1.0 + rates, axis=1)
+        rates, clocks = self._plan_clocks(state, actions[:, 0], steps)
         # Rates often sum to halves; rounding to 9 digits first keeps float noise from deciding.
         frames = xp.astype(xp.round(xp.round(clocks * 1e9) / 1e9), xp.int64)
         frames = xp.minimum(frames, self._last_frame[rows][:, None])
         reference = self._recorded.read(rows, frames)
-        # The finger angles of opening hands move towards zero, which is a flat hand in MANO.
-        ticks = xp.astype(self._arrays.arange(steps) + 1, xp.float64) * is_opening[:, None]
-        progress = xp.clip(state.opening_progress[:, None] + TIME_STEP / config.opening_time * ticks, 0.0, 1.0)
-        scale = 1.0 - config.opening * progress * is_opening[:, None]
-        reference.hand[..., BASE_JOINTS:] *= xp.astype(scale[..., None], xp.float32)
-        # An object that is picked up during these steps must not move early. Before, the offset is zero and at rest.
-        delays = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)
-        set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
-        is_moving = state.has_deviated | xp.any(set_points != 0.0, axis=(1, 2))
-        moving = xp.nonzero(is_moving)[0]
+        progress = xp.broadcast_to(state.opening_progress[:, None], frames.shape)
+        if _may_hold(is_opening):
+            progress = self._open_hands(reference, progress, is_opening)
         offsets, velocities = self._arrays.zeros((2, len(rows), steps, 2, 3))
-        if len(moving):
-            who = state.offset[moving], state.velocity[moving], set_points[moving]
-            track = track_set_points(*who, steps, self._limits)
-            offsets[moving], velocities[moving] = (delay_steps(part, delays[moving]) for part in track)
-            self._move_with_wrists(rows, moving, reference, offsets[moving], released)
+        is_moving = state.has_deviated | xp.any(actions[:, 1:7] != 0.0, axis=1)
+        if _may_hold(is_moving):
+            # An object that is picked up during these steps must not move early. Before, the offset is zero, at rest.
+            delays = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)
+            set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
+            is_moving = state.has_deviated | xp.any(set_points != 0.0, axis=(1, 2))
+            moving = xp.nonzero(is_moving)[0]
+            if len(moving):
+                who = state.offset[moving], state.velocity[moving], set_points[moving]
+                track = track_set_points(*who, steps, self._limits)
+                offsets[moving], velocities[moving] = (delay_steps(part, delays[moving]) for part in track)
+                self._move_with_wrists(rows, moving, reference, offsets[moving], released)
         states = GiverState(
             clock=clocks,
             frame=frames,
@@ -287,6 +295,39 @@ class GiverMotion:
         for values, planned in zip(self.state, motion.states, strict=True):
             values[rows] = planned[simulated, last]
 
+    def _plan_clocks(self, state: GiverState, targets: AnyArray, steps: int) -> tuple[AnyArray, AnyArray]:
+        """Return playback rates minus 1 and playback times (frames) after each of k steps, (r, k) each.
+
+        Args:
+            state: States of r givers.
+            targets: Rates minus 1 (r,) to reach.
+            steps: Number k of physics steps.
+        """
+        xp, clocks = self._arrays.xp, state.clock[:, None]
+        if not _may_hold((state.rate != 0.0) | (targets != 0.0)):
+            clocks = clocks + xp.astype(self._arrays.arange(steps) + 1, xp.float64)
+            return self._arrays.zeros(clocks.shape), clocks
+        rates = ramp_rates(state.rate, targets, self._config.rate_change, steps)
+        return rates, clocks + xp.cumsum(1.0 + rates, axis=1)
+
+    def _open_hands(self, reference: ReferenceMotion, progress: AnyArray, is_opening: AnyArray) -> AnyArray:
+        """Move the finger angles of opening hands towards zero, which is a flat hand in MANO.
+
+        Args:
+            reference: Reference motion of r givers in k steps.
+            progress: Progress of the opening (r, k) before the first step.
+            is_opening: Whether each hand opens, (r,).
+
+        Returns:
+            Progress of the opening (r, k) after each step.
+        """
+        xp, config, opening = self._arrays.xp, self._config, is_opening[:, None]
+        ticks = xp.astype(self._arrays.arange(progress.shape[1]) + 1, xp.float64) * opening
+        progress = xp.clip(progress + TIME_STEP / config.opening_time * ticks, 0.0, 1.0)
+        scale = 1.0 - config.opening * progress * opening
+        reference.hand[..., BASE_JOINTS:] *= xp.astype(scale[..., None], xp.float32)
+        return progress
+
     def _move_with_wrists(
         self, rows: AnyIndices, moving: AnyIndices, reference: ReferenceMotion, offsets: AnyArray, released: AnyArray
     ) -> None:
@@ -305,6 +346,11 @@ class GiverMotion:
         reference.hand[moving, :, :BASE_JOINTS] = moved[:, :, 0]
         is_held = ~released[moving][:, None, None]
         reference.objects[moving, :, 0] = xp.where(is_held, moved[:, :, 1], bodies[:, :, 1])
+
+
+def _may_hold(flags: AnyArray) -> bool:
+    """Return whether one of the flags (r,) is set; for tensors always, as reading them would take longer."""
+    return is_tensor(flags) or bool(flags.any())
 
 
 def requests_release(giver_actions: AnyArray) -> AnyArray:
@@ -337,6 +383,18 @@ def ramp_rates(rates: AnyArray, targets: AnyArray, max_slope: float, steps: int)
     limits = make_constant(tuple(range(1, steps + 1)), rates) * (max_slope * TIME_STEP)
     limited = xp.minimum(xp.maximum(change, -limits), limits)
     return xp.where(xp.abs(limited) < xp.abs(change), rates[:, None] + limited, targets[:, None])
+
+
+def compute_recorded_poses(scene: Scene) -> npt.NDArray[np.float32]:
+    """Compute the recorded poses (n, 2, 7) of wrist and target object in all frames of a scene.
+
+    Poses are xyz (m) and quaternion xyzw in the world frame; zeros for the wrist in frames without a hand.
+    """
+    bases = np.stack([scene.hand_dof[:, :BASE_JOINTS], scene.object_dof[:, 0]], axis=1).astype(np.float64)
+    poses = np.concatenate([bases[..., :_HALF], quaternions_from_euler(bases[..., _HALF:])], axis=-1)
+    poses[:, 0, :_HALF] += rotate_points(poses[:, 0, _HALF:], find_wrist_in_base(scene))
+    poses[~scene.is_hand_present(np.arange(scene.n_frames)), 0] = 0.0
+    return poses.astype(np.float32)
 
 
 def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:

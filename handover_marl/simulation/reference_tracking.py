@@ -127,7 +127,7 @@ def track_references(references: Sequence[TrackedReference]) -> None:
 
     The trajectories do not depend on how steps are divided into calls, nor on the other bodies.
     """
-    moving: dict[tuple[int, ...], list[tuple[BodyTrajectory, int, Array, Array]]] = {}
+    moving: dict[int, list[tuple[BodyTrajectory, int, Array, Array]]] = {}
     for body, targets, presence in references:
         wanted, n_steps = targets.astype(np.float64), len(targets)
         position = body.joints[-1] if body.present[-1] else None
@@ -146,16 +146,17 @@ def track_references(references: Sequence[TrackedReference]) -> None:
                     # The recurrence gives the same for joints at rest, only slower.
                     joints[first + 2 : last + 2] = part
                 else:
-                    moving.setdefault(part.shape, []).append((body, first + 2, start, part))
+                    moving.setdefault(len(part), []).append((body, first + 2, start, part))
             position = None
-    # Bodies with equally many joints and steps are computed together.
-    for (steps, _), group in moving.items():
+    # The joints of all bodies with equally many steps are computed together.
+    for steps, group in moving.items():
         bodies, rows, starts, parts = zip(*group, strict=True)
-        gains, position, wanted = np.array([body.gains for body in bodies]), np.array(starts), np.stack(parts, axis=1)
-        trajectories, error = np.empty(wanted.shape), np.empty(position.shape)
+        gains, position = np.concatenate([body.gains for body in bodies]), np.concatenate(starts)
+        wanted, error = np.concatenate(parts, axis=1), np.empty(position.shape)
+        trajectories, ends = np.empty(wanted.shape), np.cumsum([len(start) for start in starts])
         for step in range(steps):
             np.subtract(wanted[step], position, out=error)
             np.multiply(gains, error, out=error)
             position = np.add(position, error, out=trajectories[step])
-        for number, (body, row) in enumerate(zip(bodies, rows, strict=True)):
-            body.joints[row : row + steps] = trajectories[:, number]
+        for body, row, own in zip(bodies, rows, np.split(trajectories, ends[:-1], axis=1), strict=True):
+            body.joints[row : row + steps] = own

@@ -157,14 +157,18 @@ class HandKinematics:
         Args:
             joints: Positions (n, d) of the moving joints (m, rad).
         """
-        count, place = len(joints), self._joints
-        positions = np.empty((count, *self._positions.shape))
-        quaternions = np.empty((count, *self._quaternions.shape))
-        for number in range(count):
-            place[:] = joints[number]
+        # Hands are often at rest: compute only the poses that differ from the step before.
+        differs = np.ones(len(joints), dtype=bool)
+        differs[1:] = (joints[1:] != joints[:-1]).any(axis=1)
+        chosen, places = joints[differs], np.cumsum(differs) - 1
+        positions = np.empty((len(chosen), *self._positions.shape))
+        quaternions = np.empty((len(chosen), *self._quaternions.shape))
+        for number, own in enumerate(chosen):
+            self._joints[:] = own
             mujoco.mj_kinematics(self._model, self._data)
             positions[number], quaternions[number] = self._positions, self._quaternions
-        return positions[:, self._bodies], quaternions[:, self._bodies]
+        positions, quaternions = positions[:, self._bodies], quaternions[:, self._bodies]
+        return positions[places], quaternions[places]
 
 
 @functools.lru_cache(maxsize=64)
