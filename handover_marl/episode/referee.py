@@ -13,9 +13,9 @@ import numpy.typing as npt
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, AnyIndices, get_namespace, is_tensor, make_constant
 from handover_marl.simulation.world import (
-    ContactBatch,
     Contacts,
     JudgeFunction,
+    RolloutContacts,
     RolloutEnd,
     find_points_in_grasp_region,
 )
@@ -187,7 +187,7 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
         rules: Rules of release and end.
     """
 
-    def judge(rows: AnyIndices, contacts: ContactBatch) -> RolloutEnd:
+    def judge(rows: AnyIndices, contacts: RolloutContacts) -> RolloutEnd:
         before = referees.select_rows(rows)
         last, after = judge_steps(before, contacts, rules)
         taken, released = last + 1, (after.release_reason >= 0) & (before.release_reason < 0)
@@ -202,7 +202,9 @@ def make_judge(referees: RefereeState, rules: ProtocolConfig) -> JudgeFunction:
     return judge
 
 
-def judge_steps(before: RefereeState, contacts: ContactBatch, config: ProtocolConfig) -> tuple[AnyArray, RefereeState]:
+def judge_steps(
+    before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig
+) -> tuple[AnyArray, RefereeState]:
     """Apply release and end rules to k steps of n episodes, up to the first release or end of each.
 
     The states are the same as with `Referee.update` after every step, but there is no loop over steps.
@@ -257,7 +259,7 @@ def judge_steps(before: RefereeState, contacts: ContactBatch, config: ProtocolCo
     )
 
 
-def _is_uneventful(before: RefereeState, contacts: ContactBatch, config: ProtocolConfig) -> bool:
+def _is_uneventful(before: RefereeState, contacts: RolloutContacts, config: ProtocolConfig) -> bool:
     """Return whether only the time limit can end episodes: nothing is released, and the robot touches nothing."""
     return not (
         (before.release_reason >= 0).any()

@@ -74,7 +74,7 @@ class Contacts(NamedTuple):
         return len(left) > 0 and len(right) > 0
 
 
-class ContactBatch(NamedTuple):
+class RolloutContacts(NamedTuple):
     """Contacts of robot, hand and objects in k physics steps of n worlds, as arrays or tensors.
 
     Attributes:
@@ -97,8 +97,8 @@ class ContactBatch(NamedTuple):
     gripper_position: AnyArray
 
     @classmethod
-    def without_contacts(cls, steps: int, worlds: int) -> "ContactBatch":
-        """Return the contact batch of k steps of n worlds without any contact."""
+    def without_contacts(cls, steps: int, worlds: int) -> "RolloutContacts":
+        """Return the contacts of k steps of n worlds without any contact."""
         shape, default = (steps, worlds), Contacts()
         flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
         height, position = np.full(shape, default.object_height), np.full((*shape, 3), default.gripper_position)
@@ -120,7 +120,7 @@ class RolloutEnd(NamedTuple):
 
 
 #: Function that applies the rules to the contacts (k, n) of k steps of the worlds with n indices in a rollout.
-JudgeFunction = Callable[[AnyIndices, ContactBatch], RolloutEnd]
+JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
 def find_points_in_grasp_region(points: AnyArray, config: ProtocolConfig) -> AnyArray:

@@ -17,7 +17,7 @@ from handover_marl.episode.referee import (
     judge_steps,
 )
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
-from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
+from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts, find_points_in_grasp_region
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
@@ -38,7 +38,7 @@ STEP = st.builds(
 )
 
 
-def stack_contacts(steps: list[Contacts], config: ProtocolConfig) -> ContactBatch:
+def stack_contacts(steps: list[Contacts], config: ProtocolConfig) -> RolloutContacts:
     """Return the contacts of k steps of a single world as a batch (n = 1)."""
     rows = [
         (
@@ -52,7 +52,7 @@ def stack_contacts(steps: list[Contacts], config: ProtocolConfig) -> ContactBatc
         )
         for step in steps
     ]
-    return ContactBatch(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
+    return RolloutContacts(*(np.array(column)[:, None] for column in zip(*rows, strict=True)))
 
 
 @st.composite
@@ -73,10 +73,10 @@ def consistent(step: Contacts) -> Contacts:
     return step if step.robot_touches_object else step._replace(finger_points=(NO_POINTS, NO_POINTS))
 
 
-def arrays(episodes: list[list[Contacts]]) -> ContactBatch:
+def arrays(episodes: list[list[Contacts]]) -> RolloutContacts:
     """Return the same contacts as arrays (k, n)."""
     columns = zip(*(stack_contacts(steps, RULES) for steps in episodes), strict=True)
-    return ContactBatch(*(np.concatenate(column, axis=1) for column in columns))
+    return RolloutContacts(*(np.concatenate(column, axis=1) for column in columns))
 
 
 def stack_states(states: list[RefereeState]) -> RefereeState:
@@ -115,7 +115,7 @@ def test_arrays_give_the_states_of_the_referee(
         parts = [episodes[number][start[number] : start[number] + length] for number in running]
         before = stack_states([restored[number].get_state() for number in running])
         before = RefereeState(*map(factory.asarray, before))
-        last, states = judge_steps(before, ContactBatch(*map(factory.asarray, arrays(parts))), RULES)
+        last, states = judge_steps(before, RolloutContacts(*map(factory.asarray, arrays(parts))), RULES)
         for place, number in enumerate(running):
             expected = step_by_step(referees[number], parts[place])
             found = last[place], states.select_rows(place)

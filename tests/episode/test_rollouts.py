@@ -7,7 +7,7 @@ import pytest
 
 from handover_marl.config import ProtocolConfig
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
-from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts
+from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts
 from tests.episode.test_lockstep import stack_contacts
 
 pytest.importorskip("mujoco")
@@ -71,7 +71,7 @@ class ScriptedWorld:
     @classmethod
     def simulate(
         cls, worlds: Sequence["ScriptedWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> tuple[ContactBatch, TruncateFunction]:
+    ) -> tuple[RolloutContacts, TruncateFunction]:
         assert [world.target for world in worlds] == robot_targets
         assert len({world.rollout_key for world in worlds}) == 1
         assert 0 < steps <= min(world.remaining_steps for world in worlds)
@@ -88,7 +88,7 @@ class ScriptedWorld:
             assert 0 < done < steps
             worlds[number].position += done - steps
 
-        contacts = ContactBatch(*(np.concatenate(column, axis=1) for column in zip(*columns, strict=True)))
+        contacts = RolloutContacts(*(np.concatenate(column, axis=1) for column in zip(*columns, strict=True)))
         return contacts, truncate
 
 

@@ -10,7 +10,7 @@ from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.policy_batches import make_policy_batch
 from handover_marl.envs.vector.results import EnvResult
-from handover_marl.envs.vector.reward_batch import RewardBatch
+from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS
 from handover_marl.envs.wrappers.wrapper import ByAgent, EpisodeReturns, WrappableEnv
@@ -68,7 +68,7 @@ class ArrayEpisodes:
         self._agents = list(template.possible_agents)
         self._episodes = Episodes(config.world_config, count, backend)
         arrays = self.arrays = self._episodes.arrays
-        self._rewards = RewardBatch(config, self._episodes, count)
+        self._rewards = RewardSums(config, self._episodes, count)
         self._has_returns = has_episode_returns(template)
         self._cycles = arrays.zeros(count, "int64")
         self._terminated, self._truncated = arrays.zeros(count, "bool"), arrays.zeros(count, "bool")

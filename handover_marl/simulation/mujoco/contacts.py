@@ -15,7 +15,7 @@ import numpy.typing as npt
 from handover_marl.config import ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace, is_tensor
 from handover_marl.geometry.panda import FINGER_LINKS, HAND_LINK
-from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts, find_points_in_grasp_region
+from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts, find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]
 
@@ -142,7 +142,7 @@ class ContactSensors:
             robot_touches_others=bool((data[self._others] > 0.0).any()),
         )
 
-    def compute_contact_batch(self, data: AnyArray, qpos: AnyArray, rules: ProtocolConfig) -> ContactBatch:
+    def compute_rollout_contacts(self, data: AnyArray, qpos: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
         """Return the contacts of n worlds in k physics steps.
 
         Args:
@@ -160,7 +160,7 @@ class ContactSensors:
             fingers[steps] = xp.any(pressed, axis=-1) & touching[steps][..., None]
             in_region = find_points_in_grasp_region(self.compute_finger_points(near), rules)
             inside[steps] = xp.any(pressed & in_region, axis=-1) & touching[steps][..., None]
-        return ContactBatch(
+        return RolloutContacts(
             robot_touches_hand=xp.max(data[..., self._hand], axis=-1) > 0.0,
             robot_touches_object=touching,
             fingers_touch=fingers,

@@ -21,7 +21,14 @@ from handover_marl.simulation.reference_tracking import (
     select_keypoint_links,
     track_references,
 )
-from handover_marl.simulation.world import AgentJoints, ContactBatch, Contacts, JudgeFunction, RolloutWorld, WorldState
+from handover_marl.simulation.world import (
+    AgentJoints,
+    Contacts,
+    JudgeFunction,
+    RolloutContacts,
+    RolloutWorld,
+    WorldState,
+)
 
 Array = npt.NDArray[np.float64]
 TruncateFunction = Callable[[int, int], None]
@@ -192,7 +199,7 @@ class MujocoWorld(RolloutWorld):
     @classmethod
     def simulate(
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
-    ) -> tuple[ContactBatch, TruncateFunction]:
+    ) -> tuple[RolloutContacts, TruncateFunction]:
         """Simulate several steps of worlds with the same `rollout_key`, at most the `remaining_steps` of any.
 
         Returns:
@@ -202,7 +209,7 @@ class MujocoWorld(RolloutWorld):
         cls.prepare(worlds, robot_targets)
         first = worlds[0]
         if first.is_asleep:
-            rollout, contacts = None, ContactBatch.without_contacts(steps, len(worlds))
+            rollout, contacts = None, RolloutContacts.without_contacts(steps, len(worlds))
         else:
             rollout = first._simulation.simulate(
                 [world.data for world in worlds],
@@ -212,7 +219,7 @@ class MujocoWorld(RolloutWorld):
             # The state starts with the time.
             qpos = rollout.step_states[..., 1 : 1 + len(first.data.qpos)].swapaxes(0, 1)
             sensors = first.data.scene.contact_sensors
-            contacts = sensors.compute_contact_batch(rollout.sensordata.swapaxes(0, 1), qpos, rules)
+            contacts = sensors.compute_rollout_contacts(rollout.sensordata.swapaxes(0, 1), qpos, rules)
         for world in worlds:
             world._set_row(world.row + steps)
 

@@ -10,7 +10,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, to_numpy
 from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import ContactBatch, Contacts, JudgeFunction, RolloutEnd, WorldState
+from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
 from tests.fake_device import DeviceTensor
 
@@ -28,8 +28,8 @@ class TensorWorlds(Worlds):
     def rollout(
         self, rows: Any, reference: ReferenceMotion, robot_targets: Any, judge: JudgeFunction, rules: ProtocolConfig
     ) -> Any:
-        def judge_on_device(indices: Any, contacts: ContactBatch) -> RolloutEnd:
-            end = judge(self._arrays.asarray(indices), ContactBatch(*map(self._arrays.asarray, contacts)))
+        def judge_on_device(indices: Any, contacts: RolloutContacts) -> RolloutEnd:
+            end = judge(self._arrays.asarray(indices), RolloutContacts(*map(self._arrays.asarray, contacts)))
             return RolloutEnd(*map(to_numpy, end))
 
         targets = ReferenceMotion(*(_read(getattr(reference, name)) for name in ("objects", "hand", "hand_present")))

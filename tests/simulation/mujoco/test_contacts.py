@@ -83,7 +83,7 @@ def test_many_worlds_are_read_like_one(scene: SceneModel, grasp: "mujoco.MjData"
     rows = np.stack([grasp.sensordata, np.zeros_like(grasp.sensordata), 2.0 * grasp.sensordata])
     for arrays in FACTORIES:
         sensors = scene.contact_sensors.move_to(arrays)
-        many = sensors.compute_contact_batch(arrays.asarray(rows[None]), arrays.asarray([[grasp.qpos] * 3]), RULES)
+        many = sensors.compute_rollout_contacts(arrays.asarray(rows[None]), arrays.asarray([[grasp.qpos] * 3]), RULES)
         for row, own in enumerate(rows):
             one = scene.contact_sensors.compute_contacts(own, grasp.qpos, True)
             assert bool(many.robot_touches_object[0, row]) == one.robot_touches_object == (row != 1)

@@ -18,7 +18,7 @@ from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
 from handover_marl.simulation.mujoco.quaternions import wxyz_from_euler
 from handover_marl.simulation.tensor_state import WarpDevice
-from handover_marl.simulation.world import ContactBatch, Contacts
+from handover_marl.simulation.world import Contacts, RolloutContacts
 
 # Memory for contacts and constraints of each world. Contacts are shared by all worlds of a group.
 _MAX_CONTACTS, _MAX_CONSTRAINTS = 128, 256
@@ -168,7 +168,7 @@ class WarpGroup:
             self._set_weights(rollout)
         return rollout
 
-    def step(self, rollout: WarpRollout, controls: StepControls, rules: ProtocolConfig) -> ContactBatch:
+    def step(self, rollout: WarpRollout, controls: StepControls, rules: ProtocolConfig) -> RolloutContacts:
         """Simulate one physics step of the worlds of a rollout, and return its contacts (1, r).
 
         Args:
@@ -182,7 +182,7 @@ class WarpGroup:
                 self._views[name][: len(places)] = array[places]
             self._step()
             data, qpos = (self._views[name][None, :count] for name in ("sensordata", "qpos"))
-            return self._sensors.compute_contact_batch(data, qpos, rules)
+            return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
         """Store the current states of the running worlds (r,) of a rollout; the others have their last states."""
@@ -220,10 +220,10 @@ class WarpGroup:
         """Return positions (r, m, 3) and quaternions wxyz (r, m, 4) of the mocap bodies at the start (m)."""
         return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
 
-    def read_contact_batch(self, rows: AnyArray, rules: ProtocolConfig) -> ContactBatch:
+    def read_contact_batch(self, rows: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
         """Return the contacts (1, r) of worlds in their last physics steps."""
         data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
-        return self._sensors.compute_contact_batch(data, qpos, rules)
+        return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
         """Return the contacts of a world in its last physics step; see `World.read_contacts`."""

@@ -26,7 +26,7 @@ from handover_marl.simulation.world import Contacts, JudgeFunction, WorldState
 from handover_marl.simulation.worlds import Worlds
 
 
-class HandBatch:
+class DeviceHands:
     """Hands of n worlds without contact; see `reference_tracking.BodyTrajectory` for one body.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
@@ -134,7 +134,7 @@ class WarpWorlds(Worlds):
     def __init__(self, config: PhysicsConfig, count: int, arrays: ArrayFactory) -> None:
         configure_engine()
         self._config, self._count, self._arrays = config, count, arrays
-        self._hands = HandBatch(count, config.hand, arrays)
+        self._hands = DeviceHands(count, config.hand, arrays)
         self._groups: dict[tuple[object, ...], WarpGroup] = {}
         self._group_of: list[WarpGroup | None] = [None] * count
         self._n_objects = arrays.zeros(count, "int64")

@@ -28,7 +28,7 @@ from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import ContactBatch, RolloutEnd
+from handover_marl.simulation.world import RolloutContacts, RolloutEnd
 
 # The fingers start near the objects, so that they close in few steps.
 PANDA = replace(PandaConfig(), start_joints=(*PandaConfig().start_joints[:7], 0.026, 0.026))
@@ -40,7 +40,7 @@ STEPS = 40
 NAMES = ("011_banana", "052_extra_large_clamp", "040_large_marker")
 #: Position of an object that lies on the table (m).
 ON_THE_TABLE = (0.4, 0.3, 0.944)
-Judge = Callable[[AnyArray, ContactBatch], RolloutEnd]
+Judge = Callable[[AnyArray, RolloutContacts], RolloutEnd]
 
 
 @functools.cache
@@ -93,10 +93,10 @@ def roll_out(worlds: WarpWorlds, xyz: npt.ArrayLike, count: int, judge: Judge) -
     worlds.rollout(TENSORS.arange(count), reference, targets, judge, RULES)
 
 
-def make_judge(contacts: list[ContactBatch], release_step: int = 0) -> Judge:
+def make_judge(contacts: list[RolloutContacts], release_step: int = 0) -> Judge:
     """Return a function that records the contacts, and releases the objects after a step."""
 
-    def judge(rows: AnyArray, found: ContactBatch) -> RolloutEnd:
+    def judge(rows: AnyArray, found: RolloutContacts) -> RolloutEnd:
         contacts.append(found)
         count = len(rows)
         released = TENSORS.full(count, len(contacts) == release_step, "bool")
@@ -107,7 +107,7 @@ def make_judge(contacts: list[ContactBatch], release_step: int = 0) -> Judge:
 
 @pytest.mark.slow
 def test_grasps_agree_with_the_c_engine() -> None:
-    worlds, contacts = WarpWorlds(CONFIG, 3, TENSORS), list[ContactBatch]()
+    worlds, contacts = WarpWorlds(CONFIG, 3, TENSORS), list[RolloutContacts]()
     roll_out(worlds, find_grasp_center(), 3, make_judge(contacts))
     assert to_numpy(contacts[-1].fingers_touch[0]).all(axis=-1).tolist() == [True, True, False]
     assert len(contacts) == STEPS, "one group has different objects"
@@ -132,7 +132,7 @@ def test_released_objects_lie_on_the_table() -> None:
     world.release_target()
     expected = world.simulate([world], [CLOSED], STEPS, RULES)[0].object_supported[:, 0]
     assert expected.any()
-    worlds, contacts = WarpWorlds(CONFIG, 3, TENSORS), list[ContactBatch]()
+    worlds, contacts = WarpWorlds(CONFIG, 3, TENSORS), list[RolloutContacts]()
     roll_out(worlds, ON_THE_TABLE, 1, make_judge(contacts, release_step=1))
     supported = [bool(found.object_supported[0, 0]) for found in contacts]
     assert supported[1:] == expected[:-1].tolist(), "an object falls from the step after its release on"

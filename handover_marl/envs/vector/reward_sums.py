@@ -30,7 +30,7 @@ Actions: TypeAlias = Mapping[str, AnyArray]
 _SINCE_CLEAR, _SINCE_START = 0, 1
 
 
-class RewardBatch:
+class RewardSums:
     """Weighted reward terms of n episodes, summed since the last call of `clear`.
 
     Args:
