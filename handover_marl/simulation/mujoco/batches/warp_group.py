@@ -220,7 +220,7 @@ class WarpGroup:
         """Return positions (r, m, 3) and quaternions wxyz (r, m, 4) of the mocap bodies at the start (m)."""
         return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
 
-    def read_contact_batch(self, rows: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
+    def read_rollout_contacts(self, rows: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
         """Return the contacts (1, r) of worlds in their last physics steps."""
         data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
         return self._sensors.compute_rollout_contacts(data, qpos, rules)

@@ -224,7 +224,7 @@ class WarpWorlds(Worlds):
         """Return whether both fingers touched the target object in the last physics step, (r,)."""
         grasped = self._arrays.zeros(len(rows), "bool")
         for group, places in self._split(rows):
-            contacts = group.read_contact_batch(rows[places], rules)
+            contacts = group.read_rollout_contacts(rows[places], rules)
             grasped[places] = self._arrays.xp.all(contacts.fingers_touch[0], axis=-1)
         return grasped
 
