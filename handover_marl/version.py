@@ -1,3 +1,3 @@
 """Version of the library."""
 
-__version__ = "0.8.3"
+__version__ = "0.9.0"
