@@ -29,6 +29,7 @@ from handover_marl import givers
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.learning.schemes import make_scheme, outputs_from_action
+from handover_marl.learning.training.run_folder import spawn_seeds
 from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 Vectors: TypeAlias = npt.NDArray[np.float32]
@@ -111,7 +112,7 @@ def record_first_decisions(args: Args, workers: int | None = None) -> tuple[Vect
 
         return record
 
-    seeds = range(args.seed, args.seed + args.demonstrations)
+    seeds = spawn_seeds(args.demonstrations, args.seed)
     found = dict(map_with_progress(make_recorder, seeds, "first decisions", PoolConfig(workers), progress=True))
     inputs, outputs = zip(*(found[seed] for seed in seeds), strict=True)
     return np.stack(inputs), np.stack(outputs)

@@ -25,7 +25,7 @@ from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.run_folder import make_mlp
+from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds
 from handover_marl.learning.training.scene_arguments import SetupArgs
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
@@ -142,9 +142,9 @@ class Collector:
             max_cycles=MAX_CYCLES,
             **where,
         )
-        self.generator = torch.Generator(args.device).manual_seed(args.seed * args.workers + number)
-        first_seed = args.seed * args.num_envs + number * count
-        self.features = torch.as_tensor(self.envs.reset(seed=first_seed)[0])
+        noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
+        self.generator = torch.Generator(args.device).manual_seed(noise_seed)
+        self.features = torch.as_tensor(self.envs.reset(seed=seeds)[0])
 
     @torch.no_grad()
     def collect(self, model: ActorCritic) -> Rollout:

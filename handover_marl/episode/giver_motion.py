@@ -84,7 +84,10 @@ class HostFrames:
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
         """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
-        return np.stack([self._poses[row][own] for row, own in zip(rows.tolist(), frames, strict=True)])
+        poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
+        for index, row in enumerate(rows.tolist()):
+            poses[index] = self._poses[row][frames[index]]
+        return poses
 
 
 class DeviceFrames:

@@ -25,6 +25,7 @@ from torch.distributions import Independent, Normal
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.learning.adapters.modules import dense_network_from_layers
+from handover_marl.learning.training.run_folder import spawn_seeds
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:
@@ -47,7 +48,8 @@ def main(args: PairArgs) -> None:
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     envs = [make_env(args) for _ in range(args.num_envs)]
-    seen = [env.reset(seed=args.seed + number)[0] for number, env in enumerate(envs)]
+    seeds = spawn_seeds(args.num_envs, args.seed)
+    seen = [env.reset(seed=seed)[0] for env, seed in zip(envs, seeds, strict=True)]
     algorithms = {agent: make_algorithm(envs[0], agent, args) for agent in AGENTS}
     buffers = {agent: VectorReplayBuffer(args.batch_size, args.num_envs) for agent in AGENTS}
     names = ("obs_next", "rew", "terminated", "truncated")

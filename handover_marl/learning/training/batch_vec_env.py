@@ -9,6 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import OptionError
+from handover_marl.learning.training.run_folder import spawn_seeds
 
 
 class BatchVecEnv(VecEnv):
@@ -30,6 +31,11 @@ class BatchVecEnv(VecEnv):
         self._envs = envs
         self._actions: npt.NDArray[np.floating] = np.zeros(0)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Seed the environments, with seeds that runs of other seeds do not share, unlike `seed + k`."""
+        self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
+        return self._seeds
 
     def reset(self) -> npt.NDArray[np.float32]:
         """Start an episode in each of the n environments; return the observations (n, ...)."""

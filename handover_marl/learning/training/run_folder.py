@@ -1,4 +1,4 @@
-"""Folder of a training run, its checkpoint, choice of scenes, and networks. The module needs the extra `train`."""
+"""Folder of a training run, its checkpoint, choice of scenes, seeds, and networks. It needs the extra `train`."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -41,6 +41,11 @@ def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
     """Return the held-out scenes of a training split: every tenth."""
     return tuple(scene_ids[::_HELD_OUT])
+
+
+def spawn_seeds(count: int, *entropy: int) -> list[int]:
+    """Return seeds of n environments that no other `entropy`, such as the seed of another run, gives."""
+    return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
 def describe_origin(script: str, arguments: object) -> str:

@@ -38,6 +38,7 @@ from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
     select_training_scenes,
+    spawn_seeds,
     summarize_evaluation,
 )
 from handover_marl.learning.training.scene_arguments import RlArgs
@@ -128,6 +129,8 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
         model.set_parameters(str(checkpoint), device="cpu")
         with zipfile.ZipFile(checkpoint) as archive:
             model.num_timesteps = json.loads(archive.read("data"))["num_timesteps"]
+        # Other episodes than those before the interruption.
+        envs.seed(spawn_seeds(1, args.seed, model.num_timesteps)[0])
     else:
         prepare(model)
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
@@ -175,7 +178,7 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]
 class EvaluationCallback(BaseCallback):
     """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
 
-    Evaluations happen between rollouts. A resumed run has new environments with the seeds of its start, so that its
+    Evaluations happen between rollouts. A resumed run has new environments with seeds of their own, so that its
     episodes differ from those of a run without an interruption.
 
     Args:

@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import handover_marl
 from handover_marl.errors import OptionError
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
+from handover_marl.learning.training.run_folder import spawn_seeds
 
 COUNT = 2
 OPTIONS: dict[str, Any] = {
@@ -32,7 +33,10 @@ def alone() -> Any:
 
 
 def rollout(envs: Any, steps: int = 16) -> list[Any]:
-    envs.seed(5)
+    if isinstance(envs, DummyVecEnv):
+        envs._seeds = list(spawn_seeds(COUNT, 5))
+    else:
+        envs.seed(5)
     rng, said = np.random.default_rng(0), [envs.reset()]
     for _ in range(steps):
         seen, rewards, ended, infos = envs.step(rng.uniform(-1, 1, (COUNT, *envs.action_space.shape)))
@@ -54,6 +58,14 @@ def test_batches_equal_single_environments() -> None:
                     np.testing.assert_array_equal(value, theirs[key], err_msg=key)
         else:
             np.testing.assert_array_equal(one, other)
+
+
+def test_runs_of_different_seeds_share_no_environment() -> None:
+    envs = batch()
+    seeds = [seed for run in range(3) for seed in envs.seed(run)]
+    assert len(set(seeds)) == 3 * COUNT
+    assert envs.seed(2) == seeds[-COUNT:]
+    envs.close()
 
 
 def test_environments_must_reset_in_the_same_step() -> None:
