@@ -144,7 +144,7 @@ class DisplacedGiver(ArrayGiver):
         self.state["rotation"][row] = self.arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the deviations of these episodes."""
+        """Return the actions (r, 8) with the displacements and rotations that were drawn for these episodes."""
         return self.make_actions(rows, **{name: values[rows] for name, values in self.state.items()})
 
 
@@ -327,12 +327,12 @@ class RecordingSpreadGiver(ArrayGiver):
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with random deviations, in standard deviations."""
+        """Start an episode, and draw seven standard normal numbers: displacement, rotation and pace."""
         super().start(row, seed)
         self.state["draws"][row] = self.arrays.asarray(self.rngs[row].standard_normal(7))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the deviations of these episodes."""
+        """Return the actions (r, 8): the drawn numbers times the spread between recordings of the same object."""
         config, draws, spread = self.config, self.state["draws"][rows], _read_spread()
         names = [self._object_names.get(int(number)) for number in to_numpy(observation["object_classes"][:, 0])]
         found = [spread.get(name or _ALL_OBJECTS, spread[_ALL_OBJECTS]) for name in names]

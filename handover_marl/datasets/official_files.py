@@ -107,7 +107,7 @@ def is_stand_in_file(path: Path) -> bool:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return notes on a kind of files, such as "stand-in grasps"; no notes if all are HandoverSim's own."""
+    """Return ["stand-in KIND"] or ["KIND of unknown origin"], or [] if all files of the kind are HandoverSim's."""
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []

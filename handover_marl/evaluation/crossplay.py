@@ -106,7 +106,7 @@ class CrossPlay(TabularResult):
         write_atomically(folder / "crossplay.png", picture)
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, note, the matrix of success rates, and the tables of rates and gains."""
+        """Build heading, note, matrix of success rates, and the tables of rates and of gains over the first giver."""
         report = self._first_report
         metadata, baseline = report.metadata, self.givers[0]
         titles = [N_EPISODES.title, "success gain, points", "contact gain, points"]
@@ -211,7 +211,9 @@ def crossplay(
 def resolve_policies(
     agent: str, policies: Sequence[PolicyLike] | PolicyLike, dataset: Dataset, config: EvaluationConfig, trust: bool
 ) -> list[PolicyReference]:
-    """Resolve the policies of one agent, without duplicates, in the given order.
+    """Return references of the policies of one agent, without duplicates, in the given order.
+
+    With `trust`, policy files may run code.
 
     Raises:
         OptionError: No policy is given, or two different ones have the same label.

@@ -172,7 +172,7 @@ class SingleScheme(ActionScheme):
         return bool(self.scheme.needs_outputs(ONLY_ROW, add_episode_axis(observation))[0])
 
     def set_outputs(self, outputs: Outputs) -> None:
-        """Store new network outputs (size,)."""
+        """Use network outputs (size,), clipped to [-1, 1] unless the scheme is raw, until the next call."""
         self.scheme.set_outputs(ONLY_ROW, np.asarray(outputs)[None])
 
     def compute_action(self, observation: Observation) -> Action:

@@ -36,11 +36,11 @@ class ReferenceMotion:
     hand_present: AnyArray
 
     def select_rows(self, rows: AnyArray) -> "ReferenceMotion":
-        """Return the joint targets of the worlds with these indices, of r worlds."""
+        """Return the joint targets of some of r worlds; `rows` are their indices."""
         return ReferenceMotion(self.objects[rows], self.hand[rows], self.hand_present[rows])
 
     def select(self, number: int, n_objects: int) -> "ReferenceMotion":
-        """Return the joint targets of one of r worlds, which has some number of objects."""
+        """Return the joint targets of the world with index `number`, which has `n_objects` objects."""
         return ReferenceMotion(self.objects[number, :, :n_objects], self.hand[number], self.hand_present[number])
 
     def list_hand_targets(self) -> list[list[float] | None]:

@@ -262,11 +262,11 @@ class World(ABC):
         return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current world state as an RGB image (height, width, 3), uint8, by PyBullet."""
+        """Render the current world state as an RGB image (height, width, 3), uint8, with PyBullet's renderer."""
         return self._get_scene_renderer().render_overview(self.read_joint_snapshot(), camera)
 
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera by PyBullet.
+        """Render an image of the wrist camera with PyBullet's renderer, whichever engine simulates.
 
         Args:
             snapshot: Earlier state of the same scene to render; None is the current state.

@@ -79,7 +79,7 @@ def open_folder(source: Path) -> Iterator[Path]:
 
 
 def find_plain_files(folder: Path) -> list[Path]:
-    """Return the paths of all regular files in a folder, sorted; links are left out."""
+    """Return all regular files in a folder and its subfolders, sorted, without symbolic links."""
     return sorted(path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
 
 

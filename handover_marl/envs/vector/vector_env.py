@@ -102,9 +102,14 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step every environment for one control period, or until its action scheme needs outputs.
 
+        Some action schemes skip decisions; a step then lasts several control periods, whose rewards are summed.
+
         Args:
             actions: (n, ...) action of each environment. With the backend "warp", tensors on the device are not copied
                 through the memory of the processor; arrays and tensors of the processor are moved to the device.
+
+        Returns:
+            Observations (n, ...), rewards (n,), terminations (n,), truncations (n,), and infos in Gymnasium's form.
 
         Raises:
             ActionError: The actions are not a numeric array (n, ...), or are a tensor with a gradient.

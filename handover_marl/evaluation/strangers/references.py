@@ -129,7 +129,7 @@ class ReferenceTable(TabularResult):
         return None if None in found else tuple(filter(None, found))
 
     def update(self, condition: Condition, partner: str, reference: Reference) -> "ReferenceTable":
-        """Return a table in which a reference replaces the stored one if its mean is larger."""
+        """Return a copy of the table that keeps, for a partner and condition, the reference with the larger mean AS."""
         section = dict(self.sections.get(condition, {}))
         known = section.get(partner)
         if known is None or reference.mean > known.mean:

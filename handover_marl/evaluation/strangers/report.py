@@ -272,7 +272,7 @@ def read_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_report(folder: Path, population: Population) -> StrangersReport:
-    """Compute the report of a folder from its result folders, without references.
+    """Compute the report of a folder from its result folders, without scores of best responses (BR-Prox).
 
     Every value is computed from the results of the episodes; `strangers.json` only lists them.
 

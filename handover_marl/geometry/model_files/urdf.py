@@ -110,7 +110,7 @@ def _read_limits(joint: ET.Element) -> tuple[float, float] | None:
 
 
 def list_mesh_references(urdf: Path) -> list[tuple[str, Path]]:
-    """List name and path of every mesh file in a URDF file, even in an otherwise invalid file.
+    """List every mesh file of a URDF file, even of an invalid one: the name in the file, and the path that it means.
 
     Raises:
         OSError, ValueError: The URDF file cannot be read, is not a plain file, or is too large.

@@ -73,7 +73,7 @@ class ImitationBatches:
         return len(self._states.remaining)
 
     def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
-        """Return a batch of randomly drawn and augmented states."""
+        """Draw a batch of states with replacement; hand poses and remaining decisions are varied at random."""
         return self.select(rng.integers(len(self), size=count), rng)
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:

@@ -83,7 +83,7 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return the distance (B, C, K) in m of each predicted grasp, at C centers, from each good grasp."""
+    """Return mean distances (B, C, K) of three gripper points of predicted grasps from those of good grasps (m)."""
     return _gripper_distances(
         outputs.positions[:, :, None],
         outputs.rotations[:, :, None],
