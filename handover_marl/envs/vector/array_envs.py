@@ -11,7 +11,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import check_scene_option
 from handover_marl.envs.handover_env import draw_robot_seed, spawn_camera_seed
 from handover_marl.envs.vector.array_episodes import ArrayEpisodes
-from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.wrappers.encode import MAX_EPISODES_WITHOUT_OUTPUTS, EncodedEnv, make_no_outputs_error
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.geometry.arrays import Indices, to_numpy

@@ -8,8 +8,8 @@ import numpy as np
 from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.arguments import GIVER, RECEIVER
 from handover_marl.envs.handover_env import HandoverEnv
+from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.vector.policy_batches import make_policy_batch
-from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.vector.reward_sums import RewardSums
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.envs.wrappers.freeze import DEFAULT_PARTNERS

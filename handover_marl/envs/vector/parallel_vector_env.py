@@ -6,8 +6,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
 from handover_marl.envs.handover_env import HandoverEnv
-from handover_marl.envs.vector.batch import EnvBatch, check_action_array
-from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.vector.batch import EnvBatch, EnvResult, check_action_array
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv
 from handover_marl.errors import ActionError
 

@@ -14,7 +14,7 @@ from handover_marl.envs.config import EnvConfig
 from handover_marl.envs.custom_rewards import make_reward_source
 from handover_marl.envs.rewards import StepData
 from handover_marl.envs.transition import Transition, TransitionRecorder
-from handover_marl.envs.vector.results import select_rows
+from handover_marl.envs.vector.batch import select_rows
 from handover_marl.envs.wrappers.wrapper import RETURN, RETURN_PREFIX, REWARD_PREFIX
 from handover_marl.episode.episodes import Episodes
 from handover_marl.episode.observations import Observation

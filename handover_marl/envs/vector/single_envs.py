@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from gymnasium.vector.utils import concatenate, create_empty_array
 
-from handover_marl.envs.vector.results import EnvResult
+from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, check_env
 from handover_marl.errors import OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices

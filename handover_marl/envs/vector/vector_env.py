@@ -15,9 +15,8 @@ from handover_marl.envs.config import EnvConfig, make_env_config
 from handover_marl.envs.handover_env import HandoverEnv
 from handover_marl.envs.vector.batch import EnvBatch, check_action_array
 from handover_marl.envs.vector.env_factory import EnvFactory
-from handover_marl.envs.vector.grouped_envs import GroupedEnvs
+from handover_marl.envs.vector.env_groups import GroupedEnvs, ProcessEnvs
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.vector.process_envs import ProcessEnvs
 from handover_marl.envs.vector.single_envs import WrapperFunction
 from handover_marl.envs.wrappers.wrapper import WrappableEnv
 from handover_marl.errors import OptionError, check_name

@@ -27,6 +27,7 @@ from handover_marl.geometry.poses import (
 )
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
+from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.collision_shapes import load_link_parts, set_inertia
 from handover_marl.simulation.mujoco.models.scene_spec import (
     HULL_MARGIN,
@@ -35,7 +36,6 @@ from handover_marl.simulation.mujoco.models.scene_spec import (
     format_rotation_reference_name,
     read_object_friction,
 )
-from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_xyzw
 from handover_marl.simulation.world import find_points_in_grasp_region
 
 Array = npt.NDArray[np.float64]

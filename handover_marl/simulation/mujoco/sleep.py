@@ -17,9 +17,8 @@ from mujoco.batch import Batch
 from scipy.spatial.transform import Rotation
 
 from handover_marl.config import OBJECT_DOF, TIME_STEP, ObjectConfig
-from handover_marl.simulation.mujoco.engine import check_warnings
+from handover_marl.simulation.mujoco.engine import XYZW, check_warnings, wxyz_from_euler
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel
-from handover_marl.simulation.mujoco.quaternions import XYZW, wxyz_from_euler
 from handover_marl.simulation.reference_tracking import BodyTrajectory, ReferenceMotion, list_object_motors
 
 Array = npt.NDArray[np.float64]

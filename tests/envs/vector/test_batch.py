@@ -9,9 +9,8 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from handover_marl.envs.vector.batch import EnvBatch, check_action_array
+from handover_marl.envs.vector.batch import EnvBatch, EnvResult, check_action_array
 from handover_marl.envs.vector.parallel_vector_env import ParallelVectorEnv
-from handover_marl.envs.vector.results import EnvResult
 from handover_marl.envs.vector.vector_env import HandoverVectorEnv
 from handover_marl.errors import ActionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory

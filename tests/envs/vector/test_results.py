@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.envs.vector.results import EnvResult, merge_results, replace_rows, select_rows
+from handover_marl.envs.vector.batch import EnvResult, merge_results, replace_rows, select_rows
 from handover_marl.geometry.arrays import make_tensor_factory
 from tests.envs.vector.comparison import assert_same, move_to_device
 from tests.fake_device import FakeDevice

@@ -13,9 +13,8 @@ from mujoco.batch import Batch
 
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.poses import quaternion_from_matrix
-from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine
+from handover_marl.simulation.mujoco.engine import check_warnings, configure_engine, wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.scene_model import RobotOnlyModel, SceneModel, select_variant
-from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
 from handover_marl.simulation.mujoco.sleep import RobotOnlySimulation
 
 Array = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ import warp
 from handover_marl.config import PhysicsConfig, ProtocolConfig
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory, to_numpy
 from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
+from handover_marl.simulation.mujoco.engine import wxyz_from_euler
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel
-from handover_marl.simulation.mujoco.quaternions import wxyz_from_euler
 from handover_marl.simulation.tensor_state import WarpDevice
 from handover_marl.simulation.world import Contacts, RolloutContacts
 

@@ -15,8 +15,7 @@ from handover_marl.geometry.poses import quaternion_from_matrix, quaternions_fro
 from handover_marl.simulation.mujoco.batches.warp_group import StepControls, WarpGroup
 from handover_marl.simulation.mujoco.batches.warp_model import compute_layout, load_padded_model
 from handover_marl.simulation.mujoco.control import ABSENT
-from handover_marl.simulation.mujoco.engine import configure_engine
-from handover_marl.simulation.mujoco.quaternions import WXYZ, bullet_xyzw_from_wxyz
+from handover_marl.simulation.mujoco.engine import WXYZ, bullet_xyzw_from_wxyz, configure_engine
 from handover_marl.simulation.reference_tracking import (
     ReferenceMotion,
     list_hand_motors,

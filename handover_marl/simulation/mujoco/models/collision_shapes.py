@@ -17,7 +17,7 @@ from handover_marl.geometry.kinematic_tree import BoundingSphere, KinematicTree
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.model_files.urdf import UrdfLink, UrdfShape, read_urdf_shapes
 from handover_marl.geometry.poses import IDENTITY, transform_points
-from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
+from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 
 Array = npt.NDArray[np.float64]
 

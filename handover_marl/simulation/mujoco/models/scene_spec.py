@@ -13,6 +13,7 @@ from handover_marl.geometry.model_files.urdf import UrdfLink, read_urdf_links, r
 from handover_marl.geometry.panda import CAMERA_LINK, FINGER_LINKS, HAND_LINK
 from handover_marl.geometry.poses import IDENTITY, quaternion_from_matrix
 from handover_marl.simulation.mujoco.contacts import add_contact_sensors
+from handover_marl.simulation.mujoco.engine import wxyz_from_xyzw
 from handover_marl.simulation.mujoco.models.collision_shapes import (
     RELEASED_COLLISIONS,
     CollisionGroup,
@@ -23,7 +24,6 @@ from handover_marl.simulation.mujoco.models.collision_shapes import (
     load_link_parts,
     set_inertia,
 )
-from handover_marl.simulation.mujoco.quaternions import wxyz_from_xyzw
 from handover_marl.simulation.reference_tracking import list_object_motors
 
 # Parameters (SI units) that make MuJoCo's contacts and actuators behave like Bullet's. They were chosen on scenes of s0
