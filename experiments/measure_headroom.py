@@ -78,7 +78,8 @@ def play(args: Args, receiver: str, giver: str, folder: str) -> npt.NDArray[np.b
             **args.evaluation_options,
         )
         columns.append([episode.success for episode in report.episodes])
-    return np.array(columns, dtype=bool).T
+    successes: npt.NDArray[np.bool_] = np.array(columns, dtype=bool).T
+    return successes
 
 
 def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:

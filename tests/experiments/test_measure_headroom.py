@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from measure_headroom import compute_best_of
+
+from experiments.measure_headroom import compute_best_of
 
 
 @pytest.mark.parametrize("k", [1, 2, 5])
