@@ -11,7 +11,7 @@ from handover_marl.config import TIME_STEP, CameraConfig, WorldConfig, check_con
 from handover_marl.envs.arguments import check_positive_integer
 from handover_marl.envs.custom_rewards import RewardLike, resolve_rewards
 from handover_marl.episode.episode import SceneConfig
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.simulation.camera.renderers import check_rendering, resolve_renderer
 from handover_marl.simulation.engines import check_physics
@@ -33,8 +33,8 @@ class EnvConfig(SceneConfig):
             shaping and costs in addition; `TermWeights`, weights of reward terms; a function of a `Transition` that
             returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
-        obs_mode: Observation mode of the receiver: "state", "pointcloud", "scene_pointcloud", "rgbd",
-            "full_pointcloud", or "state+" and one of the last four; both robots have a wrist camera.
+        obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see
+            `handover_marl.episode.spaces.OBS_PARTS`. Both robots have a wrist camera.
 
     Raises:
         UnknownNameError: There is no such physics, observation mode, reward, renderer, camera or
@@ -61,9 +61,8 @@ class EnvConfig(SceneConfig):
             check_config("camera", self.camera, CameraConfig)
         if self.render_mode is not None:
             check_rendering(f"render_mode={self.render_mode!r}")
-        check_obs_mode(self.obs_mode)
         camera = self.wrist_camera
-        if get_camera_data_kind(self.obs_mode) is not None:
+        if has_camera(self.obs_mode):
             resolve_renderer(camera.renderer, self.physics)
         resolve_rewards(self.rewards)
         _count_physics_steps(self.control_period)

@@ -13,12 +13,15 @@ from gymnasium import spaces
 from handover_marl.config import ARM_DOF, PANDA_DOF, TIME_STEP, PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.spaces import (
+    DEPTH,
     FULL_POINTCLOUD,
+    IMAGES,
     POINTCLOUD,
-    RGBD,
+    RGB,
     SCENE_POINTCLOUD,
-    check_obs_mode,
-    get_camera_data_kind,
+    SEGMENTATION,
+    has_camera,
+    parse_obs_mode,
 )
 from handover_marl.errors import ResetNeededError, check_name
 from handover_marl.geometry.arm import ArmKinematics
@@ -43,8 +46,6 @@ CLOUDS = (
     ("wrist_hand_points", SegmentationLabel.HAND, 1),
     ("wrist_other_points", SegmentationLabel.OTHER_OBJECT, 3),
 )
-#: Number of clouds by kind of camera data.
-N_CLOUDS = {POINTCLOUD: 2, FULL_POINTCLOUD: 2, SCENE_POINTCLOUD: 3}
 _NOISE_STREAM = 2
 
 
@@ -54,6 +55,7 @@ class _ImageContent(IntEnum):
     TARGETS = 0
     OBJECTS = 1
     WHOLE = 2
+    COLORED = 3
 
 
 def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
@@ -66,45 +68,48 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
     | pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | scene_pointcloud | wrist_other_points | (1024, 3) float32 | points of the other objects, hand link's frame, m |
     | scene_pointcloud | wrist_point_counts | (3,) float32 | number of pixels on object, hand and other objects |
-    | rgbd | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
-    | rgbd | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
-    | rgbd | wrist_rgb | (224, 224, 3) uint8 | colours |
+    | depth | wrist_depth | (224, 224, 1) float32 | depth along the viewing axis, m |
+    | segmentation | wrist_segmentation | (224, 224, 1) uint8 | values of `SegmentationLabel` |
+    | rgb | wrist_rgb | (224, 224, 3) uint8 | colours |
     | full_pointcloud | wrist_object_cloud | (50176, 3) float32 | all points of the object, in image order |
     | full_pointcloud | wrist_hand_cloud | (50176, 3) float32 | all points of the human hand, in image order |
     | full_pointcloud | wrist_point_counts | (2,) float32 | number of pixels on object and hand |
     | full_pointcloud | robot_joint_position_exact | (9,) float64 | robot joints before rounding to float32 |
 
-    "scene_pointcloud" has the clouds of "pointcloud", too. Clouds of more than 1024 points are subsampled without
-    replacement, shorter ones padded with zeros; full clouds are padded, too. A camera with latency shows earlier
-    images; their points are in the hand link's current frame.
+    "scene_pointcloud" has the clouds of "pointcloud", too; "rgbd" is depth, segmentation and rgb. Clouds of more than
+    1024 points are subsampled without replacement, shorter ones padded with zeros; full clouds are padded, too. A
+    camera with latency shows earlier images; their points are in the hand link's current frame.
     "full_pointcloud" is for methods that subsample the points themselves and need unrounded joints, as HandoverSim's
     scripts for GA-DDPG do.
 
     Raises:
         UnknownNameError: There is no such observation mode.
     """
-    check_obs_mode(obs_mode)
-    data = get_camera_data_kind(obs_mode)
-    counts = spaces.Box(0.0, float(N_PIXELS), (N_CLOUDS.get(data or "", 0),), np.float32)
-    if data in (POINTCLOUD, SCENE_POINTCLOUD):
-        cloud = spaces.Box(-np.inf, np.inf, (N_POINTS, 3), np.float32)
-        return {**{key: cloud for key, *_ in CLOUDS[: N_CLOUDS[data]]}, "wrist_point_counts": counts}
-    if data == FULL_POINTCLOUD:
-        whole = spaces.Box(-np.inf, np.inf, (N_PIXELS, 3), np.float32)
-        joints = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
-        return {
-            "wrist_object_cloud": whole,
-            "wrist_hand_cloud": whole,
-            "wrist_point_counts": counts,
-            "robot_joint_position_exact": joints,
-        }
-    if data == RGBD:
-        return {
-            "wrist_depth": spaces.Box(0.0, np.inf, (IMAGE_SIZE, IMAGE_SIZE, 1), np.float32),
-            "wrist_segmentation": spaces.Box(0, int(max(SegmentationLabel)), (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8),
-            "wrist_rgb": spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
-        }
-    return {}
+    parts, found = parse_obs_mode(obs_mode), dict[str, spaces.Space[Any]]()
+    count = count_clouds(obs_mode)
+    cloud, whole = (spaces.Box(-np.inf, np.inf, (size, 3), np.float32) for size in (N_POINTS, N_PIXELS))
+    if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
+        found |= {key: cloud for key, *_ in CLOUDS[:count]}
+    if FULL_POINTCLOUD in parts:
+        found |= {"wrist_object_cloud": whole, "wrist_hand_cloud": whole}
+    if count:
+        found["wrist_point_counts"] = spaces.Box(0.0, float(N_PIXELS), (count,), np.float32)
+    if FULL_POINTCLOUD in parts:
+        found["robot_joint_position_exact"] = spaces.Box(-np.inf, np.inf, (PANDA_DOF,), np.float64)
+    side = IMAGE_SIZE
+    images: dict[str, spaces.Space[Any]] = {
+        DEPTH: spaces.Box(0.0, np.inf, (side, side, 1), np.float32),
+        SEGMENTATION: spaces.Box(0, int(max(SegmentationLabel)), (side, side, 1), np.uint8),
+        RGB: spaces.Box(0, 255, (side, side, 3), np.uint8),
+    }
+    found |= {f"wrist_{name}": space for name, space in images.items() if name in parts}
+    return found
+
+
+def count_clouds(obs_mode: str) -> int:
+    """Return the number of point clouds in an observation mode: those of object, hand and other objects."""
+    parts = parse_obs_mode(obs_mode)
+    return 3 if SCENE_POINTCLOUD in parts else 2 if parts & {POINTCLOUD, FULL_POINTCLOUD} else 0
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,7 @@ class WristCameraConfig:
 
     def describe(self, obs_mode: str, physics: str) -> str:
         """Describe renderer, camera model and noise for result files; empty without camera data."""
-        if get_camera_data_kind(obs_mode) is None:
+        if not has_camera(obs_mode):
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
         return ", ".join(parts if self.noise is None else [*parts, repr(self.noise)])
@@ -219,37 +224,35 @@ class WristCamera:
 
     def capture(self, world: World, steps: int) -> CameraCapture:
         """Return images and point clouds that are available after `steps` physics steps."""
-        image = self._get_image(world, steps, _ImageContent.WHOLE)
-        # Whole images have colours.
+        image = self._get_image(world, steps, _ImageContent.COLORED)
         rgb = np.array(image.rgb, dtype=np.uint8)
         return CameraCapture(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
         """Return the camera data of an observation mode; see `camera_observation_space`."""
-        data = get_camera_data_kind(obs_mode)
-        if data is None:
-            return {}
-        if data == RGBD:
-            frame = self.capture(world, steps)
-            return {
-                "wrist_depth": frame.depth[..., None],
-                "wrist_segmentation": frame.segmentation[..., None],
-                "wrist_rgb": frame.rgb,
-            }
-        content = _ImageContent.OBJECTS if data == SCENE_POINTCLOUD else _ImageContent.TARGETS
-        clouds = self._compute_clouds(self._get_image(world, steps, content), world, N_CLOUDS[data])
-        counts = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
-        if data == FULL_POINTCLOUD:
-            return {
-                "wrist_object_cloud": _pad_cloud(clouds[0], N_PIXELS),
-                "wrist_hand_cloud": _pad_cloud(clouds[1], N_PIXELS),
-                "wrist_point_counts": counts,
-                "robot_joint_position_exact": world.read_joints_float64(),
-            }
-        points = {
-            key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in zip(CLOUDS, clouds, strict=False)
-        }
-        return {**points, "wrist_point_counts": counts}
+        parts, observation = parse_obs_mode(obs_mode), dict[str, npt.NDArray[Any]]()
+        if not has_camera(obs_mode):
+            return observation
+        image = self._get_image(world, steps, _select_content(parts))
+        clouds = self._compute_clouds(image, world, count_clouds(obs_mode))
+        if parts & {POINTCLOUD, SCENE_POINTCLOUD}:
+            named = zip(CLOUDS, clouds, strict=False)
+            observation |= {key: self._subsample(cloud, steps, stream) for (key, _, stream), cloud in named}
+        if FULL_POINTCLOUD in parts:
+            observation["wrist_object_cloud"], observation["wrist_hand_cloud"] = (
+                _pad_cloud(cloud, N_PIXELS) for cloud in clouds[:2]
+            )
+        if clouds:
+            observation["wrist_point_counts"] = np.array([len(cloud) for cloud in clouds], dtype=np.float32)
+        if FULL_POINTCLOUD in parts:
+            observation["robot_joint_position_exact"] = world.read_joints_float64()
+        if DEPTH in parts:
+            observation["wrist_depth"] = image.depth[..., None].copy()
+        if SEGMENTATION in parts:
+            observation["wrist_segmentation"] = image.segmentation[..., None].copy()
+        if RGB in parts:
+            observation["wrist_rgb"] = np.array(image.rgb, dtype=np.uint8)
+        return observation
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
         """Compute the first `count` point clouds of `CLOUDS` in the robot's hand link frame."""
@@ -271,13 +274,13 @@ class WristCamera:
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
         """Return an image of this step with at least some content, rendered if necessary."""
-        for kind in range(content, _ImageContent.WHOLE + 1):
+        for kind in range(content, _ImageContent.COLORED + 1):
             known = self._images.get(kind)
             if known is not None and known[0] == steps:
                 return known[1]
         # Noise at edges needs the whole image.
-        rendered = content if self._noise is None else _ImageContent.WHOLE
-        image = self._render(world, color=content == _ImageContent.WHOLE, content=rendered)
+        rendered = content if self._noise is None else max(content, _ImageContent.WHOLE)
+        image = self._render(world, color=content == _ImageContent.COLORED, content=rendered)
         if self._noise is not None:
             image = apply_camera_noise(image, self._noise, self._make_rng(image.depth, steps, _NOISE_STREAM))
         self._images[content] = (steps, image)
@@ -297,7 +300,7 @@ class WristCamera:
 
             self._ray_camera = RayCamera(self._scene.assets, self._physics_config)
         snapshot = earlier or world.read_joint_snapshot()
-        if content == _ImageContent.WHOLE:
+        if content >= _ImageContent.WHOLE:
             return self._ray_camera.render_wrist_camera(snapshot, color)
         return self._ray_camera.render_targets(snapshot, with_others=content == _ImageContent.OBJECTS)
 
@@ -312,6 +315,15 @@ class WristCamera:
         """Return a generator that differs between images, so that a run's seed suffices for all scenes."""
         digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
+
+
+def _select_content(parts: frozenset[str]) -> _ImageContent:
+    """Return the least content of an image that has the parts of an observation mode."""
+    if RGB in parts:
+        return _ImageContent.COLORED
+    if parts & IMAGES:
+        return _ImageContent.WHOLE
+    return _ImageContent.OBJECTS if SCENE_POINTCLOUD in parts else _ImageContent.TARGETS
 
 
 def _pad_cloud(cloud: Cloud, rows: int) -> Cloud:

@@ -21,7 +21,7 @@ from handover_marl.episode.observations import (
     select_receiver_observation,
 )
 from handover_marl.episode.referee import EpisodeStatus, Referee, RefereeState, ReleaseReason, make_judge
-from handover_marl.episode.spaces import STATE, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.spaces import STATE, has_camera
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.arrays import ONLY_ROW
 from handover_marl.geometry.model_files.meshes import check_collision_meshes
@@ -228,7 +228,6 @@ class Episode:
         obs_mode = getattr(policy, "obs_mode", STATE)
         if obs_mode == STATE:
             return state
-        check_obs_mode(obs_mode)
         return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
 
     def observe_giver(self, state: Observation) -> Observation:
@@ -257,7 +256,7 @@ class Episode:
             OptionError: A package is missing that the renderer needs.
             DataFormatError, SimulationError: A visual mesh cannot be read.
         """
-        if get_camera_data_kind(obs_mode) is None:
+        if not has_camera(obs_mode):
             return {}
         return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 

@@ -66,7 +66,7 @@ def receiver_observation_space(obs_mode: str = STATE, largest_class: int = LARGE
     """Return the receiver's observation space.
 
     Args:
-        obs_mode: One of `OBS_MODES`: state, wrist camera data, or both; see `camera_observation_space`.
+        obs_mode: Observation mode: state, wrist camera data, or both; see `camera_observation_space`.
         largest_class: Largest class number of objects.
 
     Raises:
@@ -128,7 +128,7 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
     Args:
         state: The full state as `observe` returns it.
         camera: The camera data of this mode as `WristCamera.observe` returns it.
-        obs_mode: One of `OBS_MODES`; a mode without "state" keeps `PROPRIOCEPTION` of the
+        obs_mode: Observation mode; one without "state" keeps `PROPRIOCEPTION` of the
             state: joint positions and velocities of the robot, pose of its hand link, and time.
     """
     own = state if has_state(obs_mode) else {key: state[key] for key in PROPRIOCEPTION}

@@ -1,53 +1,56 @@
 """Observation modes, action spaces of both agents, and checks of actions."""
 
+import functools
+
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
-from handover_marl.errors import ActionError, check_name
+from handover_marl.errors import ActionError, UnknownNameError, check_name
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
-#: Parts of an observation mode: the simulator's state, and the wrist camera's data.
-STATE, POINTCLOUD, RGBD, FULL_POINTCLOUD = "state", "pointcloud", "rgbd", "full_pointcloud"
-SCENE_POINTCLOUD = "scene_pointcloud"
-#: Observation modes of the receiver, named as in ManiSkill; a mode without "state" has only the keys
-#: `observations.PROPRIOCEPTION` of the state beside the camera's data (joint positions and velocities, pose of the hand
-#: link, time), so that a policy cannot use the true poses by accident.
-OBS_MODES = (
-    STATE,
-    f"{STATE}+{POINTCLOUD}",
-    POINTCLOUD,
-    f"{STATE}+{RGBD}",
-    RGBD,
-    f"{STATE}+{FULL_POINTCLOUD}",
-    FULL_POINTCLOUD,
-    f"{STATE}+{SCENE_POINTCLOUD}",
-    SCENE_POINTCLOUD,
-)
+#: Parts of an observation mode, joined by "+": the simulator's state, and data of the wrist camera, named as in
+#: ManiSkill. Without "state", an observation has only the keys `observations.PROPRIOCEPTION` of the state beside the
+#: camera's data (joint positions and velocities, pose of the hand link, time), so that a policy cannot use the true
+#: poses by accident.
+STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD = "state", "pointcloud", "scene_pointcloud", "full_pointcloud"
+DEPTH, SEGMENTATION, RGB, RGBD = "depth", "segmentation", "rgb", "rgbd"
+OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD)
+#: Parts that are images; "rgbd" stands for all three.
+IMAGES = frozenset((DEPTH, SEGMENTATION, RGB))
 
 #: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
 GIVER_ACTION_SIZE = 8
 
 
-def check_obs_mode(obs_mode: str) -> None:
-    """Check the name of an observation mode.
+def parse_obs_mode(obs_mode: str) -> frozenset[str]:
+    """Return the parts of an observation mode, such as "state+rgb+pointcloud"; those of "rgbd" are the three images.
 
     Raises:
-        UnknownNameError: The name is not one of `OBS_MODES`.
+        UnknownNameError: A part is not one of `OBS_PARTS`.
     """
-    check_name("obs_mode", obs_mode, OBS_MODES)
+    if not isinstance(obs_mode, str):
+        raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS)
+    return _parse_obs_mode(obs_mode)
+
+
+@functools.lru_cache(maxsize=64)
+def _parse_obs_mode(obs_mode: str) -> frozenset[str]:
+    parts = frozenset(obs_mode.split("+"))
+    for part in parts:
+        check_name("part of obs_mode", part, OBS_PARTS)
+    return parts - {RGBD} | (IMAGES if RGBD in parts else frozenset())
 
 
 def has_state(obs_mode: str) -> bool:
     """Return whether an observation mode includes the true poses of objects and human hand."""
-    return obs_mode.partition("+")[0] == STATE
+    return STATE in parse_obs_mode(obs_mode)
 
 
-def get_camera_data_kind(obs_mode: str) -> str | None:
-    """Return the kind of camera data in an observation mode, such as "pointcloud"; None for "state"."""
-    part = obs_mode.rpartition("+")[2]
-    return None if part == STATE else part
+def has_camera(obs_mode: str) -> bool:
+    """Return whether an observation mode includes data of the wrist camera."""
+    return bool(parse_obs_mode(obs_mode) - {STATE})
 
 
 def receiver_action_space() -> spaces.Box:

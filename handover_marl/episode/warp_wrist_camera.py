@@ -4,19 +4,17 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.episode.camera_observations import (
     CLOUDS,
-    N_CLOUDS,
     N_POINTS,
     WristCameraConfig,
     camera_observation_space,
+    count_clouds,
 )
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import POINTCLOUD, RGBD, SCENE_POINTCLOUD, get_camera_data_kind
+from handover_marl.episode.spaces import IMAGES, SCENE_POINTCLOUD, parse_obs_mode
 from handover_marl.geometry.arrays import AnyArray, ArrayFactory
 from handover_marl.simulation.camera.optics import N_PIXELS, compute_points
 from handover_marl.simulation.world import WorldState
 
-#: Kinds of camera data that are rendered on a device.
-DEVICE_KINDS = (POINTCLOUD, SCENE_POINTCLOUD, RGBD)
 # Episodes whose images are in memory at a time: each takes about 1 MB.
 _CHUNK = 64
 
@@ -41,7 +39,8 @@ class WarpWristCamera:
         # Imported here: ray casting on a device needs an extra.
         from handover_marl.simulation.camera.warp_camera import WarpCamera
 
-        self._kind, self._model, self._arrays = get_camera_data_kind(obs_mode) or "", camera.camera_model, arrays
+        self._parts, self._n_clouds = parse_obs_mode(obs_mode), count_clouds(obs_mode)
+        self._model, self._arrays = camera.camera_model, arrays
         # Shape and number type of each value.
         self._formats = {
             key: (space.shape or (), str(space.dtype)) for key, space in camera_observation_space(obs_mode).items()
@@ -73,12 +72,13 @@ class WarpWristCamera:
         for first in range(0, count, _CHUNK):
             chunk = slice(first, first + _CHUNK)
             states = WorldState(*(state[key][chunk] for key in WorldState._fields))
-            if self._kind == RGBD:
-                chunk_observation = self._observe_images(rows[chunk], states)
-            else:
-                chunk_observation = self._observe_clouds(rows[chunk], states, steps[chunk])
-            for key, values in chunk_observation.items():
-                observation[key][chunk] = values.reshape(-1, *self._formats[key][0])
+            found: Observation = {}
+            if self._n_clouds:
+                found |= self._observe_clouds(rows[chunk], states, steps[chunk])
+            if self._parts & IMAGES:
+                found |= self._observe_images(rows[chunk], states)
+            for key in self._formats:
+                observation[key][chunk] = found[key].reshape(-1, *self._formats[key][0])
         return observation
 
     def close(self) -> None:
@@ -91,8 +91,8 @@ class WarpWristCamera:
 
     def _observe_clouds(self, rows: AnyArray, states: WorldState, steps: AnyArray) -> Observation:
         xp, clouds, counts = self._arrays.xp, {}, []
-        images = self._camera.render_targets(rows, states, with_others=self._kind == SCENE_POINTCLOUD)
-        for key, label, stream in CLOUDS[: N_CLOUDS[self._kind]]:
+        images = self._camera.render_targets(rows, states, with_others=SCENE_POINTCLOUD in self._parts)
+        for key, label, stream in CLOUDS[: self._n_clouds]:
             counts.append(xp.sum(images.segmentation == int(label), axis=1))
             pixels = self._camera.sample_pixels(images, label, N_POINTS, self._seeds[rows], steps, stream)
             is_point = pixels < N_PIXELS

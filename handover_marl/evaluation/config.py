@@ -13,7 +13,7 @@ from handover_marl.config import WorldConfig, check_config
 from handover_marl.datasets import Dataset, open_dataset
 from handover_marl.datasets.splits import SPLITS, choose_scenes
 from handover_marl.episode.episode import SceneConfig
-from handover_marl.episode.spaces import get_camera_data_kind
+from handover_marl.episode.spaces import has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import PoolConfig, check_boolean, check_path
@@ -163,7 +163,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
     setup = dataset.resolve_setup(config.setup)
     scenes = choose_scenes(dataset.list_scenes(setup, config.split), config.scenes, f"{setup} {config.split}")
     resolved = {agent: policies[agent].resolve(dataset, config.world_config, setup) for agent in agents}
-    if get_camera_data_kind(resolved["receiver"].obs_mode) is not None:
+    if has_camera(resolved["receiver"].obs_mode):
         resolve_renderer(config.wrist_camera.renderer, config.physics)
     dataset.check_scenes(scenes)
     config = replace(config, setup=setup, scenes=scenes, giver=resolved["giver"], receiver=resolved["receiver"])

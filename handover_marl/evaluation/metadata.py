@@ -11,7 +11,7 @@ import yaml
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP, WorldConfig
 from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
-from handover_marl.episode.spaces import OBS_MODES, STATE
+from handover_marl.episode.spaces import OBS_PARTS, STATE
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig, require_policy_reference
 from handover_marl.execution.files import shorten_text
@@ -28,7 +28,7 @@ _NOISE_PREFIX = "initial_joint_noise="
 _LIBRARY_SECTION = "HANDOVER_MARL"
 _MAX_TEXT = 20_000  # characters; a shard lists its scenes
 _SPLIT_SIZE = re.compile(r"[1-9][0-9]{0,6}")
-_CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_MODES}
+_CHOICES = {"split": SPLITS, "physics": PHYSICS, "robot": ROBOTS, "obs_mode": OBS_PARTS}
 _MAX_BYTES = 64_000  # HandoverSim's own configuration files have a few thousand bytes.
 
 
@@ -216,7 +216,8 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
                 f"{path}: {key} must be text without control characters, at most {_MAX_TEXT} characters, got "
                 f"{shorten_text(ascii(value) if isinstance(value, str) else value)}"
             )
-        if value not in _CHOICES.get(key, (value,)):
+        parts = value.split("+") if key == "obs_mode" else [value]
+        if not set(parts) <= set(_CHOICES.get(key, parts)):
             raise ResultsError(f"{path}: unknown {key} {shorten_text(value)!r}; valid: {', '.join(_CHOICES[key])}")
     if metadata.setup not in SETUPS and not _SPLIT_SIZE.fullmatch(metadata.n_split_scenes):
         raise ResultsError(

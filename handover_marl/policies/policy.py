@@ -102,7 +102,7 @@ class Policy(ABC):
         name: Name of the policy in tables and files.
         control_period: Time between two decisions (s); a whole number of milliseconds.
         obs_mode: Observation mode of a receiver: "state", or wrist camera data such as "pointcloud" or
-            "state+rgbd"; see `handover_marl.episode.spaces.OBS_MODES`. Images are rendered only when the
+            "state+rgbd"; see `handover_marl.episode.spaces.OBS_PARTS`. Images are rendered only when the
             policy acts, and rendering does not count as planning time.
         file_options: Constructor options that name a file or folder, which is sent to other machines.
     """

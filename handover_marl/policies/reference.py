@@ -23,7 +23,7 @@ from typing import Any, TypeAlias
 
 from handover_marl.config import OFFICIAL_CONFIG, WorldConfig
 from handover_marl.datasets import Dataset, open_dataset
-from handover_marl.episode.spaces import STATE, check_obs_mode
+from handover_marl.episode.spaces import STATE, parse_obs_mode
 from handover_marl.errors import (
     DataFormatError,
     DataNotFoundError,
@@ -157,7 +157,7 @@ class PolicyReference:
         except Exception as error:  # properties of the user's class
             what = f"attributes of {self.agent} {self.name!r}"
             raise PolicyError(f"{what} cannot be read ({type(error).__name__}: {error})") from error
-        check_obs_mode(obs_mode)
+        parse_obs_mode(obs_mode)
         listed = ",".join(f"{key}={value if isinstance(value, str) else repr(value)}" for key, value in self.options)
         for name, text in (("label", label), ("weights_hash", weights), ("label", f"{label}:{listed}")):
             # Labels are printed and written to files.

@@ -10,7 +10,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.episode.spaces import FULL_POINTCLOUD, RGBD, STATE, get_camera_data_kind
+from handover_marl.episode.spaces import POINTCLOUD, SCENE_POINTCLOUD, STATE, has_camera, parse_obs_mode
 from handover_marl.policies.policy import Policy
 from handover_marl.simulation.camera.images import JointSnapshot
 from handover_marl.simulation.world import Points
@@ -91,7 +91,7 @@ class ReplayRecorder(EpisodeCallback):
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
         """Record the point clouds that the receiver observed."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
-        if get_camera_data_kind(obs_mode) is not None and decision.receiver_decided:
+        if has_camera(obs_mode) and decision.receiver_decided:
             clouds = _observed_clouds(episode, obs_mode)
             object_points, hand_points = (np.array(cloud[:: len(cloud) // _MAX_POINTS + 1]) for cloud in clouds)
             self.clouds.append((episode.steps, episode.world.read_joint_snapshot(), object_points, hand_points))
@@ -165,12 +165,10 @@ def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
 
 def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
     """Return the points of object and hand that an observation mode has now, without rendering again."""
-    data = get_camera_data_kind(obs_mode)
-    if data == RGBD:
+    if not parse_obs_mode(obs_mode) & {POINTCLOUD, SCENE_POINTCLOUD}:
         view = episode.capture_wrist_camera()
         return view.object_points, view.hand_points
     observation = episode.observe_camera(obs_mode)
-    kind = "cloud" if data == FULL_POINTCLOUD else "points"
     counts = observation["wrist_point_counts"].astype(int)
     object_count, hand_count = counts[:2]
-    return (observation[f"wrist_object_{kind}"][:object_count], observation[f"wrist_hand_{kind}"][:hand_count])
+    return observation["wrist_object_points"][:object_count], observation["wrist_hand_points"][:hand_count]

@@ -21,7 +21,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.spaces import (
     FULL_POINTCLOUD,
-    OBS_MODES,
+    OBS_PARTS,
     POINTCLOUD,
     RGBD,
     SCENE_POINTCLOUD,
@@ -111,7 +111,7 @@ def test_spaces_are_as_documented() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("obs_mode", OBS_MODES)
+@pytest.mark.parametrize("obs_mode", [*OBS_PARTS, "state+rgbd+full_pointcloud"])
 def test_observations_are_elements_of_their_space(world: World, obs_mode: str) -> None:
     seen = make_wrist_camera(world, camera_noise="realsense").observe(obs_mode, world, STEPS)
     space = spaces.Dict(camera_observation_space(obs_mode))
@@ -119,6 +119,15 @@ def test_observations_are_elements_of_their_space(world: World, obs_mode: str) -
     assert space.contains(seen)
     for key, value in seen.items():
         assert (value.shape, value.dtype) == (space[key].shape, space[key].dtype)
+
+
+def test_a_combination_has_what_its_parts_have(world: World) -> None:
+    parts = ("depth", "rgb", SCENE_POINTCLOUD)
+    for options in ({}, {"camera_noise": NOISY}):
+        seen = make_wrist_camera(world, **options).observe("state+" + "+".join(parts), world, STEPS)
+        alone = [make_wrist_camera(world, **options).observe(part, world, STEPS) for part in parts]
+        assert_same(seen, {key: value for observation in alone for key, value in observation.items()})
+        assert "wrist_segmentation" not in seen
 
 
 def test_results_have_a_label_of_the_camera() -> None:

@@ -17,8 +17,7 @@ from handover_marl.envs.vector.single_envs import SingleEnvs, WrapperFunction, a
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import FrozenPartnerEnv, freeze
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns, WrappableEnv
-from handover_marl.episode.spaces import STATE, get_camera_data_kind
-from handover_marl.episode.warp_wrist_camera import DEVICE_KINDS
+from handover_marl.episode.spaces import FULL_POINTCLOUD, STATE, parse_obs_mode
 from handover_marl.errors import OptionError
 from handover_marl.learning.custom_encodings import FeaturesLike, SchemeLike, is_reference
 from handover_marl.policies.reference import PolicyLike
@@ -162,8 +161,8 @@ def _check_device_camera(template: WrappableEnv) -> None:
         has_terms = isinstance(resolve_rewards(config.rewards), TermWeights)
         faults += [
             (
-                get_camera_data_kind(config.obs_mode) not in DEVICE_KINDS,
-                f"an obs_mode with one of {', '.join(DEVICE_KINDS)}, got {config.obs_mode!r}",
+                FULL_POINTCLOUD in parse_obs_mode(config.obs_mode),
+                f"an obs_mode without {FULL_POINTCLOUD}, got {config.obs_mode!r}",
             ),
             (config.camera_noise is not None, f"camera_noise=None, got {config.camera_noise!r}"),
             (

@@ -14,7 +14,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, PolicyDecision
 from handover_marl.episode.observations import Observation, select_receiver_observation
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, check_obs_mode, get_camera_data_kind
+from handover_marl.episode.spaces import GIVER_ACTION_SIZE, STATE, has_camera
 from handover_marl.errors import OptionError, check_name
 from handover_marl.evaluation.benchmark import run_evaluations
 from handover_marl.evaluation.config import REPLAY, EvaluationConfig, ExecutionConfig, build_configs
@@ -84,7 +84,6 @@ def demonstrate(
     """
     config, execution = build_configs(setup, options, execution, split=split, receiver=receiver, giver=giver)
     check_name("keep", keep, KEEP_CHOICES)
-    check_obs_mode(obs_mode)
     check_name("split", config.split, SPLITS)
     if config.split != "train":
         raise OptionError(
@@ -95,7 +94,7 @@ def demonstrate(
         raise OptionError(f"fps must be an integer from 1 to {MAX_FPS}, got {fps!r}")
     if execution.folder is None:
         raise OptionError("demonstrations need an output folder; pass out= (--out DIR)")
-    if get_camera_data_kind(obs_mode) is not None:
+    if has_camera(obs_mode):
         resolve_renderer(config.wrist_camera.renderer, config.physics)
     camera = config.wrist_camera.describe(obs_mode, config.physics)
     recorded = ["demonstrations", f"{fps} fps" if fps else "", f"obs_mode {obs_mode}", camera]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from handover_marl.episode.spaces import STATE, check_obs_mode, has_state
+from handover_marl.episode.spaces import STATE, has_state, parse_obs_mode
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.options import check_boolean
@@ -71,7 +71,7 @@ def as_receiver(
         DataFormatError: A file is damaged or does not fit.
         UnsafeFileError: A file contains code, or names a module, and is not trusted.
     """
-    check_obs_mode(obs_mode)
+    parse_obs_mode(obs_mode)
     return _adapt("receiver", policy, control_period, obs_mode, features, action_scheme, name, trust)
 
 
