@@ -80,6 +80,15 @@ def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     assert "Every scene has the same outcome." in str(handover_marl.compare(one, one))
 
 
+def test_average_success_without_a_success_has_an_interval(tmp_path: Path) -> None:
+    """Wilson's interval of 0 of 5 ends at 43.4 %; Agresti and Min's of equal failures at 28.0 points."""
+    failures = folder(tmp_path / "failures", "mine", dict.fromkeys(range(5), 8))
+    rates = handover_marl.compare(failures, failures).build_tables()[0]
+    interval = "0.00 (0.0 to 43.4)"
+    assert [*rates.rows[-1]] == ["AS", interval, interval, "+0.00 (-28.0 to +28.0)", 5]
+    assert handover_marl.evaluate(failures).official_means["AS"].format(".2f", ".1f") == interval
+
+
 def report(physics: str, ends: list[tuple[int, int]]) -> Report:
     settings = ResultMetadata("s0", "val", "mine", "replay", physics, "dexycb", "0")
     episodes = tuple(

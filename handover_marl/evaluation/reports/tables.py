@@ -7,7 +7,7 @@ import csv
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -98,6 +98,15 @@ def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
 def estimate_rate(count: int, n: int) -> Estimate:
     """Estimate a rate (0..1) with Wilson's 95 % interval from its number of occurrences in n trials."""
     return Estimate(count / n, compute_wilson_interval(count, n), n)
+
+
+def estimate_average_success(scores: Sequence[float]) -> Estimate:
+    """Estimate average success from the scores of episodes (0..1), with its bootstrap 95 % interval.
+
+    Without a success the bootstrap has no width: the interval is that of the success rate, which is never smaller.
+    """
+    found = estimate_mean(scores)
+    return found if any(scores) or not scores else replace(found, interval_95=compute_wilson_interval(0, found.n))
 
 
 def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
