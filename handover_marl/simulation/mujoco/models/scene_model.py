@@ -32,9 +32,8 @@ from handover_marl.simulation.reference_tracking import BASE_JOINTS
 
 Index = npt.NDArray[np.int32]
 
-# A model takes 1.2 MB and 20 ms to build. DexYCB has 400 pairs of object and hand, s0 train 360 of
-# them.
-_CACHE_SIZE = 400
+# A model takes 2 MB and 20 ms to build. All 400 pairs of object and hand in DexYCB would take 0.8 GB in each process.
+_CACHE_SIZE = 100
 # Link of an object's chain that carries the mass and all shapes, after its six joints.
 _OBJECT_LINK = OBJECT_DOF - 1
 _Mtimes = tuple[int, ...]
