@@ -100,7 +100,9 @@ class FrozenPartnerEnv(ParallelWrapper):
         """
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
-            raise ActionError(f"actions must be a dict with one action, for the {live}; a policy acts for the {partner}")
+            raise ActionError(
+                f"actions must be a dict with one action, for the {live}; a policy acts for the {partner}"
+            )
         results = self.env.step({live: actions.get(live), partner: self.unwrapped.act_for_partner()})
         observations, rewards, terminations, truncations, infos = ({live: by_agent[live]} for by_agent in results)
         return observations, rewards, terminations, truncations, infos
