@@ -12,7 +12,7 @@ from handover_marl.cli.options import (
     Progress,
     ReferencesFile,
     SceneNumbers,
-    TableFormat,
+    TableArguments,
     Trust,
     Workers,
 )
@@ -21,6 +21,7 @@ from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 
+_TABLES = TableArguments()
 _Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR"), tyro.conf.Positional]
 
 
@@ -29,7 +30,7 @@ def run_evaluate(
     /,
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.html")] = None,
     episodes: Annotated[str | None, tyro.conf.arg(metavar="FILE.csv")] = None,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Print the table of a result folder, written by this library or by HandoverSim.
 
@@ -47,7 +48,7 @@ def run_evaluate(
     if path is not None:
         links = find_replay_links(Path(folder).expanduser(), path.parent)
         write_atomically(path, render_report_page(report, links))
-    print_tables(report, table_format, "Page not saved; add --out FILE.html." if path is None else f"Page: {path}")
+    print_tables(report, tables, "Page not saved; add --out FILE.html." if path is None else f"Page: {path}")
 
 
 def run_verify(
@@ -59,7 +60,7 @@ def run_verify(
     workers: Workers = None,
     progress: Progress = True,
     trust: Trust = False,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> int:
     """Verify a result folder: simulate its stored actions again and compare outcomes and metrics.
 
@@ -74,7 +75,7 @@ def run_verify(
 
     execution: Any = {"workers": workers, "progress": progress, "trust": trust}
     verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
-    print_tables(verification, table_format, f"Folder: {Path(folder).expanduser()}")
+    print_tables(verification, tables, f"Folder: {Path(folder).expanduser()}")
     return int(not verification.is_verified)
 
 
@@ -82,7 +83,7 @@ def run_compare(
     first: Annotated[str, tyro.conf.arg(metavar="PATH")],
     second: Annotated[str, tyro.conf.arg(metavar="PATH")],
     /,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Compare two evaluations scene by scene.
 
@@ -92,10 +93,10 @@ def run_compare(
     """
     from handover_marl.evaluation.comparison import compare
 
-    print_tables(compare(first, second), table_format)
+    print_tables(compare(first, second), tables)
 
 
-def run_merge(folders: _Folders, out: Folder, table_format: TableFormat = "markdown") -> None:
+def run_merge(folders: _Folders, out: Folder, tables: TableArguments = _TABLES) -> None:
     """Merge the result folders of all shards (--shard) into one, and print its table.
 
     Args:
@@ -107,7 +108,7 @@ def run_merge(folders: _Folders, out: Folder, table_format: TableFormat = "markd
 
     result, note = merge(folders, out), f"Results: {Path(out).expanduser()}"
     if isinstance(result, TabularResult):
-        print_tables(result, table_format, note)
+        print_tables(result, tables, note)
     else:
         print_result(f"{result}\n\n{note}")
 
@@ -139,7 +140,7 @@ def run_strangers_table(
     references: ReferencesFile = None,
     heat_map: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
     trust: Trust = False,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Print the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
 
@@ -154,7 +155,7 @@ def run_strangers_table(
     leaderboard = make_leaderboard(paths, population, references, names, trust)
     if heat_map is not None:
         leaderboard.write_heat_map(check_path("heat_map", heat_map))
-    print_tables(leaderboard, table_format, f"Folders: {', '.join(folders)}")
+    print_tables(leaderboard, tables, f"Folders: {', '.join(folders)}")
 
 
 def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
@@ -177,7 +178,7 @@ def run_strangers_references(
     population: PopulationName = "strangers-v1",
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE.json")] = None,
     trust: Trust = False,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Update the best policies known for the partners of a population from result folders.
 
@@ -189,7 +190,7 @@ def run_strangers_references(
 
     table = update_references(folders, population, out, trust)
     path = table.population.references_path if out is None else Path(out).expanduser()
-    print_tables(table, table_format, f"References: {path}")
+    print_tables(table, tables, f"References: {path}")
 
 
 def _check_path(out: str | None, suffix: str) -> Path | None:

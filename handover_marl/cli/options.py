@@ -25,9 +25,6 @@ DataDir = Annotated[
         metavar="DIR", help="Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA."
     ),
 ]
-TableFormat = Annotated[
-    Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format", help="Format of the printed tables.")
-]
 PopulationName = Annotated[
     str, tyro.conf.arg(metavar="NAME|FILE.json", help="Population of partners: a shipped one, or a file.")
 ]
@@ -41,6 +38,19 @@ ReferencesFile = Annotated[
 Workers = Annotated[int | None, tyro.conf.arg(metavar="N", help="Number of worker processes; default: one per core.")]
 Progress = Annotated[bool, tyro.conf.arg(help="Show a progress bar on stderr.")]
 Trust = Annotated[bool, tyro.conf.arg(help="Import modules that files name, and run code in policy files.")]
+
+
+@dataclass(frozen=True)
+class TableArguments:
+    """Options that configure printed tables.
+
+    Attributes:
+        style: Format of the printed tables.
+        columns: Titles of columns; only tables that have all of them are printed, with these columns alone.
+    """
+
+    style: Annotated[Literal["markdown", "csv", "latex"], tyro.conf.arg(name="format")] = "markdown"
+    columns: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TITLE")] = ()
 
 
 def parse_scenes(words: Sequence[str]) -> tuple[int, ...]:

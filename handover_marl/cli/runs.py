@@ -14,7 +14,7 @@ from handover_marl.cli.options import (
     ReferencesFile,
     RenderArguments,
     SceneArguments,
-    TableFormat,
+    TableArguments,
     Trust,
 )
 from handover_marl.cli.streams import print_result, print_tables
@@ -22,6 +22,7 @@ from handover_marl.errors import OptionError
 from handover_marl.evaluation.config import ExecutionConfig
 
 _EXECUTION, _VAL_PAIR, _VAL_SCENES = ExecutionArguments(), PairArguments(split="val"), SceneArguments(split="val")
+_TABLES = TableArguments()
 # Fields of `EvaluationConfig` that apply to a single scene.
 _SCENE_FIELDS = ("dataset", "data_dir", "physics", "robot", "renderer", "camera_model", "camera_noise", "seed", "giver")
 _Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
@@ -32,34 +33,34 @@ _OptionalNames = Annotated[str | None, tyro.conf.arg(metavar="POLICY,...")]
 def run_benchmark(
     evaluation: ReceiverArguments = ReceiverArguments(),
     execution: ExecutionArguments = _EXECUTION,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Run HandoverSim's official protocol and print its table."""
     from handover_marl.evaluation.benchmark import benchmark
 
     config = execution.make_config()
     report = benchmark(evaluation.make_config(), execution=config)
-    print_tables(report, table_format, _describe_path(config, "report.html"))
+    print_tables(report, tables, _describe_path(config, "report.html"))
 
 
 def run_pair(
     evaluation: PairArguments = _VAL_PAIR,
     execution: ExecutionArguments = _EXECUTION,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a giver with a receiver on a split and print the table."""
     from handover_marl.evaluation.benchmark import evaluate_pair
 
     config = execution.make_config()
     report = evaluate_pair(evaluation.make_config(), execution=config)
-    print_tables(report, table_format, _describe_path(config, "report.html"))
+    print_tables(report, tables, _describe_path(config, "report.html"))
 
 
 def run_agreement(
     evaluation: PairArguments = _VAL_PAIR,
     against: str = "fast",
     execution: ExecutionArguments = _EXECUTION,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Compare outcomes of the same scenes in exact and in other physics.
 
@@ -70,7 +71,7 @@ def run_agreement(
 
     config = execution.make_config()
     result = compare_physics(evaluation.make_config(), against=against, execution=config)
-    print_tables(result, table_format, _describe_path(config, AGREEMENT_FILE))
+    print_tables(result, tables, _describe_path(config, AGREEMENT_FILE))
 
 
 def run_crossplay(
@@ -78,7 +79,7 @@ def run_crossplay(
     receivers: _Names = "hold,yang2021",
     evaluation: SceneArguments = _VAL_SCENES,
     execution: ExecutionArguments = _EXECUTION,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate every giver with every receiver and print the success rates.
 
@@ -92,7 +93,7 @@ def run_crossplay(
     rows, columns = split_policy_list("giver", givers), split_policy_list("receiver", receivers)
     config = execution.make_config()
     result = crossplay(rows, columns, evaluation.make_config(), execution=config)
-    print_tables(result, table_format, _describe_path(config, "crossplay.md"))
+    print_tables(result, tables, _describe_path(config, "crossplay.md"))
 
 
 def run_strangers(
@@ -104,7 +105,7 @@ def run_strangers(
     references: ReferencesFile = None,
     evaluation: SceneArguments = SceneArguments(physics="fast"),
     execution: ExecutionArguments = _EXECUTION,
-    table_format: TableFormat = "markdown",
+    tables: TableArguments = _TABLES,
 ) -> None:
     """Evaluate a receiver, or a giver, with partners of a population that it has not met.
 
@@ -128,7 +129,7 @@ def run_strangers(
         references=references,
         execution=config,
     )
-    print_tables(report, table_format, _describe_path(config, "strangers.md"))
+    print_tables(report, tables, _describe_path(config, "strangers.md"))
 
 
 def run_demonstrate(

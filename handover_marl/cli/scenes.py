@@ -7,7 +7,10 @@ import tyro
 from handover_marl.cli.options import Folder, Progress, Workers
 from handover_marl.cli.streams import print_result
 from handover_marl.errors import OptionError
+from handover_marl.execution.files import write_atomically
+from handover_marl.execution.options import check_path, require_modules
 
+_Offset = Annotated[str | None, tyro.conf.arg(metavar="x,y,z,qx,qy,qz,qw")]
 _Names = Annotated[str | None, tyro.conf.arg(metavar="NAME,...")]
 
 
@@ -64,17 +67,20 @@ def add_motion(
     hand: Annotated[str, tyro.conf.arg(metavar="{1..10,none}")] = "6",
     others: _Names = None,
     frame: Annotated[str, tyro.conf.arg(metavar="{world,table}|x,y,z,qx,qy,qz,qw")] = "world",
+    object_offset: _Offset = None,
+    wrist_offset: _Offset = None,
     length: Literal["m", "cm", "mm"] = "m",
-    time: Literal["s", "ms"] = "s",
+    time: Literal["s", "ms", "us", "ns"] = "s",
     quaternion: Literal["xyzw", "wxyz"] = "xyzw",
     fingers: Literal["euler", "rotvec"] = "euler",
     max_gap: float = 0.2,
+    preview: Annotated[str | None, tyro.conf.arg(metavar="FILE.png")] = None,
 ) -> None:
     """Add a scene: the recorded motion of an object, a wrist and other objects.
 
     Args:
         folder: Folder of custom scenes.
-        motion: CSV or NPZ file of poses at any rate.
+        motion: CSV or NPZ file of poses at any rate, or a CSV file of OptiTrack's Motive.
         object: Class of the object that is handed over: a class of the folder or a YCB class.
         subject: Name of the person.
         recording: Name of the recording; default: the number of the scene.
@@ -82,16 +88,31 @@ def add_motion(
         hand: Number of the shipped hand, or none for a scene without a hand.
         others: Classes of the other objects, whose poses are in the file.
         frame: Frame of the poses: world, table, or its pose in the world.
+        object_offset: Pose of the object's frame in the recorded frame, such as that of its markers (m, quaternion).
+        wrist_offset: Pose of the wrist's frame in the recorded frame.
         length: Unit of positions.
         time: Unit of times.
         quaternion: Order of quaternions in NPZ files.
         fingers: Form of finger angles in the file: intrinsic XYZ Euler angles or rotation vectors.
         max_gap: Largest gap (s) that is filled by interpolation.
+        preview: Image of the recorded paths, which is written before they are checked.
     """
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MotionConfig
+    from handover_marl.assets.building.custom_scenes.motion_tables import read_motion_table
 
     chosen = frame if frame in ("world", "table") else _parse_numbers("frame", frame)
-    config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap)
+    offsets = [
+        None if text is None else _parse_numbers(name, text)
+        for name, text in (("object_offset", object_offset), ("wrist_offset", wrist_offset))
+    ]
+    config = MotionConfig(chosen, length, time, quaternion, fingers, max_gap, *offsets)
+    if preview is not None:
+        from handover_marl.visualization.figures import draw_recording
+
+        require_modules("the preview", "plot", "matplotlib")
+        table = read_motion_table(motion, config)
+        wrist = {} if table.wrist is None else {"wrist": table.wrist}
+        write_atomically(check_path("preview", preview), draw_recording({**table.bodies, **wrist}))
     scene = CustomSceneFolder(folder).add_motion(
         motion,
         object,
@@ -161,7 +182,8 @@ def _parse_numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError as error:
-        raise OptionError(f"{name} must be world, table or seven numbers, got {text!r}") from error
+        names = "world, table or " if name == "frame" else ""
+        raise OptionError(f"{name} must be {names}seven numbers, got {text!r}") from error
 
 
 def _parse_hand(text: str) -> int:

@@ -4,9 +4,10 @@ import contextlib
 import io
 import os
 import sys
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from handover_marl.cli.options import TableArguments
     from handover_marl.evaluation.reports.tables import TabularResult
 
 
@@ -33,16 +34,18 @@ def print_result(text: object) -> None:
     print(text, flush=True)
 
 
-def print_tables(result: "TabularResult", table_format: Literal["markdown", "csv", "latex"], note: str = "") -> None:
+def print_tables(result: "TabularResult", tables: "TableArguments", note: str = "") -> None:
     """Print a result, and a note on files such as the path of a report; in CSV and LaTeX the note goes to stderr.
 
     Raises:
         OSError: The output is closed, or its disk full.
+        HandoverError: No table has the columns.
     """
-    if table_format == "markdown":
-        print_result("\n\n".join(filter(None, (str(result), note))))
+    text = result.format(tables.style, tables.columns)
+    if tables.style == "markdown":
+        print_result("\n\n".join(filter(None, (text, note))))
     else:
-        print_result(result.format(table_format))
+        print_result(text)
         if note:
             print_message(note)
 

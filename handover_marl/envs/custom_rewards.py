@@ -241,7 +241,7 @@ class CustomRewardSource(RewardSource):
             return function(transition)
         except HandoverError:
             raise
-        except Exception as error:  # code of the user
+        except (Exception, SystemExit) as error:  # code of the user
             raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
     def _check_agents(self, found: Any) -> None:

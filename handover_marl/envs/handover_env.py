@@ -124,7 +124,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation: Observation | None = None
         self._partner: EpisodeAgent | None = None
         self.np_random, _ = seeding.np_random(None)
-        self._cycles = 0
+        self._cycles, self._is_closed = 0, False
         self._observation_spaces = {
             GIVER: giver_observation_space(world_config.giver, self._largest_class),
             RECEIVER: receiver_observation_space(config.obs_mode, self._largest_class),
@@ -174,7 +174,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             SceneError: The scene is not in the split.
             DataNotFoundError, DataFormatError: Files of the scene are missing or damaged.
             RewardError: A user-defined reward fails.
+            ResetNeededError: The environment is closed.
         """
+        self._check_open()
         # If anything fails below, no episode is running.
         self._stop()
         if seed is not None:
@@ -204,8 +206,9 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         Raises:
             ActionError: An action is malformed; the simulation has not advanced.
             RewardError: A user-defined reward fails, or a term is not a finite number or has an unknown name.
-            ResetNeededError: No episode is running.
+            ResetNeededError: No episode is running, or the environment is closed.
         """
+        self._check_open()
         if not self.agents:
             raise ResetNeededError("no episode is running; call reset() before step()")
         robot_target, giver_action = check_actions(actions, self._action_spaces[GIVER])
@@ -264,9 +267,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.render(self.config.camera or CameraConfig())
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Free the simulation; the environment cannot be used afterwards."""
         self._episode.close()
         self._stop()
+        self._is_closed = True
 
     def capture_wrist_camera(self) -> CameraCapture:
         """Return depth, segmentation, colours and point clouds of the wrist camera.
@@ -307,6 +311,10 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
     @property
     def _split_name(self) -> str:
         return f"{self.config.setup} {self.config.split}"
+
+    def _check_open(self) -> None:
+        if self._is_closed:
+            raise ResetNeededError("the environment is closed; make another one")
 
     def _stop(self) -> None:
         self.agents = []

@@ -27,6 +27,7 @@ from handover_marl.evaluation.metadata import ResultMetadata, format_config
 from handover_marl.evaluation.replays import ReplayWriter
 from handover_marl.evaluation.reports.report import Report, write_report
 from handover_marl.evaluation.results import EpisodeResult, EpisodeWriter, ResultFolder
+from handover_marl.evaluation.traces import TraceWriter
 from handover_marl.execution.options import check_pool, forward_signature
 from handover_marl.execution.pool import open_pool
 from handover_marl.policies.reference import PolicyLike
@@ -118,7 +119,7 @@ def run_evaluations(
 
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
-        execution: Workers, output folder and replays.
+        execution: Workers, output folder, replays and time series.
         recorded: Description of further recordings, part of the identity of a result folder.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
 
@@ -135,6 +136,8 @@ def run_evaluations(
                     writers.append(make_writer(folder.path, config))
                 if execution.replays != REPLAYS_NONE:
                     writers.append(ReplayWriter(folder.path, execution.replays))
+                if execution.traces:
+                    writers.append(TraceWriter(folder.path))
                 # The result folder is the last: its files mark scenes as finished.
                 writers.append(folder)
             stored = {task: folder.read(task.index, task.fingerprint) if folder else None for task in tasks}
@@ -165,9 +168,10 @@ def _prepare(
 ) -> tuple[EvaluationConfig, ResultMetadata, ResultFolder | None, list[SceneTask]]:
     """Check an evaluation and prepare its folder; return its resolved configuration, identity, folder and scenes."""
     check_name("replays", execution.replays, REPLAY_CHOICES)
+    for name, is_wanted in (("replays", execution.replays != REPLAYS_NONE), ("traces", execution.traces)):
+        if is_wanted and execution.folder is None:
+            raise OptionError(f"{name} need an output folder; pass out= (--out DIR)")
     if execution.replays != REPLAYS_NONE:
-        if execution.folder is None:
-            raise OptionError("replays need an output folder; pass out= (--out DIR)")
         require_replay_extra()
     check_pool(execution)
     config, dataset = resolve_config(config, execution.trust)

@@ -34,7 +34,7 @@ _NOTE = (
 
 @dataclass(frozen=True)
 class Comparison(TabularResult):
-    """Two evaluations, A and B, on their common scenes. `str(comparison)` is tables in Markdown.
+    """Two evaluations on their common scenes. `str(comparison)` is tables in Markdown.
 
     Attributes:
         first: Report of evaluation A.
@@ -50,11 +50,20 @@ class Comparison(TabularResult):
         by_index = {result.index: result for result in self.second.episodes}
         return [(result, by_index[result.index]) for result in self.first.episodes if result.index in by_index]
 
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of the evaluations in tables: that in which they differ, of receiver, giver and physics, or A and B."""
+        sides = [
+            [report.metadata.receiver, report.metadata.giver, report.metadata.physics]
+            for report in (self.first, self.second)
+        ]
+        return next((pair for pair in zip(*sides, strict=True) if pair[0] != pair[1]), ("A", "B"))
+
     def build_sections(self) -> list[str | ReportTable]:
         """Build headings, note and tables: rates, scenes with different outcomes, and fluency metrics."""
-        names, changes = ("A", "B"), build_difference_table(self.pairs, ("A", "B"))
+        names, changes = self.names, build_difference_table(self.pairs, self.names)
         return [
-            f"A: {self.first.heading}\nB: {self.second.heading}",
+            f"{names[0]}: {self.first.heading}\n{names[1]}: {self.second.heading}",
             _NOTE.format(n=len(self.pairs)),
             build_rate_table(self.pairs, names),
             changes,

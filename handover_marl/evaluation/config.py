@@ -28,7 +28,7 @@ REPLAYS_NONE: Final = "none"
 REPLAYS_ALL: Final = "all"
 REPLAY_CHOICES = (REPLAYS_NONE, "failed", REPLAYS_ALL)
 #: Fields of `ExecutionConfig` that do not apply to a single scene.
-MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays")
+MULTI_SCENE_FIELDS = ("workers", "backend", "ray_address", "shard", "out", "fresh", "replays", "traces")
 
 _SEED_LIMIT = 2**63  # Data sets store seeds with 64 bits.
 
@@ -82,6 +82,7 @@ class ExecutionConfig(PoolConfig):
         fresh: Delete the results in the output folder instead of resuming.
         replays: Episodes with a 3D replay page: none, failed or all. Episodes that are finished already are simulated
             again for it, and must end with the same outcome.
+        traces: Write the time series of each episode (positions, speeds, distance, forces) as CSV files.
 
     Raises:
         OptionError: A switch is not a boolean, or the output folder not a path.
@@ -93,9 +94,10 @@ class ExecutionConfig(PoolConfig):
     trust: bool = False
     fresh: bool = False
     replays: Literal["none", "failed", "all"] = REPLAYS_NONE
+    traces: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("progress", "trust", "fresh"):
+        for name in ("progress", "trust", "fresh", "traces"):
             check_boolean(name, getattr(self, name))
         if self.out is not None:
             object.__setattr__(self, "out", str(check_path("out", self.out)))

@@ -96,7 +96,7 @@ class EpisodeRunner:
         except (ActionError, OptionError, PolicyError) as error:
             giver = "" if self.giver is None else f" and giver {self.giver.name!r}"
             raise type(error)(f"receiver {self.receiver.name!r}{giver} in scene {task.scene_id}: {error}") from error
-        info = scene.info
+        info, trace = scene.info, self._trace_recorder.trace
         result = EpisodeResult(
             index=task.index,
             status=self.episode.status,
@@ -111,9 +111,9 @@ class EpisodeRunner:
             models=self.dataset.describe_models(task.scene_id) or None,
             fingerprint=fingerprint,
             machine=self._machine,
-            fluency=compute_fluency(self._trace_recorder.trace),
+            fluency=compute_fluency(trace),
         )
-        return result, tuple(encode(result) for _, encode in self._recorders)
+        return result, tuple(encode(result, trace) for _, encode in self._recorders)
 
     def close(self) -> None:
         """Free the memory and the physics client of the simulation."""

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from handover_marl.datasets.registry import format_dataset_title
+from handover_marl.episode.metrics.motion import EpisodeTrace
 from handover_marl.evaluation.config import REPLAYS_ALL, EvaluationConfig, require_policy_reference
 from handover_marl.evaluation.results import (
     REPLAYS,
@@ -56,7 +57,7 @@ class ReplayWriter(EpisodeWriter):
         """Create the recorder of replays in one worker process."""
         recorder = ReplayRecorder(receiver)
 
-        def encode(result: EpisodeResult) -> bytes:
+        def encode(result: EpisodeResult, trace: EpisodeTrace) -> bytes:
             if result.success and not self._include_successes:
                 return b""
             return build_replay_page(recorder, format_replay_facts(config, result.models or "")).encode()

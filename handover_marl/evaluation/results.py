@@ -24,6 +24,7 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG
 from handover_marl.episode.loop import ActionRecorder, EpisodeCallback
 from handover_marl.episode.metrics.fluency import FluencyMetrics
+from handover_marl.episode.metrics.motion import EpisodeTrace
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.config import EvaluationConfig
@@ -47,8 +48,8 @@ from handover_marl.policies.policy import Policy
 #: Report files beside the results of the scenes.
 REPORT_JSON = "report.json"
 REPORT_FILES = (REPORT_JSON, "report.md", "report.html", "episodes.csv")
-#: Folders of replay pages and of demonstrations in a result folder, and the file that describes all demonstrations.
-REPLAYS, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "demonstrations", "metadata.json"
+#: Folders of replay pages, time series and demonstrations in a result folder, and the file that describes the latter.
+REPLAYS, TRACES, DEMONSTRATIONS, DEMONSTRATIONS_METADATA = "episodes", "traces", "demonstrations", "metadata.json"
 _MAX_BYTES = 64_000_000  # unpacked size of one scene's result, or size of an episode file
 _FLUENCY_PREFIX = "fluency_"
 _MAX_TEXT, _MAX_NUMBER = 10_000, 1e9  # characters of a description; largest number
@@ -113,8 +114,8 @@ _STATUSES = {EpisodeStatus(bits).label: bits for bits in range(1, 16)}
 
 
 #: Callback that records an episode while it is simulated, and function that encodes the last recording as one file,
-#: given the episode's result; empty if no file is needed.
-EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult], bytes]]
+#: given the episode's result and motion trace; empty if no file is needed.
+EpisodeRecorder: TypeAlias = tuple[EpisodeCallback, Callable[[EpisodeResult, EpisodeTrace], bytes]]
 
 
 class EpisodeWriter(ABC):
@@ -180,10 +181,10 @@ def find_numbered(folder: Path, suffix: str) -> dict[int, Path]:
 
 
 def find_recordings(folder: Path) -> list[Path]:
-    """Return the paths of all files that are kept beside the results: replay pages and demonstrations."""
-    demonstrations = folder / DEMONSTRATIONS
-    paths = [*find_numbered(folder / REPLAYS, ".html").values(), *find_numbered(demonstrations, ".npz").values()]
-    return [*paths, *demonstrations.glob(DEMONSTRATIONS_METADATA)]
+    """Return the paths of all files that are kept beside the results: replay pages, time series and demonstrations."""
+    kinds = ((REPLAYS, ".html"), (TRACES, ".csv"), (DEMONSTRATIONS, ".npz"))
+    paths = [path for name, suffix in kinds for path in find_numbered(folder / name, suffix).values()]
+    return [*paths, *(folder / DEMONSTRATIONS).glob(DEMONSTRATIONS_METADATA)]
 
 
 class ResultFolder(EpisodeWriter):
@@ -246,7 +247,7 @@ class ResultFolder(EpisodeWriter):
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of actions and policy times in one worker process."""
         recorder = ActionRecorder()
-        return recorder, lambda result: encode_result(result, recorder.actions, recorder.times)
+        return recorder, lambda result, _: encode_result(result, recorder.actions, recorder.times)
 
 
 def encode_result(

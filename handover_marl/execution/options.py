@@ -105,11 +105,12 @@ def check_pool(config: PoolConfig) -> None:
 
     Raises:
         UnknownNameError: The backend is unknown.
-        OptionError: The number of workers is invalid, Ray is not installed, or an address is given
-            without Ray.
+        OptionError: The number of workers is invalid, processes cannot be started in a deleted working directory, Ray
+            is not installed, or an address is given without Ray.
     """
     check_name("backend", config.backend, BACKENDS)
-    resolve_worker_count(config.workers)
+    if resolve_worker_count(config.workers) > 1 and find_working_folder() is None:
+        raise OptionError("workers must be 1 in a working directory that was deleted; change to another one (cd)")
     if config.backend == RAY:
         require_modules("backend 'ray'", "ray", "ray", advice="; or leave out `backend`")
     elif config.ray_address is not None:
@@ -150,7 +151,15 @@ def is_installed(module: str) -> bool:
     """Check whether a top-level module is installed; one in the working directory, of the same name, does not count."""
     spec = importlib.util.find_spec(module)
     # Folders without __init__.py have no origin.
-    return spec is not None and spec.origin is not None and Path.cwd() not in Path(spec.origin).parents[:2]
+    return spec is not None and spec.origin is not None and find_working_folder() not in Path(spec.origin).parents[:2]
+
+
+def find_working_folder() -> Path | None:
+    """Return the working directory, or None if it was deleted."""
+    try:
+        return Path.cwd()
+    except FileNotFoundError:
+        return None
 
 
 def is_pybullet_installed() -> bool:

@@ -5,7 +5,7 @@ All but the first need matplotlib (extra `plot`).
 
 import io
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageColor
 
-from handover_marl.config import CameraConfig
+from handover_marl.config import OFFICIAL_CONFIG, TABLE_HEIGHT, CameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arm import ArmKinematics
@@ -107,6 +107,33 @@ def draw_plan_figure(
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2], xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     axes.set_box_aspect((1, 1, 1))
     axes.view_init(elev=20.0, azim=-20.0)
+    return _save(figure)
+
+
+def draw_recording(bodies: Mapping[str, Array]) -> bytes:
+    """Draw recorded poses (n, 7) of bodies, by name, from above and from the side; return a PNG.
+
+    Positions are in the world frame (m), quaternions xyzw. A dot is at the start; the axes x (red), y (green) and z
+    (blue) of the body's frame are at the end.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 5.0), dpi=_DPI, layout="constrained")
+    base = OFFICIAL_CONFIG.physics.panda.base_position
+    for number, (across, up) in enumerate(((0, 1), (1, 2)), start=1):
+        axes = figure.add_subplot(1, 2, number)
+        axes.plot(base[across], base[up], "ks", label="robot's base")
+        if up == 2:
+            axes.axhline(TABLE_HEIGHT, color="gray", label="table")
+        for name, poses in bodies.items():
+            (line,) = axes.plot(poses[:, across], poses[:, up], label=name)
+            axes.plot(poses[0, across], poses[0, up], "o", color=line.get_color())
+            for tip, color in zip(transform_points(poses[-1], 0.05 * np.eye(3)), "rgb", strict=True):
+                ends = np.stack([poses[-1, :3], tip])
+                axes.plot(ends[:, across], ends[:, up], color=color, linewidth=1)
+        axes.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(fontsize="small")
     return _save(figure)
 
 

@@ -47,6 +47,15 @@ def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str])
     assert (work / "scene.png").stat().st_size > 1000
 
 
+def test_preview_of_a_refused_recording(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `plot`")
+    assert main(["scenes", *MUG, "--time", "us", "--hand", "none", "--preview", "refused.png"]) == 2
+    assert "a motion must last" in capsys.readouterr().err
+    assert main(["scenes", *MUG, "--hand", "none", "--preview", "refused.png"]) == 2
+    assert "object must start above the table" in capsys.readouterr().err
+    assert (work / "refused.png").read_bytes().startswith(b"\x89PNG")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -186,7 +186,7 @@ def test_metrics_have_one_name(mark: str, group: str, columns: tuple[Column, ...
 
 def test_every_printed_column_is_documented() -> None:
     first, other = sample_report(), sample_report("fast", 2, 1)
-    compared = Comparison(first, other)
+    compared = Comparison(other, first)
     page = render_report_page(first)
     verified = str(Verification(first.metadata, (209,), (Difference(209, "steps", "1", "2"),))).split("\n\n")
     (row,) = [part.splitlines()[0] for part in verified if part.startswith("|")]

@@ -1,6 +1,7 @@
 """Tests of user-defined rewards: their transitions, checks and reports of their terms, and combinations."""
 
 import dataclasses
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -190,6 +191,8 @@ def test_failures_are_named_in_the_first_reset(make: Make) -> None:
         make(lambda transition: {"giver": "calm"}).reset(seed=0)
     with pytest.raises(RewardError, match=r"reward '.*<lambda>' failed \(KeyError: 'nothing'\)"):
         make(lambda transition: transition.state["nothing"]).reset(seed=0)
+    with pytest.raises(RewardError, match=r"failed \(SystemExit: 3\)"):
+        make(lambda transition: sys.exit(3)).reset(seed=0)
     with pytest.raises(RewardError, match="must have different names, got 'approach' of the receiver twice"):
         make(combine_rewards(approach, approach)).reset(seed=0)
 

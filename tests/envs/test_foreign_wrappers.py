@@ -1,5 +1,6 @@
 """Tests of wrappers made for PettingZoo, inside and outside of this library's wrappers and in vector environments."""
 
+import sys
 from typing import Any
 
 import gymnasium
@@ -91,6 +92,7 @@ def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> Non
         ([5], "wrappers must be functions or classes that wrap an environment, got 5"),
         ("Cost", "wrappers must be a list of functions or classes"),
         ([lambda env: None], "env must be made by"),
+        ([lambda env: sys.exit(3)], r"wrapper .* failed \(SystemExit: 3\)"),
         ([lambda env: make()], "wrappers must wrap the environment that they get"),
     ],
 )

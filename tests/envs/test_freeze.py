@@ -88,7 +88,8 @@ def test_infos_fit_into_vector_environments(fake_data: Path, monkeypatch: pytest
     ("agent", "partner", "error", "message"),
     [
         ("receiver", "nobody", UnknownNameError, "giver 'nobody'; valid: cooperative, displaced"),
-        ("giver", "replay", UnknownNameError, "receiver 'replay'; valid: gaddpg, hold, learned, omg"),
+        ("giver", "nobody", UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
+        ("giver", "replay", OptionError, "must be a receiver, because the giver is controlled, .* agent='receiver'"),
         ("robot", None, UnknownNameError, "agent"),
         ("receiver", dict, OptionError, r"must be a subclass of handover_marl\.givers\.Giver"),
     ],

@@ -196,13 +196,16 @@ def test_after_a_failed_reset_there_is_no_episode(own_data: Path) -> None:
     with pytest.raises(SimulationError, match="004_sugar_box"):
         env.reset(options={"scene_id": 14})
     assert env.agents == []
-    env.close()
-    env.close()
     for call in (lambda: env.step(both(START)), env.state):
-        with pytest.raises(ResetNeededError):
+        with pytest.raises(ResetNeededError, match="call reset"):
             call()
     env.reset(options={"scene_id": 9})
     assert env.step(both(START))[4]["giver"]["steps"] == 100
+    env.close()
+    env.close()
+    for call in (lambda: env.step(both(START)), env.reset):
+        with pytest.raises(ResetNeededError, match="the environment is closed; make another one"):
+            call()
 
 
 def test_pictures_without_a_screen(fake_data: Path) -> None:

@@ -46,12 +46,20 @@ def test_common_scenes_are_paired(tmp_path: Path, capsys: pytest.CaptureFixture[
     # A succeeds after 100 and 101 of 13,000 steps, B once after 100.
     assert [str(cell).split()[0] for cell in rates.rows[-1]] == ["AS", "66.15", "33.08", "+33.07", "3"]
     titles = ("outcome", "steps", "release step")
-    assert [*changes.header[2:]] == [f"{name} {title}" for title in titles for name in "AB"]
+    assert [*changes.header[2:]] == [f"{name} {title}" for title in titles for name in ("mine", "theirs")]
     assert [*map(list, changes.rows)] == [["214", "-", "success", "drop", "101", "101", "-", "-"]]
     assert main(["compare", str(one), str(other)]) == 0
     text = capsys.readouterr().out
     assert "Receiver mine" in text
     assert "3 scenes that both folders have" in text
+    assert rates.header[1:4] == ["mine %", "theirs %", "mine minus theirs, points"]
+    assert handover_marl.compare(one, one).build_tables()[0].header[1:3] == ["A %", "B %"]
+    command = ["compare", str(one), str(other), "--format", "csv", "--columns"]
+    assert main([*command, "metric", "theirs %"]) == 0
+    assert capsys.readouterr().out.splitlines()[:2] == ["metric,theirs %", "success,33.33 (6.1 to 79.2)"]
+    for columns, message in ((["rate"], "unknown column 'rate'"), (["theirs %", "scene id"], "must be of one table")):
+        assert main([*command, *columns]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
@@ -78,6 +86,15 @@ def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
     assert [row[0] for row in rows] == ["success", "contact", "drop", "timeout", "AS"]
     assert [str(row[3]).split()[0] for row in rows[:4]] == ["+0.00", "+50.00", "+0.00", "-25.00"]
     assert "Every scene has the same outcome." in str(handover_marl.compare(one, one))
+
+
+def test_average_success_without_a_success_has_an_interval(tmp_path: Path) -> None:
+    """Wilson's interval of 0 of 5 ends at 43.4 %; Agresti and Min's of equal failures at 28.0 points."""
+    failures = folder(tmp_path / "failures", "mine", dict.fromkeys(range(5), 8))
+    rates = handover_marl.compare(failures, failures).build_tables()[0]
+    interval = "0.00 (0.0 to 43.4)"
+    assert [*rates.rows[-1]] == ["AS", interval, interval, "+0.00 (-28.0 to +28.0)", 5]
+    assert handover_marl.evaluate(failures).official_means["AS"].format(".2f", ".1f") == interval
 
 
 def report(physics: str, ends: list[tuple[int, int]]) -> Report:

@@ -78,6 +78,7 @@ def find_hand_grasp(
         # A left hand grasps as a right hand grasps the mirrored object.
         solid, position, rotation = solid.mirror(), position * _MIRROR, rotation * np.outer(_MIRROR, _MIRROR)
     templates = make_hand_templates(SUBJECT_SIZES[hand - 1], _N_OPENINGS)
+    fault = f"a hand inside of it wherever the wrist is moved by at most {1000.0 * MAX_SHIFT:.0f} mm"
     for shift in _SHIFTS:
         palm = Palms((position + rotation @ shift)[None], rotation[None])
         if measure_body(solid, palm, *templates.palm)[0] < -_MAX_PALM_OVERLAP:
@@ -97,6 +98,7 @@ def find_hand_grasp(
         best = int(np.argmax(touching.sum(axis=1) + touching[:, 4] - np.minimum(looseness, 0.9)))
         if touching[best].sum() < _MIN_TOUCHING:
             # The hand is not inside of the object but too far from it: moving it would take longer than it is worth.
+            fault = f"only {touching[best].sum()} digits that reach it"
             break
         signs = _MIRRORED_ANGLES if is_left else np.ones(45)
         opened = templates.openings.posture[free[[best]]].compute_joint_angles()[0]
@@ -105,7 +107,7 @@ def find_hand_grasp(
     distance = 1000.0 * float(measure_body(solid, Palms(position[None], rotation[None]), *templates.palm)[0])
     where = f"{distance:.0f} mm away from it" if distance > 0.0 else f"{-distance:.0f} mm inside of it"
     raise DataFormatError(
-        f"wrist must be where the fingers reach around the object when it is picked up ({place}), got a palm {where}; "
-        "check the wrist's frame (origin in the wrist, fingers of a right hand along -x, back along +y, thumb towards "
-        "+z; a left hand is mirrored in x) or pass hand=None"
+        f"wrist must be where the fingers reach around the object when it is picked up ({place}), got {fault}, and a "
+        f"recorded palm {where}; check the wrist's frame (origin in the wrist, fingers of a right hand along -x, back "
+        "along +y, thumb towards +z; a left hand is mirrored in x) or pass hand=None"
     )

@@ -4,8 +4,12 @@ A CSV file has one header line with the columns `time`, `object_x`, `object_y`, 
 `object_qz`, `object_qw`, the same for `wrist` and for every other object by its class name, and optionally
 `finger_0` to `finger_44`. An NPZ file has the arrays `time` (T,), `object` (T, 7), `wrist` (T, 7), one array (T, 7)
 for each other object by its class name, and `fingers` (T, 45). Poses are position and quaternion.
+
+CSV files that OptiTrack's Motive exports, with several header lines, are read too. Their rigid bodies must have the
+names `object`, `wrist` and those of the other objects' classes.
 """
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +36,7 @@ N_FINGER_ANGLES: Final = 45
 # World poses of frames of recorded poses: the world of the simulation, and the table's frame of DexYCB.
 _FRAMES: Final = {"world": (0.0,) * 6 + (1.0,), "table": (0.0, 0.0, TABLE_HEIGHT, 0.0, 0.0, 0.0, 1.0)}
 _LENGTHS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
 _TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
@@ -52,10 +57,13 @@ class MotionConfig:
         quaternion: Order of quaternions in NPZ files: xyzw or wxyz; CSV columns have names.
         fingers: Form of finger angles (rad): "euler" (intrinsic XYZ) or "rotvec" (rotation vectors, as in MANO).
         max_gap: Largest gap (s) that is filled by interpolation.
+        object_offset: Pose of the handed-over object's frame in the frame that was recorded as `object`, for instance
+            of its markers: position (m) and quaternion xyzw; default: the same frame.
+        wrist_offset: Pose of the wrist's frame in the frame that was recorded as `wrist`, likewise.
 
     Raises:
         UnknownNameError: A name does not exist.
-        OptionError: The frame is no pose, or `max_gap` is out of range.
+        OptionError: The frame or an offset is no pose, or `max_gap` is out of range.
     """
 
     frame: str | tuple[float, ...] = "world"
@@ -64,6 +72,8 @@ class MotionConfig:
     quaternion: str = "xyzw"
     fingers: str = "euler"
     max_gap: float = 0.2
+    object_offset: tuple[float, ...] | None = None
+    wrist_offset: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_name("length", self.length, _LENGTHS)
@@ -72,11 +82,15 @@ class MotionConfig:
         check_name("fingers", self.fingers, ("euler", "rotvec"))
         if isinstance(self.frame, str):
             check_name("frame", self.frame, _FRAMES)
-        elif len(self.frame) != 7 or not abs(np.linalg.norm(self.frame[3:]) - 1.0) < _MAX_NORM_ERROR:
-            raise OptionError(
-                f"frame must be 'world', 'table' or seven numbers, position (m) and unit quaternion xyzw, got "
-                f"{self.frame!r}"
-            )
+        for name in ("frame", "object_offset", "wrist_offset"):
+            pose = getattr(self, name)
+            if isinstance(pose, tuple) and not (
+                len(pose) == 7 and abs(np.linalg.norm(pose[3:]) - 1.0) < _MAX_NORM_ERROR
+            ):
+                names = "'world', 'table' or " if name == "frame" else ""
+                raise OptionError(
+                    f"{name} must be {names}seven numbers, position (m) and unit quaternion xyzw, got {pose!r}"
+                )
         if not isinstance(self.max_gap, (int, float)) or not 0.0 <= self.max_gap <= 2.0:
             raise OptionError(f"max_gap must be a time from 0 to 2 s, got {self.max_gap!r}")
 
@@ -118,33 +132,54 @@ def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config
         name, arrays = "the motion", dict(source)
     else:
         path = Path(source).expanduser()
-        name, arrays = str(path), _read_file(path)
-        if path.suffix.lower() == ".csv":
-            # Columns of quaternions have names.
-            config = replace(config, quaternion="xyzw")
+        name, (arrays, config) = str(path), _read_file(path, config)
     try:
         return _make_table(arrays, config)
     except ValueError as error:
         raise DataFormatError(f"{name}: {error}") from None
 
 
-def _read_file(path: Path) -> dict[str, Any]:
+def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
+    """Return the arrays of a file, and the configuration with the units and orders that the file itself states."""
     if path.suffix.lower() not in (".csv", ".npz"):
         raise DataFormatError(f"{path}: a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
     with report_damage(path, "motion file", "give the path of a .csv or .npz file, or write it again"):
         if path.suffix.lower() == ".npz":
-            return dict(read_arrays(path, largest=_MAX_BYTES))
-        data = read_plain_file(path, _MAX_BYTES)
-    return _parse_csv(path, data)
+            return dict(read_arrays(path, largest=_MAX_BYTES)), config
+        text = read_plain_file(path, _MAX_BYTES).decode("utf-8-sig")
+    # Columns of quaternions have names.
+    config = replace(config, quaternion="xyzw")
+    return _parse_motive(path, text, config) if text.startswith("Format Version,") else (_parse_csv(path, text), config)
 
 
-def _parse_csv(path: Path, data: bytes) -> dict[str, Any]:
+def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
+    """Return the poses of the rigid bodies in a CSV file of Motive, formats 1.2 to 1.25, and their units."""
+    rows = [row for row in csv.reader(text.splitlines()) if any(row)]
+    settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    try:
+        first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
+        # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
+        columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
+        values = np.array([[_parse_cell(cell) for cell in row] for row in rows[first:]])
+        arrays: dict[str, Any] = {TIME: values[:, 1]}
+        for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
+            keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
+            arrays[name] = values[:, [columns.index(("Rigid Body", name, *key)) for key in keys]]
+        return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
+    except (ValueError, KeyError, IndexError, StopIteration) as error:
+        raise DataFormatError(
+            f"{path}: not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the "
+            "rotation type Quaternion, header lines and lengths in m, cm or mm"
+        ) from error
+
+
+def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     """Return the arrays of a CSV file; empty cells are NaN.
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
     try:
-        lines = [line for line in data.decode("utf-8-sig").splitlines() if line.strip() and not line.startswith("#")]
+        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
         if lines[0].lower().startswith("sep="):  # a line that Excel writes
             del lines[0]
         separator = max(",", ";", "\t", key=lines[0].count)
@@ -264,6 +299,8 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
             "check the columns and their order"
         )
     poses[:, 3:] /= norms[:, None]
+    offset = {OBJECT: config.object_offset, WRIST: config.wrist_offset}.get(key)
+    poses = poses if offset is None else np.asarray(compose(poses, np.array(offset)))
     return np.asarray(compose(config.world_from_frame, poses))
 
 

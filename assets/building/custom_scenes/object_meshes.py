@@ -19,8 +19,9 @@ from handover_marl.assets.shipped import (
     format_visual,
     read_palette_files,
 )
-from handover_marl.datasets.custom.dataset import EXTENT, MASS, MAX_OFFSET
-from handover_marl.datasets.custom.dataset import FRICTION as FRICTION_RANGE
+from handover_marl.datasets.custom.dataset import EXTENT, MAX_OFFSET
+from handover_marl.datasets.custom.scene_file import FRICTION as FRICTION_RANGE
+from handover_marl.datasets.custom.scene_file import MASS
 from handover_marl.errors import DataFormatError, OptionError, check_name
 from handover_marl.execution.options import require_modules
 from handover_marl.execution.reading import check_plain_file, report_damage

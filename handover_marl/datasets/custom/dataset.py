@@ -42,8 +42,6 @@ OBJECT_FOLDER, MOTION_FOLDER, GRASP_FILE = "objects", "motion", "grasps.npz"
 PREFIX = "own"
 _MAX_BYTES = 500_000_000
 
-#: Masses (kg) and lateral friction of objects.
-MASS, FRICTION = (1e-3, 20.0), (0.0, 10.0)
 #: Largest extent of an object, and distance of its centre from the origin of its frame (m).
 EXTENT, MAX_OFFSET = (0.005, 0.7), 0.7
 #: Duration of a motion (s).

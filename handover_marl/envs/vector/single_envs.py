@@ -8,7 +8,7 @@ from gymnasium.vector.utils import concatenate, create_empty_array
 
 from handover_marl.envs.vector.batch import EnvResult
 from handover_marl.envs.wrappers.wrapper import ByAgent, WrappableEnv, check_env
-from handover_marl.errors import OptionError
+from handover_marl.errors import HandoverError, OptionError
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, Indices
 
 #: Function or class that wraps the environment by a `pettingzoo.utils.BaseParallelWrapper`.
@@ -87,11 +87,16 @@ def apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
     """Wrap an environment.
 
     Raises:
-        OptionError: The wrapper cannot be called, or does not wrap the environment that it gets.
+        OptionError: The wrapper cannot be called, fails, or does not wrap the environment that it gets.
     """
     if not callable(wrapper):
         raise OptionError(f"wrappers must be functions or classes that wrap an environment, got {wrapper!r}")
-    wrapped = wrapper(env)
+    try:
+        wrapped = wrapper(env)
+    except HandoverError:
+        raise
+    except (Exception, SystemExit) as error:  # code of the user
+        raise OptionError(f"wrapper {wrapper!r} failed ({type(error).__name__}: {error})") from error
     check_env(wrapped)
     if wrapped.unwrapped is not env.unwrapped:
         raise OptionError(f"wrappers must wrap the environment that they get, got another one from {wrapper!r}")

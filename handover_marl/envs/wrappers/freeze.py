@@ -16,6 +16,7 @@ from handover_marl.envs.wrappers.wrapper import (
 )
 from handover_marl.errors import ActionError, OptionError, check_name
 from handover_marl.policies.reference import PolicyLike, parse_policy
+from handover_marl.policies.registry import list_available
 
 DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 
@@ -62,6 +63,11 @@ class FrozenPartnerEnv(ParallelWrapper):
                 "call freeze() first, then encode()"
             )
         chosen = DEFAULT_PARTNERS[agent] if partner is None else partner
+        if isinstance(chosen, str) and chosen in set(list_available(agent)) - set(list_available(self.partner_agent)):
+            raise OptionError(
+                f"partner must be a {self.partner_agent}, because the {agent} is controlled, got the {agent} "
+                f"{chosen!r}; pass agent={self.partner_agent!r} or another partner"
+            )
         reference = parse_policy(self.partner_agent, chosen, trust)
         self.policy = reference.make(base.dataset, base.config.world_config, base.config.setup)
         self._rng, _ = seeding.np_random(None)
@@ -94,7 +100,9 @@ class FrozenPartnerEnv(ParallelWrapper):
         """
         live, partner = self.live_agent, self.partner_agent
         if not isinstance(actions, dict) or actions.keys() - {live}:
-            raise ActionError(f"actions must be a dict with one action, for the {live}")
+            raise ActionError(
+                f"actions must be a dict with one action, for the {live}; a policy acts for the {partner}"
+            )
         results = self.env.step({live: actions.get(live), partner: self.unwrapped.act_for_partner()})
         observations, rewards, terminations, truncations, infos = ({live: by_agent[live]} for by_agent in results)
         return observations, rewards, terminations, truncations, infos

@@ -192,7 +192,10 @@ class DemonstrationWriter(EpisodeWriter):
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
         """Create the recorder of demonstrations in one worker process."""
         recorder = DemonstrationRecorder(config, self._obs_mode, self._fps)
-        return recorder, lambda result: encode_demonstration(recorder.build(result)) if self._includes(result) else b""
+        return (
+            recorder,
+            lambda result, _: encode_demonstration(recorder.build(result)) if self._includes(result) else b"",
+        )
 
     def contains(self, result: EpisodeResult) -> bool:
         """Return whether the episode is recorded already, or is not to be recorded."""

@@ -1,6 +1,7 @@
 """Tables of the episodes of one evaluation, or of the same scenes in two evaluations."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.evaluation.reports.tables import (
@@ -13,6 +14,7 @@ from handover_marl.evaluation.reports.tables import (
     REPORTED_STATUSES,
     Estimate,
     ReportTable,
+    estimate_average_success,
     estimate_mean,
     estimate_paired_difference,
     format_percent_rate,
@@ -73,9 +75,13 @@ def build_rate_table(pairs: Sequence[EpisodePair], names: tuple[str, str]) -> Re
         difference = estimate_paired_difference(*([bool(each.status & flag) for each in side] for side in sides))
         rows.append([flag.label, *cells, difference.format("+.2f"), n])
     scores = [[result.speed_score for result in side] for side in sides]
-    gains = [first - second for first, second in zip(*scores, strict=True)]
-    means = [estimate_mean(side).format(".2f", ".1f") for side in scores]
-    rows.append([AVERAGE_SUCCESS.key, *means, estimate_mean(gains).format("+.2f", "+.1f"), n])
+    gain = estimate_mean([first - second for first, second in zip(*scores, strict=True)])
+    if scores[0] == scores[1]:
+        # The bootstrap has no width; as for AS without a success, the interval is that of the success rate.
+        successes = ([result.success for result in side] for side in sides)
+        gain = replace(gain, interval_95=estimate_paired_difference(*successes).interval_95)
+    means = [estimate_average_success(side).format(".2f", ".1f") for side in scores]
+    rows.append([AVERAGE_SUCCESS.key, *means, gain.format("+.2f", "+.1f"), n])
     first, second = names
     return ReportTable(
         ["metric", f"{first} %", f"{second} %", f"{first} minus {second}, points", N_EPISODES.title], rows

@@ -40,6 +40,7 @@ from handover_marl.evaluation.reports.tables import (
     Estimate,
     ReportTable,
     TabularResult,
+    estimate_average_success,
     estimate_mean,
     estimate_rate,
     format_csv,
@@ -97,7 +98,7 @@ class Report(TabularResult):
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
         return {
-            AVERAGE_SUCCESS.key: estimate_mean([episode.speed_score for episode in self.episodes]),
+            AVERAGE_SUCCESS.key: estimate_average_success([episode.speed_score for episode in self.episodes]),
             **{column.key: estimate_mean(part) for column, part in zip(TIMES, values, strict=True)},
         }
 

@@ -7,14 +7,14 @@ import csv
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 import scipy  # loads scipy.stats, which takes a second, at its first use
 
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import check_name
+from handover_marl.errors import OptionError, check_name
 
 NO_VALUE = "-"
 #: Formats of printed tables.
@@ -98,6 +98,15 @@ def compute_wilson_interval(count: int, n: int) -> tuple[float, float]:
 def estimate_rate(count: int, n: int) -> Estimate:
     """Estimate a rate (0..1) with Wilson's 95 % interval from its number of occurrences in n trials."""
     return Estimate(count / n, compute_wilson_interval(count, n), n)
+
+
+def estimate_average_success(scores: Sequence[float]) -> Estimate:
+    """Estimate average success from the scores of episodes (0..1), with its bootstrap 95 % interval.
+
+    Without a success the bootstrap has no width: the interval is that of the success rate, which is never smaller.
+    """
+    found = estimate_mean(scores)
+    return found if any(scores) or not scores else replace(found, interval_95=compute_wilson_interval(0, found.n))
 
 
 def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
@@ -197,6 +206,15 @@ class ReportTable:
     def __str__(self) -> str:
         return self.format()
 
+    def select(self, columns: Sequence[str]) -> "ReportTable":
+        """Return a table with some columns alone, in their order; without rows if one is missing, whole without any."""
+        if not columns:
+            return self
+        if not set(columns) <= set(self.header):
+            return ReportTable(columns, [])
+        places = [list(self.header).index(title) for title in columns]
+        return ReportTable(columns, [[row[place] for place in places] for row in self.rows])
+
     def format(self, style: TableFormat = "markdown") -> str:
         """Return the table as text; empty without rows. Only Markdown splits wide tables.
 
@@ -231,20 +249,28 @@ class TabularResult(ABC):
     def __str__(self) -> str:
         return self.format()
 
-    def format(self, style: TableFormat = "markdown") -> str:
+    def format(self, style: TableFormat = "markdown", columns: Sequence[str] = ()) -> str:
         """Return the result as text, with an empty line between two parts.
 
         Args:
             style: "markdown"; "csv" for the tables alone; or "latex", in which texts are comments.
+            columns: Titles of columns: only tables with all of them are included, with these columns alone.
 
         Raises:
-            UnknownNameError: Unknown style.
+            UnknownNameError: Unknown style, or a column that no table has.
+            OptionError: No table has all columns.
         """
         check_name("table format", style, TABLE_FORMATS)
+        sections = self.build_sections()
+        headers = [section.header for section in sections if isinstance(section, ReportTable)]
+        for column in columns:
+            check_name("column", column, dict.fromkeys(title for header in headers for title in header))
+        if not any(set(columns) <= set(header) for header in headers):
+            raise OptionError(f"columns must be of one table, got {', '.join(columns)}; print one table at a time")
         parts = []
-        for section in self.build_sections():
+        for section in sections:
             if isinstance(section, ReportTable):
-                parts.append(section.format(style))
+                parts.append(section.select(columns).format(style))
             elif style == "latex":
                 parts.append("\n".join(f"% {line}" for line in section.splitlines()))
             elif style == "markdown":

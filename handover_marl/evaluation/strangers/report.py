@@ -27,7 +27,7 @@ from handover_marl.evaluation.reports.tables import (
     Estimate,
     ReportTable,
     TabularResult,
-    estimate_mean,
+    estimate_average_success,
     format_percent_rate,
 )
 from handover_marl.evaluation.results import EpisodeResult
@@ -173,10 +173,13 @@ class StrangersReport(TabularResult):
     def _estimate_means(self, chosen: Sequence[int]) -> dict[str, Estimate]:
         """Estimate the means over chosen partners, given by index."""
         families = [self.partners[number].family for number in chosen]
+        success = estimate_rate(compute_mean, self.successes[:, chosen], families)
+        score = estimate(compute_mean, self.scores[:, chosen], families)
         return {
-            "success": estimate_rate(compute_mean, self.successes[:, chosen], families),
+            "success": success,
             "contact": estimate_rate(compute_mean, self.contacts[:, chosen], families),
-            AVERAGE_SUCCESS.key: estimate(compute_mean, self.scores[:, chosen], families),
+            # Without a success the jackknife has no width, as in `estimate_average_success`.
+            AVERAGE_SUCCESS.key: score if score.mean else replace(score, interval_95=success.interval_95),
         }
 
     def _estimate_proximity(self, statistic: Statistic, families: Sequence[str] | None, references: Array) -> Estimate:
@@ -224,7 +227,7 @@ class StrangersReport(TabularResult):
             n, means = len(episodes), estimate_fluency(episodes)
             counts = [int(flags[:, number].sum()) for flags in (self.successes, self.contacts)]
             cells = [format_percent_rate(count, n) for count in counts]
-            cells.append(estimate_mean([each.speed_score for each in episodes]).format(".2f", ".1f"))
+            cells.append(estimate_average_success([each.speed_score for each in episodes]).format(".2f", ".1f"))
             if self.references is not None:
                 best = np.array([self.references[number].mean])
                 cells.append(f"{100 * compute_proximity(self.scores[:, [number]].mean(axis=-1), best):.0f}")

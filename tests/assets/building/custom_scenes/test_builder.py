@@ -153,8 +153,8 @@ FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "table's frame": (moved(BOTH, BELOW), {}, r"object must start above the table, got its lowest point 92 cm below"),
     "out of reach": (moved(BOTH, (0.0, 1.5, 0.0)), {}, r"must end within 1\.2 m of the robot's base, got 2\.0"),
     "in mm": (moved(("object",), (0.0, 0.0, 0.0), 1000.0), {}, "within 3 m of the world's origin.*length='mm'"),
-    "wrist far away": (moved(("wrist",), (0.0, 0.4, 0.0)), {}, r"wrist must be where the fingers reach.*mm away"),
-    "wrist inside": (moved(("wrist",), (0.055, -0.06, 0.0)), {}, r"wrist must be where the fingers reach.*mm inside"),
+    "wrist far away": (moved(("wrist",), (0.0, 0.4, 0.0)), {}, r"got only 0 digits that reach it, .*mm away"),
+    "wrist inside": (moved(("wrist",), (0.055, -0.06, 0.0)), {}, r"a hand inside of it wherever the wrist is moved"),
     "hand elsewhere": (
         moved(("wrist",), (0.0, 0.0, 1.3), fingers=np.zeros((181, 45))),
         {},

@@ -10,6 +10,7 @@ from handover_marl.assets.building.custom_scenes.motion_tables import MotionConf
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.errors import DataFormatError, HandoverError
+from handover_marl.geometry.poses import compose, invert_pose
 from tests.custom_scenes import make_recording, write_csv
 
 ALL = slice(None)
@@ -101,6 +102,45 @@ def test_csv_files_of_spreadsheets(separator: str, tmp_path: Path) -> None:
     text = path.read_text()
     path.write_text(f"sep=,\n{text}" if separator == "sep=," else text.replace(",", separator).replace(".", ","))
     np.testing.assert_allclose(read_motion_table(path, MotionConfig()).bodies["object"], recording["object"], atol=1e-6)
+
+
+def write_motive(path: Path, bodies: dict[str, Any], time: Any, old: bool) -> Path:
+    """Write poses as Motive does: y up, millimetres, quaternions first, with an error and a marker of each body."""
+    kinds, names, parts, axes = ([], [], [], [])
+    for name in bodies:
+        kinds += ["Rigid Body"] * 8 + ["Rigid Body Marker"] * 3
+        names += [f'"{name}"'] * 8 + [f"{name}:Marker1"] * 3
+        parts += ["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"] + ["Position"] * 3
+        axes += [*"XYZWXYZ", "", *"XYZ"]
+    header = ["Format Version,1.2,Rotation Type,Quaternion,Capture Frame Rate,60.000000,Length Units,Millimeters", ""]
+    header += [f",{'' if old else label},{','.join(row)}" for label, row in (("Type", kinds), ("Name", names))]
+    header += [f",,{','.join(names)}"] if old else [f",ID,{','.join(names)}", f",Parent{',' * len(names)}"]
+    lines = [*header, f",,{','.join(parts)}", f"Frame,Time (Seconds),{','.join(axes)}"]
+    for row, seconds in enumerate(time):
+        cells = [[*pose[row, 3:], *(1000.0 * pose[row, :3]), 0.1, 1, 2, 3] for pose in bodies.values()]
+        lines.append(",".join([str(row), *(f"{cell:.6f}" for cell in (seconds, *np.concatenate(cells)))]))
+    path.write_text("\r\n".join(lines) + "\r\n")
+    return path
+
+
+@pytest.mark.parametrize("old", [True, False])
+def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> None:
+    """Poses of markers, in a frame with the y axis up, are converted to poses of the object and of the wrist."""
+    recording, frame = make_recording(), (0.1, 0.2, TABLE_HEIGHT, 0.5, 0.5, 0.5, 0.5)
+    offset = (0.03, -0.01, 0.02, 0.0, 0.6, 0.0, 0.8)
+    markers = {
+        "object": compose(invert_pose(np.array(frame)), compose(recording["object"], invert_pose(np.array(offset)))),
+        "wrist": compose(invert_pose(np.array(frame)), recording["wrist"]),
+    }
+    path = write_motive(tmp_path / "take.csv", markers, recording["time"], old)
+    table = read_motion_table(path, MotionConfig(frame=frame, object_offset=offset))
+    np.testing.assert_allclose(table.bodies["object"], recording["object"], atol=1e-5)
+    np.testing.assert_allclose(table.wrist, recording["wrist"], atol=1e-5)
+    path.write_text(path.read_text().replace("Rotation,", "Angle,"))
+    with pytest.raises(DataFormatError, match=r"take\.csv: not a CSV file of Motive .*rotation type Quaternion"):
+        read_motion_table(path, MotionConfig())
+    with pytest.raises(HandoverError, match="wrist_offset must be seven numbers"):
+        MotionConfig(wrist_offset=(0.0, 0.0, 0.1))
 
 
 def test_units_frames_and_orders_of_files(tmp_path: Path) -> None:

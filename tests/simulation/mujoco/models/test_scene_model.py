@@ -19,6 +19,7 @@ from handover_marl.geometry.panda import LOWER_LIMITS, PANDA_CAMERA, UPPER_LIMIT
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
+from handover_marl.simulation.mujoco.models import scene_model
 from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
 from handover_marl.simulation.mujoco.models.scene_spec import _NEVER_COLLIDING, ModelPadding, SceneModelBuilder
@@ -37,6 +38,10 @@ def client() -> BulletClient:
 @pytest.fixture(scope="module")
 def scene() -> SceneModel:
     return load_scene_model(ASSETS, CONFIG)
+
+
+def test_cached_models_of_many_scenes_take_bounded_memory(scene: SceneModel) -> None:
+    assert scene_model._load.cache_info().maxsize * mujoco.mj_sizeModel(scene.model) < 0.6e9
 
 
 def test_all_jacobians_are_dense() -> None:

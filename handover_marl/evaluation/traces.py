@@ -1,0 +1,87 @@
+"""Time series of episodes in a result folder: `traces/209.csv`, a row for every 20 ms of an episode."""
+
+from pathlib import Path
+
+import numpy as np
+
+from handover_marl.episode.episode import Episode
+from handover_marl.episode.loop import EpisodeCallback
+from handover_marl.episode.metrics.motion import SAMPLE_STEPS, EpisodeTrace, compute_speeds
+from handover_marl.evaluation.config import EvaluationConfig
+from handover_marl.evaluation.reports.tables import format_csv
+from handover_marl.evaluation.results import TRACES, EpisodeRecorder, EpisodeResult, EpisodeWriter
+from handover_marl.policies.policy import Policy
+
+_POSITIONS = tuple(f"{point}_{axis}" for point in ("gripper", "wrist") for axis in "xyz")
+#: Columns: time (s); positions of the robot's hand link and of the wrist in the world frame (m), their speeds, averaged
+#: over 60 ms (m/s), and their distance (m); largest sums of normal forces since the previous row (N). Columns of the
+#: wrist are empty without a hand.
+COLUMNS = (
+    *("time", *_POSITIONS, "gripper_speed", "wrist_speed", "gripper_wrist_distance"),
+    *("robot_object_force", "robot_hand_force"),
+)
+
+
+class ForceRecorder(EpisodeCallback):
+    """Recorder of contact forces at the times of an `EpisodeTrace`.
+
+    Attributes:
+        forces: Largest sums of the normal forces of the robot on object and hand (N) between two samples, one row for
+            each sample of the last episode.
+    """
+
+    def on_reset(self, episode: Episode) -> None:
+        """Discard the forces of the previous episode; those at its start are zero."""
+        self.forces, self._largest = [(0.0, 0.0)], (0.0, 0.0)
+
+    def on_step(self, episode: Episode) -> None:
+        """Update the largest forces, and keep them at every sample."""
+        found, (on_object, on_hand) = episode.contacts, self._largest
+        self._largest = max(on_object, found.robot_object_force), max(on_hand, found.robot_hand_force)
+        if episode.steps % SAMPLE_STEPS == 0:
+            self.forces.append(self._largest)
+            self._largest = (0.0, 0.0)
+
+    def on_end(self, episode: Episode) -> None:
+        """Count forces after the last sample, such as of the contact that ended the episode, to the last sample."""
+        self.forces[-1] = max(self.forces[-1][0], self._largest[0]), max(self.forces[-1][1], self._largest[1])
+
+
+class TraceWriter(EpisodeWriter):
+    """Writer of the time series of each episode.
+
+    Args:
+        folder: Result folder of the evaluation.
+
+    Raises:
+        ResultsError: The folder of the time series cannot be created.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder / TRACES)
+
+    def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
+        """Create the recorder of forces in one worker process."""
+        recorder = ForceRecorder()
+        return recorder, lambda result, trace: format_trace(trace, recorder).encode()
+
+    def get_path(self, result: EpisodeResult) -> Path:
+        """Return the path of the time series of an episode."""
+        return self.path / f"{result.scene_id or 0:03d}.csv"
+
+
+def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
+    """Return the time series of an episode as CSV text with the columns `COLUMNS`."""
+    has_hand = np.isfinite(trace.wrist[:, 0])
+    values = np.column_stack(
+        [
+            np.arange(len(trace.gripper)) * trace.period,
+            trace.gripper,
+            trace.wrist,
+            compute_speeds(trace.gripper, trace.period),
+            np.where(has_hand, compute_speeds(trace.wrist, trace.period), np.nan),
+            np.linalg.norm(trace.gripper - trace.wrist, axis=1),
+            recorder.forces,
+        ]
+    )
+    return format_csv([COLUMNS, *([None if np.isnan(cell) else f"{cell:.6g}" for cell in row] for row in values)])
