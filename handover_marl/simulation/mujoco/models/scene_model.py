@@ -32,7 +32,7 @@ from handover_marl.simulation.reference_tracking import BASE_JOINTS
 
 Index = npt.NDArray[np.int32]
 
-# A model takes 2 MB and 20 ms to build. DexYCB has 400 pairs of object and hand, and trainings start 5 episodes a second.
+# A model takes 2 MB and 20 ms to build. DexYCB has 400 pairs of object and hand, and trainings use all of them.
 _CACHE_SIZE = 400
 # Link of an object's chain that carries the mass and all shapes, after its six joints.
 _OBJECT_LINK = OBJECT_DOF - 1
