@@ -119,7 +119,7 @@ class Yang2021Receiver(Receiver):
         super().__init__(context)
         config = YangConfig() if config is None else config
         check_config("config", config, YangConfig)
-        self.config = override_options(config, options, "step_length")
+        self.config = override_options(config, options)
         if wait is not None:
             self.config = replace(self.config, wait=milliseconds_from_wait(wait) / 1000.0)
         self._ik_solver: IkSolver | None = None

@@ -16,7 +16,7 @@ from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, W
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.observations import Observation
 from handover_marl.episode.spaces import STATE
-from handover_marl.errors import OptionError, ResetNeededError
+from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.ycb import CLASS_NAMES
 
@@ -317,32 +317,39 @@ def require_reset(part: _Part | None, receiver_name: str) -> _Part:
     return part
 
 
-def override_options(config: _Config, options: Mapping[str, object], example: str) -> _Config:
+def override_options(config: _Config, options: Mapping[str, object]) -> _Config:
     """Return a copy of a policy's configuration with other values of some of its numbers.
 
     Args:
         config: Configuration to change, a dataclass.
         options: Numbers by name: a field of the configuration, such as `near_period`, or a field of one of its
             sections after the name of the section, such as `approach_standoff`.
-        example: Name of an option, for the error message.
 
     Raises:
-        OptionError: A name is not that of a number in the configuration, or a value is not a finite number.
+        UnknownNameError: A name is not that of a number in the configuration.
+        OptionError: A value is not a finite number.
     """
-    sections = [field.name for field in fields(config) if is_dataclass(getattr(config, field.name))]  # type: ignore[arg-type]
+    values = {field.name: getattr(config, field.name) for field in fields(config)}  # type: ignore[arg-type]
+    sections = {name: section for name, section in values.items() if is_dataclass(section)}
+    numbers = [name for name, value in values.items() if _is_number(value)]
+    for section_name, section in sections.items():
+        numbers += [
+            f"{section_name}_{each.name}" for each in fields(section) if _is_number(getattr(section, each.name))
+        ]
     changed: Any = config
     for name, value in options.items():
         start, _, rest = name.partition("_")
         section_name, field_name = (start, rest) if start in sections else ("", name)
         section = getattr(changed, section_name) if section_name else changed
-        known = getattr(section, field_name, None)
-        if isinstance(known, bool) or not isinstance(known, (int, float)):
-            raise OptionError(
-                f"options must be those of the constructor or numbers in {type(config).__name__} such as {example}, "
-                f"got {name!r}; see docs/reference/policies.md"
-            )
+        if name not in numbers:
+            raise UnknownNameError("option", name, numbers, "docs/reference/policies.md has the others")
+        known = getattr(section, field_name)
         if isinstance(value, bool) or not isinstance(value, (int, type(known))) or not math.isfinite(value):
             raise OptionError(f"{name} must be a finite {type(known).__name__}, got {value!r}")
         section = replace(section, **{field_name: value})
         changed = replace(changed, **{section_name: section}) if section_name else section
     return changed  # type: ignore[no-any-return]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -44,7 +44,7 @@ class ReactiveReceiver(ControllerReceiver):
         config = ReactiveConfig() if config is None else config
         check_config("config", config, ReactiveConfig)
         config = apply_risk(config, risk)
-        super().__init__(context, wait, override_options(config, options, "approach_standoff"))
+        super().__init__(context, wait, override_options(config, options))
         self._object_name = ""
         self._scene: PoseSceneEstimate | None = None
 

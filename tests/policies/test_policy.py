@@ -10,7 +10,7 @@ from handover_marl.config import WorldConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import ActionRecorder, run_episode
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.givers import Giver, PolicyContext, make_policy_context
 from handover_marl.givers.variations import ReplayGiver
 from handover_marl.policies.policy import override_options
@@ -108,14 +108,14 @@ def test_a_wait_is_waited() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("standoff", 0.1, "such as approach_standoff, got 'standoff'"),
-        ("approach", 0.1, "got 'approach'"),
-        ("approach_grip", 0.1, "got 'approach_grip'"),
+        ("standof", 0.1, "unknown option 'standof'"),
+        ("approach", 0.1, "unknown option 'approach'"),
+        ("approach_standof", 0.1, "did you mean 'approach_standoff'?"),
         ("approach_standoff", "far", "approach_standoff must be a finite float, got 'far'"),
         ("approach_standoff", float("nan"), "must be a finite float, got nan"),
         ("selection_max_candidates", 2.5, "must be a finite int, got 2.5"),
     ],
 )
 def test_invalid_options(name: str, value: object, message: str) -> None:
-    with pytest.raises(OptionError, match=re.escape(message)):
-        override_options(ReactiveConfig(), {name: value}, "approach_standoff")
+    with pytest.raises((OptionError, UnknownNameError), match=re.escape(message)):
+        override_options(ReactiveConfig(), {name: value})
