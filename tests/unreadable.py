@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -25,15 +24,6 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
 }
 
 
-def replace_by(kind: str, path: Path) -> None:
-    """Replace a file or folder by an unreadable file of some kind."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-    UNREADABLE[kind](path)
-
-
 def check_refusal(read: Callable[[Path], object], path: Path, kind: str, error: type[Exception]) -> None:
     """Check that a reader refuses an unreadable file, made at a path, within 5 s and with an error that states why."""
     UNREADABLE[kind](path)
@@ -47,14 +37,3 @@ def refuses_within(seconds: float, error: type[Exception] | tuple[type[Exception
     match = "larger than" if kind == "large" else "not a plain file"
     with ends_within(seconds), pytest.raises(error, match=match):
         yield
-
-
-def write_model(folder: Path, mesh: str) -> Path:
-    """Write a URDF of one link, its mesh in OBJ format whatever its suffix."""
-    (folder / mesh).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
-    urdf = folder / "body.urdf"
-    urdf.write_text(
-        f'<robot name="body"><link name="body"><collision>{shape}</collision><visual>{shape}</visual></link></robot>'
-    )
-    return urdf

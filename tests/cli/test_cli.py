@@ -59,12 +59,6 @@ def test_ctrl_c(fake_data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert "same command resumes" in capsys.readouterr().err
 
 
-def test_commands_are_imported_after_the_handler_of_ctrl_c() -> None:
-    code = "import sys; from handover_marl.cli import main; print('tyro' in sys.modules, 'scipy' in sys.modules)"
-    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert finished.stdout == "False False\n"
-
-
 @pytest.mark.slow
 def test_closed_streams(fake_data: Path, tmp_path: Path) -> None:
     """A reader may close the output of a command, and streams may be closed from its start, also in workers."""

@@ -70,6 +70,7 @@ def test_environment_of_another_data_set() -> None:
     assert (copied.setup, copied.object_names) == ("random", dataset.object_names)
 
 
+@pytest.mark.slow
 def test_results_of_another_data_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Results with numbers of four digits in their split are written, read again and verified."""
     shorten_episodes(monkeypatch, 1000)

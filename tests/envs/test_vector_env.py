@@ -231,17 +231,6 @@ def test_cameras_have_the_seeds_of_single_environments(monkeypatch: pytest.Monke
     assert len(set(expected)) == 2
 
 
-def test_an_environment_does_not_depend_on_how_many_there_are() -> None:
-    few, many = (
-        rollout(handover_marl.vector_env(count, "giver", "hold", threads=2, **SHORT), MORE_THAN_AN_EPISODE)
-        for count in (2, COUNT)
-    )
-    for one, other in zip(few, many, strict=True):
-        if isinstance(one, np.ndarray):
-            np.testing.assert_array_equal(one, other[:2])
-    np.testing.assert_array_equal(few[-5]["object_poses"], many[-5]["object_poses"][:2])
-
-
 @pytest.fixture
 def both() -> Iterator[Callable[..., Any]]:
     made = []

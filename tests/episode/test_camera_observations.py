@@ -375,6 +375,7 @@ def test_late_images_are_those_of_earlier_steps() -> None:
     episode.close()
 
 
+@pytest.mark.slow
 def test_noise_follows_the_seed_of_the_episode() -> None:
     """Point clouds are subsampled differently with another seed of the episode, and equally with the same seed."""
     episode, clouds = Episode("fast"), []

@@ -147,14 +147,3 @@ def test_worlds_are_simulated_as_if_alone() -> None:
     assert statuses >= {EpisodeStatus(status) for status in (1, 2, 4, 6, 8)}
     assert reasons == {None, *ReleaseReason}
     assert (max(ScriptedWorld.sizes), max(ScriptedWorld.lengths)) == (32, 100)
-
-
-def test_a_single_world_is_simulated_for_the_requested_steps() -> None:
-    ScriptedWorld.sizes, ScriptedWorld.lengths = [], []
-    world = ScriptedWorld([APART] * N_STEPS, 0, "alone", 1000, False)
-    referees = stack_states([Referee(RULES).get_state()])
-    judge = make_judge(referees, RULES)
-    assert ScriptedWorld.rollout([world], [world.target], 250, judge, RULES).tolist() == [250]
-    assert ScriptedWorld.lengths == [100, 100, 50]
-    assert (world.position, world.releases) == (250, [])
-    assert referees.select_rows(0) == RefereeState(0, 250, -1, -1, 0, 0, 0)

@@ -7,7 +7,6 @@ from handover_marl.config import GiverConfig
 from handover_marl.episode.spaces import (
     check_giver_action,
     check_receiver_action,
-    check_vector,
     giver_action_space,
 )
 from handover_marl.errors import ActionError
@@ -78,14 +77,6 @@ def test_what_givers_may_do_can_be_chosen() -> None:
     np.testing.assert_array_equal(space.high, np.float32([1, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5, 1]))
     np.testing.assert_array_equal(check_giver_action(np.full(8, 9.0), space), space.high)
     np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0), space), space.low)
-
-
-def test_only_the_first_numbers_must_be_finite() -> None:
-    values = [1.0, 2.0, float("nan")]
-    np.testing.assert_array_equal(check_vector("pose", values, 3, "metres", n_finite=2), np.float32(values))
-    for n_finite in (3, None):
-        with pytest.raises(ActionError, match="pose must be 3 numbers, metres, but component 2 is nan"):
-            check_vector("pose", values, 3, "metres", n_finite)
 
 
 def test_tensors_on_a_gpu_are_explained() -> None:

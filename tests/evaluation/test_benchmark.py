@@ -27,6 +27,7 @@ from handover_marl.givers import Giver
 from tests.evaluation.quick import HORIZON, SCENES, SHORT, QuickReceiver, run, untimed
 
 
+@pytest.mark.slow
 def test_a_config_equals_its_fields_as_options(fake_data: Path, tmp_path: Path) -> None:
     fields: dict[str, Any] = {"split": "val", "scenes": SCENES, "physics": "fast"}
     fields |= {"receiver": QuickReceiver, "world_config": SHORT, "data_dir": str(fake_data)}

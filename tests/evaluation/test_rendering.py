@@ -1,4 +1,3 @@
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -105,12 +104,6 @@ def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error
     with pytest.raises(error):
         draw(tmp_path / out, **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
-        draw(tmp_path / "x.mp4")
 
 
 def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -177,6 +177,7 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
         check()
 
 
+@pytest.mark.slow
 def test_another_seed_in_the_configuration_is_found(tmp_path: Path) -> None:
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=NOISY, **OPTIONS)
     path = tmp_path / "config.yaml"

@@ -8,11 +8,8 @@ import pytest
 import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import HandoverError, OptionError
-from handover_marl.learning.adapters.function_policy import LearnedPolicy
 from handover_marl.learning.custom_encodings import FeatureExtractor, declare_size
 from handover_marl.learning.features import make_features
-from handover_marl.learning.policy_files import write_policy
-from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.learning.schemes import make_scheme
 from handover_marl.receivers import make_policy_context
 from tests.givers.test_givers import START, seen
@@ -136,12 +133,3 @@ def test_environments_of_a_batch_do_not_share_memory() -> None:
     assert envs.reset(seed=0)[0][:, 3].tolist() == [1.0, 1.0]
     assert envs.step(np.zeros((2, 1), np.float32))[0][:, 3].tolist() == [2.0, 2.0]
     envs.close()
-
-
-def test_trusted_policy_files_import_own_features(tmp_path: Any) -> None:
-    network = DenseNetwork((np.zeros((1, 4), np.float32),), (np.zeros(1, np.float32),))
-    path = tmp_path / "policy.npz"
-    write_policy(path, PolicySpec("receiver", f"{MODULE}:OffsetAndCount", f"{MODULE}:FirstJoint"), network)
-    policy = LearnedPolicy("receiver", CONTEXT, path, trust=True)
-    policy.reset()
-    np.testing.assert_array_equal(policy.act(seen()), START)

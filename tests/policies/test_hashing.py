@@ -14,7 +14,7 @@ import handover_marl
 from handover_marl.datasets import open_dataset
 from handover_marl.errors import ResultsError
 from handover_marl.policies import hashing
-from handover_marl.policies.hashing import find_package, hash_object, hash_policy
+from handover_marl.policies.hashing import hash_object, hash_policy
 from handover_marl.policies.policy import Action
 from handover_marl.policies.reference import parse_policy
 from handover_marl.receivers import Receiver
@@ -138,12 +138,6 @@ def test_code_without_a_file_gets_another_hash_every_time() -> None:
     exec("def act(value):\n    return value\nclass Typed:\n    pass", vars(module))
     for value in (module.act, module.Typed, module.Typed()):
         assert hash_object(value) != hash_object(value)
-
-
-def test_packages_of_imported_functions() -> None:
-    for function in (use_weights, Linear(1.0), Linear(1.0).__call__, functools.partial(use_weights)):
-        assert find_package(function) == "tests"
-    assert find_package(lambda value: value) == ""
 
 
 @pytest.mark.slow
