@@ -2,12 +2,11 @@
 
 import contextlib
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
-from tests.evaluation.deadline import ends_within
 
 
 def _make_large(path: Path) -> None:
@@ -37,3 +36,23 @@ def refuses_within(seconds: float, error: type[Exception] | tuple[type[Exception
     match = "larger than" if kind == "large" else "not a plain file"
     with ends_within(seconds), pytest.raises(error, match=match):
         yield
+
+
+class TooSlowError(BaseException):
+    """Error of an exceeded time limit; it is no `Exception`, so that the code under test does not catch it."""
+
+
+@contextlib.contextmanager
+def ends_within(seconds: float) -> Iterator[None]:
+    """Fail if the body does not end within some seconds, e.g. because it waits for the writer of a pipe."""
+
+    def stop(*_: object) -> None:
+        raise TooSlowError(f"no end after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

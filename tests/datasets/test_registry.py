@@ -13,8 +13,8 @@ import pytest
 import handover_marl
 from handover_marl.datasets import DATA_DIR_VARIABLE, open_dataset
 from handover_marl.datasets.generated.dataset import FIRST_CLASS
-from handover_marl.datasets.registry import DataLocation, check_scene_fingerprint
-from handover_marl.errors import DataFormatError, OptionError, SceneError, UnknownNameError
+from handover_marl.datasets.registry import DataLocation
+from handover_marl.errors import OptionError, SceneError, UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.verification import verify
@@ -104,12 +104,3 @@ def test_data_folder_of_another_machine(tmp_path: Path, monkeypatch: pytest.Monk
     assert (asked.resolve(), not_given.resolve()) == (str(argument), None)
     monkeypatch.delenv(DATA_DIR_VARIABLE)
     assert (asked.resolve(), not_given.resolve()) == (str(argument), str(environment))
-
-
-def test_different_scenes_are_refused() -> None:
-    check_scene_fingerprint(9, "abc", "abc")
-    check_scene_fingerprint(9, "abc", "")
-    with pytest.raises(
-        DataFormatError, match=rf"scene 9 on .* \(fingerprint abc there, abd here\).*{DATA_DIR_VARIABLE}"
-    ):
-        check_scene_fingerprint(9, "abc", "abd")

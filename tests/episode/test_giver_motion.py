@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -107,22 +106,6 @@ def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> 
     parts = [advance(in_parts, steps, displaced) for steps in (30, 1, 25, 44)]
     np.testing.assert_allclose(np.concatenate([part.objects for part in parts]), around.objects, atol=1e-6)
     assert at_once.holding
-
-
-def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
-    rng = np.random.default_rng(0)
-    bodies = rng.uniform(-1.0, 1.0, (1, 5, 2, 6)).astype(np.float32)
-    offsets = rng.uniform(-0.3, 0.3, (1, 5, 2, 3))
-    place = np.array([0.05, 0.0, 0.1])
-    moved = move_with_wrists(bodies, offsets, place[None], bodies[:, 0, :, 3:])
-
-    def beside(both: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        (hand, turn), (item, _) = pose(both[:, 0]), pose(both[:, 1])
-        return turn.inv().apply(item - hand)
-
-    np.testing.assert_allclose(beside(moved[0]), beside(bodies[0]), atol=1e-5)
-    wrists = [compute_wrist_positions(both[0, :, 0], place) for both in (bodies, moved)]
-    np.testing.assert_allclose(wrists[1] - wrists[0], offsets[0, :, 0], atol=1e-5)
 
 
 def test_angles_continue_without_a_jump_near_gimbal_lock() -> None:

@@ -17,6 +17,8 @@ from handover_marl.simulation.world import NO_POINTS, ContactBatch, Contacts, fi
 
 #: Rules with short periods, so that few steps lead to releases and ends of episodes.
 RULES = ProtocolConfig(release_steps=4, success_steps=3, horizon_steps=40)
+#: Positions inside and outside of the goal's ball, along its diagonal, and far away.
+INNER, OUTER = (tuple(value + offset for value in RULES.goal_center) for offset in (0.085, -0.088))
 #: Namespaces of the arrays; tensors only if PyTorch is installed.
 FACTORIES = [NUMPY_ARRAYS, *([make_tensor_factory("cpu")] if importlib.util.find_spec("torch") else [])]
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
@@ -30,7 +32,7 @@ STEP = st.builds(
     finger_points=st.tuples(POINTS, POINTS),
     object_supported=st.sampled_from([False] * 8 + [True]),
     object_height=st.sampled_from([1.2, 1.2, 1.2, 0.9]),
-    gripper_position=st.sampled_from([RULES.goal_center, RULES.goal_center, (0.0, 0.0, 0.0)]),
+    gripper_position=st.sampled_from([RULES.goal_center, INNER, INNER, OUTER, (0.0, 0.0, 0.0)]),
 )
 
 

@@ -144,11 +144,9 @@ def test_a_full_disk_loses_nothing(fake_data: Path, tmp_path: Path, monkeypatch:
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"setup": "s5"}, UnknownNameError, "setup 's5'; valid: s0, s1, s2, s3"),
         ({"receiver": "nobody"}, UnknownNameError, "receiver 'nobody'; valid: gaddpg, hold, learned, omg"),
         ({"scenes": [9, 10]}, SceneError, "scene 10 is not in s0 val"),
         ({"scenes": []}, SceneError, "scenes must not be empty"),
-        ({"scenes": "9"}, SceneError, "must be scene numbers"),
         ({"scenes": [19]}, DataNotFoundError, "meta_019"),
     ],
 )

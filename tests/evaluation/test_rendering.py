@@ -96,8 +96,6 @@ def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("x.bmp", {}, OptionError),
         ("x.png", {"key_frames": 0}, OptionError),
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
-        ("x.png", {"camera": {"width": 5}}, OptionError),
-        ("x.png", {"setup": "s0"}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:

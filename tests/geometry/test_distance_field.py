@@ -8,7 +8,7 @@ import pytest
 
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.geometry import distance_field as field_module
-from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays
+from handover_marl.geometry.array_cache import get_cache_folder
 from handover_marl.geometry.distance_field import CACHE_KIND, load_object_sdf, sample_distance_field
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
 from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
@@ -102,11 +102,3 @@ def test_users_without_a_home_have_a_cache(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", find_no_home)
     assert get_cache_folder(CACHE_KIND).parts[-2:] == ("handover_marl", CACHE_KIND)
-
-
-def test_folders_without_permission_are_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path) -> bool:
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "exists", refuse)
-    assert load_cached_arrays(tmp_path / "a.npz", ("field",), "distance field") is None

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset

@@ -72,12 +72,9 @@ class Linear:
         (lambda: eval("lambda value: value.real"), lambda: eval("lambda value: value.imag")),
         (lambda: math.sin, lambda: math.cos),
         (lambda: Linear(1.0), lambda: Linear(2.0)),
-        (lambda: Linear(1.0).__call__, lambda: Linear(2.0).__call__),
         (lambda: functools.partial(make(1.0), power=1), lambda: functools.partial(make(1.0), power=3)),
         (lambda: make(1.0, {"weights": np.zeros(2)}), lambda: make(1.0, {"weights": np.ones(2)})),
-        (lambda: make(1.0, {"weights": np.zeros(2)}), lambda: make(1.0, {"weights": np.zeros(2, np.float32)})),
         (lambda: Path("a"), lambda: Path("b")),
-        (lambda: {"a", "b"}, lambda: {"a", "c"}),
     ],
 )
 def test_values_differ(first: Callable[[], Any], second: Callable[[], Any]) -> None:

@@ -8,7 +8,6 @@ import pytest
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import loop
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics import motion
@@ -420,20 +419,3 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
 def test_every_metric_has_a_column() -> None:
     assert [column.key for column in FLUENCY] == [part.name for part in dataclasses.fields(FluencyMetrics)]
     assert estimate_fluency([]) == {}
-
-
-@pytest.mark.parametrize(("until", "n_samples"), [(100, 6), (119, 6), (120, 7)])
-def test_motion_is_sampled_every_twenty_steps(until: int, n_samples: int) -> None:
-    dataset, recorder = SyntheticDataset(), TraceRecorder()
-    episode = Episode("fast")
-    episode.reset(dataset.load_scene(209))
-    loop.run_episode(episode, make("hold", dataset), until=until, callbacks=[recorder])
-    episode.close()
-    recorder.close()
-    trace = recorder.trace
-    assert SAMPLE_STEPS == 20
-    assert len(trace.gripper) == len(trace.fingers) == len(trace.wrist) == n_samples
-    assert (trace.steps, trace.max_object_force, trace.max_hand_force) == (until, 0.0, None)
-    # The hand is not in the scene yet.
-    assert np.isnan(trace.wrist).all()
-    assert trace.min_distance is None
