@@ -6,7 +6,6 @@ The generated data set in these tests has more than 1,000 scenes in a split, one
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ import handover_marl
 from handover_marl.datasets import DATA_DIR_VARIABLE, open_dataset
 from handover_marl.datasets.generated.dataset import FIRST_CLASS
 from handover_marl.datasets.registry import DataLocation
-from handover_marl.errors import OptionError, SceneError, UnknownNameError
+from handover_marl.errors import SceneError, UnknownNameError
 from handover_marl.evaluation.metadata import read_result_metadata
 from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.verification import verify
@@ -30,14 +29,6 @@ def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
-
-
-@pytest.mark.parametrize("name", ["many", "generated", "dexycb:x", "synthetic:", "", 3])
-def test_names_that_do_not_exist(name: Any) -> None:
-    with pytest.raises(UnknownNameError, match=r"unknown dataset .*valid: auto, synthetic, "):
-        open_dataset(name)
-    with pytest.raises(OptionError, match="need no data folder"):
-        open_dataset("synthetic", "/tmp")
 
 
 def test_official_setups_and_scenes_are_the_default() -> None:

@@ -77,9 +77,7 @@ def shorten(arrays: Arrays) -> None:
 ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
     "shortened": shorten,
     "open fingers": lambda arrays: arrays["action"].__setitem__((slice(None), slice(7, None)), 0.04),
-    "missing": lambda arrays: arrays.pop("action"),
     "one row less": lambda arrays: arrays.update(action=arrays["action"][:-1]),
-    "integers": lambda arrays: arrays.update(action=arrays["action"].astype(np.int64)),
     "not a number": lambda arrays: arrays["action"].__setitem__((50, 3), np.nan),
 }
 VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {

@@ -11,7 +11,6 @@ from handover_marl.geometry import distance_field as field_module
 from handover_marl.geometry.array_cache import get_cache_folder
 from handover_marl.geometry.distance_field import CACHE_KIND, load_object_sdf, sample_distance_field
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
-from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
 
 RADIUS, REACH, CELL = 0.05, 0.2, 0.005
 BALL = sample_distance_field(
@@ -42,15 +41,6 @@ def test_distance_outside_the_grid() -> None:
     distance, slope = BALL.compute_distances_and_gradients(points)
     assert (distance == 1.0).tolist() == [True, True, False]
     assert not slope[:, :2].any()
-
-
-@pytest.mark.parametrize("padding", [0.05, 0.2])
-def test_cost_falls_to_nothing_and_its_derivative_is_right(padding: float) -> None:
-    distances, small = np.linspace(-0.1, 0.3, 41) + 1e-3, 1e-5
-    below, here, above = (compute_proximity_cost(distances + step, padding) for step in (-small, 0.0, small))
-    np.testing.assert_array_equal(here == 0.0, distances >= padding)
-    assert (here >= 0.0).all()
-    np.testing.assert_allclose(compute_proximity_gradient(distances, padding), (above - below) / (2 * small), atol=1e-3)
 
 
 @pytest.fixture

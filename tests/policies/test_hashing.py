@@ -90,15 +90,6 @@ def test_variables_of_the_module_count_where_they_are_used(function: Any, monkey
     assert hash_object(make) == other
 
 
-def test_attributes_of_the_class_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Derived(Weighted):
-        pass
-
-    before = hash_object(Weighted), hash_object(Derived)
-    monkeypatch.setattr(Weighted, "control_period", 0.3)
-    assert all(hash_object(kind) != one for kind, one in zip((Weighted, Derived), before, strict=True))
-
-
 @pytest.mark.parametrize("kind", ["array", "tensor", "network", "list", "dictionary", "object"])
 def test_arrays_and_tensors_of_a_policy(kind: str) -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")

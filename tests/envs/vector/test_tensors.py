@@ -107,7 +107,7 @@ def rollout(arrays: ArrayFactory, steps: int, agent: str | None, options: dict[s
 
     chosen = arrays.asarray(np.array([True, False, True, False]))
     masked = {"reset_mask": chosen, "scene_id": envs.scene_ids[3]}
-    resets: list[dict[str, Any]] = [{"seed": 3}] if agent is None else [{"seed": 3}, {}, {"options": masked}]
+    resets: list[dict[str, Any]] = [{"seed": 3}] if agent is None else [{"seed": 3}, {"options": masked}]
     found: list[Any] = []
     for arguments in resets:
         found.append(envs.reset(**arguments))
@@ -168,9 +168,9 @@ def test_features_and_action_schemes(
 ) -> None:
     # The receiver waits for 2 s: one case simulates as long again, the others have shorter episodes.
     is_long, lasts = options.get("autoreset") == "next_step", options.get("schemes") == "offer"
-    steps, max_cycles = (30, 20) if is_long else (24, 15)
+    steps, max_cycles = (12, 14) if is_long else (16, 13)
     # An offer lasts a whole episode.
-    steps, max_cycles = (3, 12) if lasts else (steps, max_cycles)
+    steps, max_cycles = (2, 12) if lasts else (steps, max_cycles)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 
