@@ -252,6 +252,7 @@ def test_programs_run(page: Path, small: None, monkeypatch: pytest.MonkeyPatch) 
             out="DIR",
             progress=False,
             workers=1,
+            fps=10,
         )
     try:
         for block in blocks(page, "python"):
