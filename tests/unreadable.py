@@ -2,13 +2,11 @@
 
 import contextlib
 import os
-import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
-from tests.evaluation.deadline import ends_within
 
 
 def _make_large(path: Path) -> None:
@@ -23,15 +21,6 @@ UNREADABLE: dict[str, Callable[[Path], object]] = {
     "device": lambda path: path.symlink_to("/dev/zero"),
     "large": _make_large,
 }
-
-
-def replace_by(kind: str, path: Path) -> None:
-    """Replace a file or folder by an unreadable file of some kind."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-    UNREADABLE[kind](path)
 
 
 def check_refusal(read: Callable[[Path], object], path: Path, kind: str, error: type[Exception]) -> None:
@@ -49,12 +38,21 @@ def refuses_within(seconds: float, error: type[Exception] | tuple[type[Exception
         yield
 
 
-def write_model(folder: Path, mesh: str) -> Path:
-    """Write a URDF of one link, its mesh in OBJ format whatever its suffix."""
-    (folder / mesh).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
-    shape = f'<geometry><mesh filename="package://{mesh}"/></geometry>'
-    urdf = folder / "body.urdf"
-    urdf.write_text(
-        f'<robot name="body"><link name="body"><collision>{shape}</collision><visual>{shape}</visual></link></robot>'
-    )
-    return urdf
+class TooSlowError(BaseException):
+    """Error of an exceeded time limit; it is no `Exception`, so that the code under test does not catch it."""
+
+
+@contextlib.contextmanager
+def ends_within(seconds: float) -> Iterator[None]:
+    """Fail if the body does not end within some seconds, e.g. because it waits for the writer of a pipe."""
+
+    def stop(*_: object) -> None:
+        raise TooSlowError(f"no end after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

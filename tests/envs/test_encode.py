@@ -9,8 +9,7 @@ import pytest
 from handover_marl.envs.constructors import parallel_env
 from handover_marl.envs.wrappers.encode import EncodedEnv, encode
 from handover_marl.envs.wrappers.freeze import freeze
-from handover_marl.envs.wrappers.wrapper import SingleAgentEnv
-from handover_marl.errors import ActionError, OptionError, ResetNeededError, SceneError, UnknownNameError
+from handover_marl.errors import ActionError, OptionError, ResetNeededError, UnknownNameError
 
 SYNTHETIC: dict[str, Any] = {"dataset": "synthetic", "physics": "fast", "split": "val"}
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -18,10 +17,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
 def encoded(agent: str, partner: str, actions: str | None = None, **options: Any) -> EncodedEnv:
     return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions)
-
-
-def single(agent: str, partner: str, actions: str | None = None, **options: Any) -> SingleAgentEnv:
-    return encode(freeze(parallel_env(**SYNTHETIC, **options), agent, partner), schemes=actions, api="gymnasium")
 
 
 @pytest.mark.slow
@@ -50,26 +45,14 @@ def test_rewards_add_up_until_the_next_decision() -> None:
     world.close()
 
 
-def test_scenes_can_be_kept_for_testing() -> None:
-    env = single("receiver", "replay", scenes=[9, 14])
-    assert env.scene_ids == (9, 14)
-    assert {env.reset(seed=seed)[1]["scene_id"] for seed in range(6)} == {9, 14}
-    with pytest.raises(SceneError, match="scene 10 is not in s0 val"):
-        single("receiver", "replay", scenes=[9, 10])
-
-
 @pytest.mark.parametrize(
     ("wrap", "error", "message"),
     [
         (lambda world, view: encode(view, "giver"), UnknownNameError, "features of the receiver 'giver'"),
-        (lambda world, view: encode(view, schemes="offer"), UnknownNameError, "scheme of the receiver 'offer'"),
-        (lambda world, view: encode(view, api="gym"), UnknownNameError, "api 'gym'; valid: parallel, gymnasium"),
         (lambda world, view: encode(view, {"giver": "giver"}), OptionError, "for receiver, got a choice for 'giver'"),
         (lambda world, view: encode(world, "receiver"), OptionError, "by agent for 2 agents"),
-        (lambda world, view: encode(view, 5), OptionError, "features must be a name, a class or a function"),
         (lambda world, view: encode(world, api="gymnasium"), OptionError, "one agent, got giver and receiver"),
         (lambda world, view: freeze(encode(world), "receiver"), OptionError, "must not be encoded"),
-        (lambda world, view: encode(encode(view)), OptionError, "encode once, before flattening"),
         (lambda world, view: encode(view).step({"receiver": np.zeros(7)}), ResetNeededError, "call reset"),
     ],
 )
@@ -77,22 +60,6 @@ def test_wrong_use(wrap: Callable[[Any, Any], Any], error: type[Exception], mess
     world = parallel_env(**SYNTHETIC)
     with pytest.raises(error, match=message):
         wrap(world, freeze(world, "receiver", "replay"))
-
-
-def test_camera_data_alone_cannot_be_encoded() -> None:
-    world = parallel_env(obs_mode="pointcloud", **SYNTHETIC)
-    with pytest.raises(OptionError, match=r"obs_mode must include the state .*'state\+pointcloud'"):
-        encode(world)
-    encode(freeze(world, "giver", "hold"))
-    encode(parallel_env(**{**SYNTHETIC, "obs_mode": "state+pointcloud"}))
-
-
-def test_tensors_with_a_gradient_are_refused_with_advice() -> None:
-    torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    env = encoded("receiver", "replay")
-    env.reset(seed=0)
-    with pytest.raises(ActionError, match=r"got Tensor with a gradient or on a GPU; pass tensor\.detach\(\)\.cpu\(\)"):
-        env.step({"receiver": torch.zeros(7, requires_grad=True)})
 
 
 @pytest.mark.parametrize("actions", [None, {}, {"receiver": np.zeros(6)}, {"receiver": np.full(7, np.nan)}])

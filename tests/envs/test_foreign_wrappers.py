@@ -57,13 +57,6 @@ def test_a_wrapper_changes_what_the_learner_gets_and_not_the_partner() -> None:
         assert other[1]["receiver"] == one[1]["receiver"] - 1.0
 
 
-@pytest.mark.parametrize(("wrong", "got"), [(HandoverEnv, "<class .*HandoverEnv.*>"), ("env", "'env'"), (None, "None")])
-def test_other_environments_are_refused(wrong: Any, got: str) -> None:
-    rule = r"env must be made by handover_marl\.parallel_env\(\) or a pettingzoo\.utils\.BaseParallelWrapper of it"
-    with pytest.raises(OptionError, match=f"^{rule}, got {got}$"):
-        handover_marl.flatten(wrong)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("physics", "agent"), [("fast", None), ("mujoco", "receiver")])
 def test_vector_environments_are_wrapped(physics: str, agent: str | None) -> None:

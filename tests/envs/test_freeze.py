@@ -46,6 +46,7 @@ def assert_equal(first: Any, second: Any) -> None:
         np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.slow
 def test_benchmark_view_equals_the_two_agent_world(fake_data: Path) -> None:
     view = handover_marl.benchmark_env(split="val", data_dir=fake_data)
     world = handover_marl.parallel_env(split="val", data_dir=fake_data)

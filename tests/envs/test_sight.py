@@ -1,14 +1,12 @@
 """Tests of environments whose receiver observes point clouds or images of the wrist camera."""
 
-import importlib.util
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl.errors import DataNotFoundError, OptionError, ResetNeededError
+from handover_marl.errors import ResetNeededError
 from handover_marl.receivers import Receiver
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -51,6 +49,7 @@ def assert_same(first: list[dict[str, np.ndarray]], second: list[dict[str, np.nd
             np.testing.assert_array_equal(value, other[key], err_msg=key)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("data", KEYS)
 def test_what_is_seen_is_in_the_space(data: str) -> None:
     blind, both, env = make(), make(obs_mode=f"state+{data}"), make(obs_mode=data)
@@ -111,19 +110,6 @@ def test_a_look_is_the_view_of_the_moment() -> None:
     env.close()
 
 
-def test_the_geometry_is_a_choice() -> None:
-    clouds = {}
-    for camera_model in ("handoversim", "pinhole"):
-        env = make(camera_model=camera_model, **TEST)
-        env.reset(seed=0, options={"scene_id": 209})
-        clouds[camera_model] = env.capture_wrist_camera().object_points
-        env.close()
-    apart = clouds["handoversim"] - clouds["pinhole"]
-    depth = clouds["pinhole"][:, 2] - np.float32(0.036)
-    np.testing.assert_allclose(apart[:, 0], depth / 112.0, atol=1e-6)
-    np.testing.assert_allclose(apart[:, 1:], 0.0, atol=1e-6)
-
-
 class Looker(Receiver):
     """Receiver that observes point clouds only; the number of points shifts the target of its first joint."""
 
@@ -147,25 +133,3 @@ def test_frozen_receivers_see_what_they_ask_for() -> None:
         observation = env.step(np.zeros(8, dtype=np.float32))[0]
     assert "wrist_object_points" not in observation
     env.close()
-
-
-def test_rays_need_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *rest: None if name == "embreex" else find(name, *rest)
-    )
-    with pytest.raises(OptionError, match=r"pip install 'handover-marl\[vision\]', or take renderer='bullet'"):
-        make(obs_mode="state+pointcloud")
-    make(obs_mode="state+pointcloud", renderer="bullet").close()
-    env = make()
-    env.reset(seed=0)
-    with pytest.raises(OptionError, match=r"handover-marl\[vision\]"):
-        env.capture_wrist_camera()
-    env.close()
-
-
-def test_data_without_the_camera_robot(own_data: Path) -> None:
-    (own_data / "assets/franka_panda/panda_gripper_hand_camera.urdf").unlink(missing_ok=True)
-    env = handover_marl.parallel_env(data_dir=own_data, split="val", robot="panda_camera", scenes=[9])
-    with pytest.raises(DataNotFoundError, match=r"panda_gripper_hand_camera\.urdf does not exist"):
-        env.reset()

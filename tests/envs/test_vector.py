@@ -27,6 +27,7 @@ def rollout(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> tuple[dict[str, 
     return seen, total
 
 
+@pytest.mark.slow
 def test_processes_of_gymnasium_repeat_from_their_seed() -> None:
     first, again = (
         rollout(gymnasium.make_vec(NAME, 2, vectorization_mode=mode, **OPTIONS)) for mode in ("async", "sync")

@@ -18,7 +18,6 @@ from handover_marl.episode.camera_observations import (
     camera_observation_space,
 )
 from handover_marl.episode.episode import Episode
-from handover_marl.episode.loop import run_episode
 from handover_marl.episode.spaces import (
     FULL_POINTCLOUD,
     OBS_PARTS,
@@ -28,7 +27,6 @@ from handover_marl.episode.spaces import (
     STATE,
 )
 from handover_marl.geometry.poses import transform_points
-from handover_marl.policies.policy import Policy
 from handover_marl.simulation.camera.images import CameraImage, SegmentationLabel
 from handover_marl.simulation.camera.noise import CameraNoise
 from handover_marl.simulation.camera.optics import HANDOVERSIM_MODEL, PINHOLE_MODEL, deproject
@@ -128,15 +126,6 @@ def test_a_combination_has_what_its_parts_have(world: World) -> None:
         alone = [make_wrist_camera(world, **options).observe(part, world, STEPS) for part in parts]
         assert_same(seen, {key: value for observation in alone for key, value in observation.items()})
         assert "wrist_segmentation" not in seen
-
-
-def test_results_have_a_label_of_the_camera() -> None:
-    config = WristCameraConfig(camera_model=PINHOLE_MODEL)
-    assert config.describe("state", "fast") == ""
-    assert config.describe("state+pointcloud", "fast") == "renderer rays, camera model pinhole"
-    assert config.describe("rgbd", "exact") == "renderer bullet, camera model pinhole"
-    described = WristCameraConfig(renderer="bullet", camera_noise="realsense").describe("pointcloud", "fast")
-    assert described == f"renderer bullet, camera model handoversim, {CameraNoise()!r}"
 
 
 # ------------------------------------------------------------------------------------------------ points and images
@@ -281,45 +270,6 @@ def test_arrays_may_be_written_to(world: World) -> None:
         assert_same(look(wrist_camera), look(fresh))
 
 
-class Looker(Policy):
-    """Receiver with an observation every 50 ms in a given mode."""
-
-    name, hold_time = "looker", 0.05
-
-    def __init__(self, **wishes: str) -> None:
-        vars(self).update(wishes)
-        self.seen: list[Observation] = []
-
-    def reset(self, seed: int | None = None) -> None:
-        self.seen.clear()
-
-    def act(self, observation: Observation) -> npt.NDArray[np.float32]:
-        self.seen.append({key: value for key, value in observation.items() if key.startswith("wrist_")})
-        return GOAL
-
-
-@pytest.mark.slow
-def test_scenes_are_independent() -> None:
-    """Images are not reused in another scene, although the first steps of both scenes have the same number."""
-    config = WristCameraConfig(renderer="rays", camera_noise="realsense")
-    used, fresh = Episode("fast", wrist_camera=config), {}
-    for number, scene in enumerate((SCENE, OTHER, SCENE)):
-        used.reset(scene)
-        used.seed_camera(5)
-        name = scene.info.name
-        seen = {**used.observe_camera(POINTCLOUD), **as_dict(used.capture_wrist_camera())}
-        if number < 2:
-            fresh[name] = seen
-        else:
-            assert_same(seen, fresh[name])
-        used.advance(GOAL, 60)
-        used.capture_wrist_camera()
-    first, second = fresh.values()
-    assert (first["depth"] != second["depth"]).any()
-    assert first[COUNTS].tolist() != second[COUNTS].tolist()
-    used.close()
-
-
 # ----------------------------------------------------------------------------------------------------- camera noise
 
 
@@ -381,21 +331,4 @@ def test_late_images_are_those_of_earlier_steps() -> None:
                 assert (arrived.depth != diary.views[end - delay - 1].depth).any()
             counts = episode.observe_camera(POINTCLOUD)[COUNTS].tolist()
             assert counts == [len(arrived.object_points), len(arrived.hand_points)]
-    episode.close()
-
-
-def test_noise_follows_the_seed_of_the_episode() -> None:
-    """Point clouds are subsampled differently with another seed of the episode, and equally with the same seed."""
-    episode, clouds = Episode("fast"), []
-    for seed in (0, 1, 0):
-        looker = Looker(obs_mode=f"state+{POINTCLOUD}")
-        episode.reset(SCENE)
-        episode.advance(GOAL, STEPS)
-        run_episode(episode, looker, seed=seed, until=STEPS + 100)
-        assert min(seen[COUNTS][0] for seen in looker.seen) > 1024
-        clouds.append(looker.seen)
-    for first, other, again in zip(*clouds, strict=True):
-        assert_same(first, again)
-        assert (first[OBJECT] != other[OBJECT]).any()
-        np.testing.assert_array_equal(first[COUNTS], other[COUNTS])
     episode.close()

@@ -13,7 +13,6 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.observations import PROPRIOCEPTION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.errors import ResetNeededError
 from handover_marl.simulation.world import NO_POINTS, World
 
 DATASET = SyntheticDataset()
@@ -111,29 +110,6 @@ def test_observation_of_a_policy_has_its_mode(episode: Episode) -> None:
         policy.obs_mode = mode
         assert episode.observe_for_policy(policy, state).keys() == keys
     assert episode.observe_camera("state") == {}
-
-
-def test_nothing_is_known_before_a_reset_and_after_closing(episode: Episode) -> None:
-    other = Episode("fast")
-    episode.close()
-    for one in (other, episode):
-        for read in (lambda e: e.world, lambda e: e.scene, lambda e: e.observe()):
-            with pytest.raises(ResetNeededError, match="no episode is running"):
-                read(one)
-    other.close()
-
-
-def test_a_reset_starts_anew(episode: Episode) -> None:
-    first = episode.observe()
-    episode.advance(START, HELD)
-    episode.advance(START, 100, RELEASE)
-    preview = episode.observe_giver(episode.observe())["replay_object_poses"]
-    episode.reset(DATASET.load_scene(214))
-    assert (episode.steps, episode.release_reason, episode.status) == (0, None, EpisodeStatus.RUNNING)
-    assert (episode.observe_giver(episode.observe())["replay_object_poses"] != preview).any()
-    episode.reset(SCENE)
-    for key, value in episode.observe().items():
-        np.testing.assert_array_equal(value, first[key], err_msg=key)
 
 
 @pytest.mark.parametrize("physics", ["exact", "fast", "mujoco"])

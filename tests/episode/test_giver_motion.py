@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -11,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.episode.giver_motion import NEVER, NO_DEVIATION, GiverMotion, find_pick_up_frame, find_wrist_in_base
 from handover_marl.episode.wrist_offset import move_with_wrists
-from handover_marl.geometry.kinematic_tree import compute_link_trajectory
-from handover_marl.simulation.reference_tracking import ReferenceMotion, select_keypoint_links
-from tests.episode.one_giver import CONFIG, COUNT, HIGH, ROWS, SCENES, OneGiver
+from handover_marl.simulation.reference_tracking import ReferenceMotion
+from tests.episode.one_giver import CONFIG, COUNT, SCENES, OneGiver
 
 SCENE = SCENES[0]
 
@@ -62,19 +60,7 @@ def test_zero_is_the_recording_to_the_bit() -> None:
     np.testing.assert_array_equal(np.concatenate([piece.hand for piece in pieces]), SCENE.hand_dof[rows])
 
 
-def test_pausing_stops_and_doubling_skips() -> None:
-    played = playback()
-    advance(played, 1000)
-    pausing = advance(played, 400, action(rate=-1.0))
-    np.testing.assert_array_equal(pausing.hand[250:], np.tile(pausing.hand[-1], (150, 1)))
-    assert 1000 < played.frame < 1200, "people need a moment to stop"
-    before = played.frame
-    advance(played, 1000, action(rate=1.0))
-    assert played.frame == pytest.approx(before + 2000 - 400, abs=10)
-    assert played.deviation[0] == 1.0
-
-
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(
     st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda shift: np.linalg.norm(shift) > 1e-3),
     st.tuples(*[st.floats(-1.0, 1.0)] * 3),
@@ -109,19 +95,6 @@ def test_deviations_come_at_a_human_pace_and_without_jumps() -> None:
         assert np.abs(np.diff(dof[:, 3:], axis=0)).max() < 0.5, "angles go on without a jump of a turn"
 
 
-def test_the_object_waits_where_it_lies_until_it_is_picked_up() -> None:
-    played = playback()
-    lift = find_pick_up_frame(SCENE)
-    lying = advance(played, lift - 1, action(shift=(0.2, 0, 0)))
-    np.testing.assert_array_equal(lying.objects, SCENE.object_dof[1:lift])
-    np.testing.assert_array_equal(lying.hand, SCENE.hand_dof[1:lift])
-    assert not played.holding
-    advance(played, 1)
-    apply_wrist_offset = advance(played, 600, action(shift=(0.2, 0, 0)))
-    assert played.holding
-    assert apply_wrist_offset.objects[-1, 0, 0] - SCENE.object_dof[played.frame, 0, 0] == pytest.approx(0.2, abs=1e-6)
-
-
 def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> None:
     lift, displaced = find_pick_up_frame(SCENE), action(shift=(0.2, 0, 0))
     at_once, in_parts = playback(), playback()
@@ -133,22 +106,6 @@ def test_the_object_deviates_from_the_pick_up_on_however_steps_are_divided() -> 
     parts = [advance(in_parts, steps, displaced) for steps in (30, 1, 25, 44)]
     np.testing.assert_allclose(np.concatenate([part.objects for part in parts]), around.objects, atol=1e-6)
     assert at_once.holding
-
-
-def test_what_is_carried_keeps_its_place_beside_the_hand() -> None:
-    rng = np.random.default_rng(0)
-    bodies = rng.uniform(-1.0, 1.0, (1, 5, 2, 6)).astype(np.float32)
-    offsets = rng.uniform(-0.3, 0.3, (1, 5, 2, 3))
-    place = np.array([0.05, 0.0, 0.1])
-    moved = move_with_wrists(bodies, offsets, place[None], bodies[:, 0, :, 3:])
-
-    def beside(both: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-        (hand, turn), (item, _) = pose(both[:, 0]), pose(both[:, 1])
-        return turn.inv().apply(item - hand)
-
-    np.testing.assert_allclose(beside(moved[0]), beside(bodies[0]), atol=1e-5)
-    wrists = [compute_wrist_positions(both[0, :, 0], place) for both in (bodies, moved)]
-    np.testing.assert_allclose(wrists[1] - wrists[0], offsets[0, :, 0], atol=1e-5)
 
 
 def test_angles_continue_without_a_jump_near_gimbal_lock() -> None:
@@ -196,18 +153,6 @@ def seen(played: OneGiver) -> tuple[object, ...]:
     return played.frame, played.holding, played.opening_progress, played.deviation.tolist()
 
 
-def test_plans_change_nothing_until_they_are_committed() -> None:
-    played = held()
-    before, wanted = seen(played), action(rate=-0.5, shift=(0.1, 0, 0), turn=(0, 0.3, 0))
-    first = played.plan(100, wanted, released=True, is_opening=True)
-    again = played.plan(100, wanted, released=True, is_opening=True)
-    np.testing.assert_array_equal(again.hand, first.hand)
-    np.testing.assert_array_equal(again.objects, first.objects)
-    assert seen(played) == before
-    played.commit(0)
-    assert seen(played) == before
-
-
 def apply_wrist_offset() -> OneGiver:
     """Return a playback that is 100 frames past the frame in which the object is picked up."""
     played = playback()
@@ -217,7 +162,7 @@ def apply_wrist_offset() -> OneGiver:
     return played
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(st.integers(1, 99), st.floats(-1.0, 1.0))
 def test_only_what_was_simulated_counts(done: int, rate: float) -> None:
     """Steps that were planned but not simulated have no effect on the playback."""
@@ -243,43 +188,6 @@ def test_how_steps_are_cut_does_not_matter(rate: float) -> None:
         parts = [advance(cut, length, action(rate=rate)).hand for _ in range(300 // length)]
         np.testing.assert_array_equal(planned, np.concatenate(parts))
         assert seen(whole) == seen(cut)
-
-
-def test_the_wrist_is_the_first_key_point_of_the_hand() -> None:
-    rows = SCENE.hand_dof[1500:4000:500]
-    origins, _ = compute_link_trajectory(SCENE.assets.hand, rows)
-    (wrist,) = select_keypoint_links([])
-    expected = origins[:, wrist]
-    np.testing.assert_allclose(compute_wrist_positions(rows, find_wrist_in_base(SCENE)), expected, atol=1e-6)
-
-
-def test_a_displaced_hand_rests() -> None:
-    """A displaced hand at rest keeps exactly the same pose in many steps and in single ones, and returns afterwards."""
-    many, few, wanted = held(), held(), action(shift=(0.1, -0.2, 0.05), turn=(0.3, 0.0, -0.5))
-    for played in (many, few):
-        advance(played, 3000, wanted)
-    rested = advance(many, 200, wanted)
-    for _ in range(3):
-        one = advance(few, 1, wanted)
-        for found, expected in ((rested.hand, one.hand), (rested.objects, one.objects)):
-            np.testing.assert_array_equal(found, np.repeat(expected, 200, axis=0))
-    back = advance(many, 3000)
-    np.testing.assert_allclose(back.objects[-1], SCENE.object_dof[-1], atol=1e-6)
-
-
-def test_rates_change_with_limited_slope() -> None:
-    """A change of rate by 1 takes 1 / rate_change seconds."""
-    played, duration = playback(), round(1000 / CONFIG.rate_change)
-    advance(played, 500)
-    advance(played, duration // 2, action(rate=1.0))
-    assert played.deviation[0] == pytest.approx(0.5, abs=0.01)
-    advance(played, duration // 2 - 1, action(rate=1.0))
-    assert 0.98 < played.deviation[0] < 1.0
-    advance(played, 2, action(rate=1.0))
-    assert played.deviation[0] == 1.0
-    assert played.frame == pytest.approx(500 + 1.5 * duration, abs=3)
-    advance(played, 100, action(rate=1.0))
-    assert played.frame == pytest.approx(500 + 1.5 * duration + 200, abs=4)
 
 
 def test_the_object_is_picked_up_beyond_five_millimetres() -> None:
@@ -328,41 +236,3 @@ def start() -> GiverMotion:
     for row, scene in enumerate(SCENES):
         motion.reset(row, scene)
     return motion
-
-
-def test_a_motion_does_not_depend_on_the_other_givers() -> None:
-    rng = np.random.default_rng(0)
-    together, alone = start(), start()
-    actions = np.zeros((COUNT, 8), dtype=np.float32)
-    for number in range(24):
-        if number % 3 == 0:
-            actions = rng.uniform(-1.0, 1.0, (COUNT, 8)).astype(np.float32) * HIGH
-            actions[rng.random(COUNT) < 0.3] = NO_DEVIATION
-        steps = int(rng.integers(1, 201))
-        released = rng.random(COUNT) < 0.3
-        opening = released & (rng.random(COUNT) < 0.5)
-        motion = together.plan(ROWS, steps, actions, released, opening)
-        taken = np.where(rng.random(COUNT) < 0.8, steps, rng.integers(0, steps + 1, COUNT))
-        for row in range(COUNT):
-            one = slice(row, row + 1)
-            single = alone.plan(ROWS[one], steps, actions[one], released[one], opening[one])
-            for name in ("hand", "objects"):
-                found, expected = getattr(motion.reference, name)[row], getattr(single.reference, name)[0]
-                np.testing.assert_array_equal(found, expected, strict=True)
-            alone.commit(single, taken[one])
-        together.commit(motion, taken)
-        np.testing.assert_array_equal(together.deviation, alone.deviation)
-        for found, expected in zip(together.state, alone.state, strict=True):
-            np.testing.assert_array_equal(found, expected)
-
-
-def test_a_reset_forgets_the_deviation() -> None:
-    motion, held = start(), np.zeros(COUNT, dtype=bool)
-    actions = np.tile(HIGH, (COUNT, 1))
-    for _ in range(20):
-        motion.commit(motion.plan(ROWS, 200, actions, held, held), np.full(COUNT, 200))
-    assert motion.deviation[:, 1:4].all()
-    first = motion.reset(0, SCENES[0])
-    np.testing.assert_array_equal(first.hand, SCENES[0].hand_dof[:1])
-    assert not motion.deviation[0].any()
-    assert motion.deviation[1:].any(axis=1).all()

@@ -173,14 +173,6 @@ def test_the_seed_of_a_receiver_depends_on_the_run_and_on_every_observed_array()
     assert derive_receiver_seed(None, dict(reversed(observation.items()))) == derive_receiver_seed(0, observation)
 
 
-def test_receiver_seed_ignores_an_empty_cloud_of_other_objects() -> None:
-    points, counts = np.ones((1024, 3), dtype=np.float32), np.array([9.0, 0.0, 0.0], dtype=np.float32)
-    targets = {"wrist_object_points": points, "wrist_point_counts": counts[:2]}
-    scene = {**targets, "wrist_other_points": 0.0 * points, "wrist_point_counts": counts}
-    assert derive_receiver_seed(0, scene) == derive_receiver_seed(0, targets)
-    assert derive_receiver_seed(0, {**scene, "wrist_other_points": points}) != derive_receiver_seed(0, targets)
-
-
 def test_seeds_are_those_of_earlier_versions() -> None:
     """Seeds equal those of earlier versions, so that stored results can be reproduced."""
     assert derive_giver_seed(0, 209) == 989422024
@@ -196,35 +188,4 @@ def test_an_episode_ends_at_the_horizon_of_the_rules(pair: tuple[Counting, Count
         run_episode(episode, receiver, until=until)
         assert (episode.steps, episode.status.label) == (100, "timeout")
         assert receiver.times == [0, 70]
-    episode.close()
-
-
-def test_policies_without_an_observation_mode_observe_nothing(
-    pair: tuple[Counting, Counting], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The state is read for the decisions of a giver only."""
-
-    class Unseeing(Counting):
-        """Receiver that observes nothing."""
-
-        obs_mode = None  # type: ignore[assignment]
-
-        def act(self, observation: Observation) -> np.ndarray:
-            assert observation == {}
-            return self.action
-
-    receiver, giver = Unseeing(pair[0].action, 0.07), pair[1]
-    read, times = Episode.observe, list[int]()
-
-    def observe(episode: Episode) -> Observation:
-        times.append(episode.steps)
-        return read(episode)
-
-    monkeypatch.setattr(Episode, "observe", observe)
-    episode = Episode("fast")
-    for policy, expected in ((giver, list(range(0, 200, 30))), (None, [])):
-        times.clear()
-        episode.reset(SyntheticDataset().load_scene(SCENE))
-        run_episode(episode, receiver, policy, until=200)
-        assert (episode.steps, times) == (200, expected)
     episode.close()

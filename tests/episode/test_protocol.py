@@ -11,7 +11,6 @@ from handover_marl.simulation.world import NO_POINTS, Contacts
 
 CONFIG = ProtocolConfig()
 INSIDE = np.array([[0.0, 0.0, 0.03]], dtype=np.float32)
-OUTSIDE = np.array([[0.02, 0.0, 0.03]], dtype=np.float32)
 
 GRASP = Contacts(robot_touches_object=True, finger_points=(INSIDE, INSIDE))
 PUSH = Contacts(robot_touches_object=True)
@@ -40,15 +39,6 @@ def test_release_after_exactly_a_hundred_steps(contacts: Contacts, kind: Release
 @pytest.mark.parametrize("contacts", [GRASP, PUSH])
 def test_an_interruption_starts_the_count_anew(contacts: Contacts, breaker: Contacts) -> None:
     assert releases([contacts] * 99 + [breaker] + [contacts] * 99) == [None] * 199
-
-
-def test_one_finger_never_releases() -> None:
-    assert releases([ONE_FINGER] * 500) == [None] * 500
-
-
-def test_fingers_outside_the_region_push() -> None:
-    outside = Contacts(robot_touches_object=True, finger_points=(OUTSIDE, OUTSIDE))
-    assert releases([outside] * 100)[-1] is ReleaseReason.PASSIVE
 
 
 @pytest.mark.parametrize(
@@ -93,12 +83,11 @@ def test_success_needs_a_hundred_steps_at_the_goal() -> None:
     assert EpisodeStatus.SUCCESS not in statuses([AT_GOAL] * 200, released=False)
 
 
-def test_the_goal_is_an_open_ball() -> None:
-    x, y, z = CONFIG.goal_center
-    on_edge = AT_GOAL._replace(gripper_position=(x + 0.1500001, y, z))
-    within = AT_GOAL._replace(gripper_position=(x + 0.1499, y, z))
-    assert statuses([on_edge] * 100)[-1] is EpisodeStatus.RUNNING
-    assert statuses([within] * 100)[-1] is EpisodeStatus.SUCCESS
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (3**-0.5, -(3**-0.5), 3**-0.5)])
+def test_the_goal_is_an_open_ball(direction: tuple[float, ...]) -> None:
+    for distance, status in ((0.1500001, EpisodeStatus.RUNNING), (0.1499, EpisodeStatus.SUCCESS)):
+        position = tuple((np.array(CONFIG.goal_center) + distance * np.array(direction)).tolist())
+        assert statuses([AT_GOAL._replace(gripper_position=position)] * 100)[-1] is status
 
 
 def test_human_contact_counts_at_any_time() -> None:

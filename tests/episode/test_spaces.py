@@ -1,5 +1,3 @@
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,6 @@ from handover_marl.config import GiverConfig
 from handover_marl.episode.spaces import (
     check_giver_action,
     check_receiver_action,
-    check_vector,
     giver_action_space,
 )
 from handover_marl.errors import ActionError
@@ -25,10 +22,8 @@ class Tensor:
     [
         [0.1] * 9,
         np.full(9, 0.1),
-        np.full(9, 0.1, dtype=np.float16),
         np.ones(9, dtype=bool),
         np.arange(9),
-        np.arange(9, dtype=np.uint8),
     ],
 )
 def test_real_numbers_are_rounded_to_float32(action: object) -> None:
@@ -41,14 +36,10 @@ def test_real_numbers_are_rounded_to_float32(action: object) -> None:
     "action",
     [
         ["0.1"] * 9,
-        "0.1",
-        [b"1"] * 9,
         [None] + [0.0] * 8,
         np.zeros(9, dtype=complex),
-        [Fraction(1, 2)] * 9,
         [10**400] * 9,
         [[0.0], [0.0, 1.0]],
-        {"joints": 3},
         np.zeros(9, dtype="datetime64[s]"),
         Tensor(),
     ],
@@ -62,9 +53,7 @@ def test_what_is_no_number_is_refused(action: object) -> None:
     ("action", "message"),
     [
         (np.zeros(8), r"shape \(8,\), expected \(9,\)"),
-        (np.zeros((9, 1)), r"shape \(9, 1\)"),
         ([0.0] * 8 + [float("nan")], "component 8 is nan"),
-        ([0.0] * 3 + [float("nan"), 0.0, float("inf")] + [0.0] * 3, "component 3 is nan"),
         ([1e300] + [0.0] * 8, "component 0 is inf"),
     ],
 )
@@ -78,14 +67,6 @@ def test_what_givers_may_do_can_be_chosen() -> None:
     np.testing.assert_array_equal(space.high, np.float32([1, 0.1, 0.1, 0.1, 0.5, 0.5, 0.5, 1]))
     np.testing.assert_array_equal(check_giver_action(np.full(8, 9.0), space), space.high)
     np.testing.assert_array_equal(check_giver_action(np.full(8, -9.0), space), space.low)
-
-
-def test_only_the_first_numbers_must_be_finite() -> None:
-    values = [1.0, 2.0, float("nan")]
-    np.testing.assert_array_equal(check_vector("pose", values, 3, "metres", n_finite=2), np.float32(values))
-    for n_finite in (3, None):
-        with pytest.raises(ActionError, match="pose must be 3 numbers, metres, but component 2 is nan"):
-            check_vector("pose", values, 3, "metres", n_finite)
 
 
 def test_tensors_on_a_gpu_are_explained() -> None:

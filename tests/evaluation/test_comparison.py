@@ -11,7 +11,7 @@ import handover_marl
 from handover_marl.cli import main
 from handover_marl.datasets.splits import list_split_scenes
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.errors import OptionError, ResultsError, UnknownNameError
+from handover_marl.errors import ResultsError
 from handover_marl.evaluation.comparison import Agreement
 from handover_marl.evaluation.metadata import ResultMetadata
 from handover_marl.evaluation.reports.report import Report
@@ -79,15 +79,6 @@ def test_incomparable_folders_are_refused(tmp_path: Path) -> None:
     assert len(handover_marl.compare(one, newer).pairs) == len(handover_marl.compare(newer, one).pairs) == 1
 
 
-def test_rates_of_other_outcomes_can_be_compared(tmp_path: Path) -> None:
-    one = folder(tmp_path / "one", "mine", {0: 2, 1: 6, 2: 1, 3: 1})
-    two = folder(tmp_path / "two", "theirs", {0: 1, 1: 4, 2: 8, 3: 1})
-    rows = handover_marl.compare(one, two).build_tables()[0].rows
-    assert [row[0] for row in rows] == ["success", "contact", "drop", "timeout", "AS"]
-    assert [str(row[3]).split()[0] for row in rows[:4]] == ["+0.00", "+50.00", "+0.00", "-25.00"]
-    assert "Every scene has the same outcome." in str(handover_marl.compare(one, one))
-
-
 def test_average_success_without_a_success_has_an_interval(tmp_path: Path) -> None:
     """Wilson's interval of 0 of 5 ends at 43.4 %; Agresti and Min's of equal failures at 28.0 points."""
     failures = folder(tmp_path / "failures", "mine", dict.fromkeys(range(5), 8))
@@ -146,14 +137,3 @@ def test_commands(
     with Image.open(out / "crossplay.png") as picture:
         assert picture.width > 300
     assert (out / "hesitant-hold" / "000.npz").is_file()
-
-
-def test_names_are_checked_before_the_first_scene(fake_data: Path, tmp_path: Path) -> None:
-    with pytest.raises(UnknownNameError, match="receiver 'nobody'"):
-        handover_marl.crossplay(["replay"], ["hold", "nobody"], data_dir=fake_data, out=tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    for givers in ([], None, 5):
-        with pytest.raises(OptionError, match="givers must name at least one giver, got"):
-            handover_marl.crossplay(givers, ["hold"], data_dir=fake_data)  # type: ignore[arg-type]
-    with pytest.raises(UnknownNameError, match="valid: fast, mujoco"):
-        handover_marl.compare_physics(scenes=[9], data_dir=fake_data, against="exact")

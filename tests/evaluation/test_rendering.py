@@ -1,4 +1,3 @@
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -97,20 +96,12 @@ def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("x.bmp", {}, OptionError),
         ("x.png", {"key_frames": 0}, OptionError),
         ("x.png", {"receiver": "nobody"}, UnknownNameError),
-        ("x.png", {"camera": {"width": 5}}, OptionError),
-        ("x.png", {"setup": "s0"}, OptionError),
     ],
 )
 def test_bad_options(tmp_path: Path, out: str, options: dict[str, object], error: type[HandoverError]) -> None:
     with pytest.raises(error):
         draw(tmp_path / out, **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_missing_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"needs imageio and imageio_ffmpeg: pip install 'handover-marl\[render\]'"):
-        draw(tmp_path / "x.mp4")
 
 
 def test_camera_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -77,9 +77,7 @@ def shorten(arrays: Arrays) -> None:
 ACTION_FORGERIES: dict[str, Callable[[Arrays], object]] = {
     "shortened": shorten,
     "open fingers": lambda arrays: arrays["action"].__setitem__((slice(None), slice(7, None)), 0.04),
-    "missing": lambda arrays: arrays.pop("action"),
     "one row less": lambda arrays: arrays.update(action=arrays["action"][:-1]),
-    "integers": lambda arrays: arrays.update(action=arrays["action"].astype(np.int64)),
     "not a number": lambda arrays: arrays["action"].__setitem__((50, 3), np.nan),
 }
 VALUE_FORGERIES: dict[str, Callable[[Arrays], object]] = {
@@ -177,6 +175,7 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
         check()
 
 
+@pytest.mark.slow
 def test_another_seed_in_the_configuration_is_found(tmp_path: Path) -> None:
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, world_config=NOISY, **OPTIONS)
     path = tmp_path / "config.yaml"

@@ -36,6 +36,7 @@ class Seeing(QuickReceiver):
         return self._wait
 
 
+@pytest.mark.slow
 def test_results_store_robot_observation_mode_and_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw = Episode.observe_camera
 

@@ -66,15 +66,6 @@ def test_create_exclusively(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_files_respect_the_umask(tmp_path: Path) -> None:
-    before = os.umask(0o077)
-    try:
-        write_atomically(tmp_path / "a.txt", "text")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o600
-
-
 def test_temporary_files_of_killed_writers_are_removed(tmp_path: Path) -> None:
     old, new, other = (tmp_path / name for name in (".a.txt.abc.part", ".b.txt.abc.part", "c.txt"))
     for path in (old, new, other):

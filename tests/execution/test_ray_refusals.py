@@ -1,14 +1,11 @@
 """Tests without a cluster: addresses at which no Ray answers, and nodes with versions that could change results."""
 
-import socket
 import time
-from collections.abc import Callable
 from contextlib import nullcontext
 
 import pytest
 
 from handover_marl.errors import WorkerError
-from handover_marl.execution import ray_pool
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import open_pool
 from handover_marl.execution.ray_pool import get_installed_versions, run_ray_task
@@ -24,13 +21,6 @@ def test_ray_that_does_not_run_is_reported_at_once(monkeypatch: pytest.MonkeyPat
     with pytest.raises(WorkerError, match=r"Ray cannot be reached at ray://127\.0\.0\.1:1"):
         next(open_pool(PoolConfig(backend="ray")).map_unordered(nullcontext, [1]))
     assert time.perf_counter() - started < 30.0
-
-
-def test_addresses_without_a_port_are_left_to_ray(monkeypatch: pytest.MonkeyPatch) -> None:
-    connect: Callable[..., None] = lambda *_: pytest.fail("a connection was made")  # noqa: E731
-    monkeypatch.setattr(socket, "create_connection", connect)
-    for address in ("", "auto", "local", "somewhere"):
-        ray_pool._check_server(address)
 
 
 def test_nodes_must_have_the_same_versions() -> None:

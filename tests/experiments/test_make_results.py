@@ -96,14 +96,6 @@ def test_adding_twice_changes_nothing(pages: Path, tmp_path: Path, monkeypatch: 
         assert make_results.NO_DIFFERENCES in (pages / name).read_text(), "other evaluations have no stored outcomes"
 
 
-def test_other_data_are_not_in_one_table(pages: Path, tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "a", "omg", itertools.cycle([1]))
-    result = EpisodeResult(0, EpisodeStatus.SUCCESS, 50, 0.0, 209, n_objects=4)
-    (folder / "000.npz").write_bytes(encode_result(result, np.zeros((50, 9), np.float32), np.zeros(50)))
-    with pytest.raises(SystemExit, match="different data"):
-        make_results.main(make_results.Args((folder,), out=pages))
-
-
 def test_a_partial_folder_is_refused(pages: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="whole test split"):
         make_results.add_evaluation(write_results(tmp_path / "partial"), "a test")

@@ -1,15 +1,10 @@
 """Tests of forward kinematics, Jacobians, reachability and inverse kinematics of the Panda's arm."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from handover_marl.assets.robot_model import PANDA_URDF
 from handover_marl.config import PandaConfig
-from handover_marl.errors import SimulationError
-from handover_marl.geometry.arm import ArmKinematics, ReachabilityBound
-from handover_marl.geometry.kinematic_tree import read_tree
+from handover_marl.geometry.arm import ReachabilityBound
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.geometry.poses import compose
 from handover_marl.planning.ik_solvers import compute_pose_error, solve_ik
@@ -51,12 +46,6 @@ def test_inverse_kinematics_comes_back() -> None:
     far = np.array([[2.0, 0.0, 0.5], [0.0, 0.0, 3.0]])
     _, solved = solve_ik(ARM, far, np.repeat(np.eye(3)[None], 2, axis=0), random_joints(1, 2), LIMITS, 1e-6, 100)
     assert not solved.any()
-
-
-def test_other_robots_are_refused(fake_data: Path) -> None:
-    hand = next((fake_data / "assets").glob("*_right/mano.urdf"))
-    with pytest.raises(SimulationError, match="panda_hand"):
-        ArmKinematics(read_tree(hand))
 
 
 def test_no_reachable_pose_is_excluded() -> None:

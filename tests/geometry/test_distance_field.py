@@ -8,10 +8,9 @@ import pytest
 
 from handover_marl.assets.shipped import find_object_urdf
 from handover_marl.geometry import distance_field as field_module
-from handover_marl.geometry.array_cache import get_cache_folder, load_cached_arrays
+from handover_marl.geometry.array_cache import get_cache_folder
 from handover_marl.geometry.distance_field import CACHE_KIND, load_object_sdf, sample_distance_field
 from handover_marl.geometry.model_files.meshes import read_collision_mesh
-from handover_marl.planning.trajectory_cost import compute_proximity_cost, compute_proximity_gradient
 
 RADIUS, REACH, CELL = 0.05, 0.2, 0.005
 BALL = sample_distance_field(
@@ -42,15 +41,6 @@ def test_distance_outside_the_grid() -> None:
     distance, slope = BALL.compute_distances_and_gradients(points)
     assert (distance == 1.0).tolist() == [True, True, False]
     assert not slope[:, :2].any()
-
-
-@pytest.mark.parametrize("padding", [0.05, 0.2])
-def test_cost_falls_to_nothing_and_its_derivative_is_right(padding: float) -> None:
-    distances, small = np.linspace(-0.1, 0.3, 41) + 1e-3, 1e-5
-    below, here, above = (compute_proximity_cost(distances + step, padding) for step in (-small, 0.0, small))
-    np.testing.assert_array_equal(here == 0.0, distances >= padding)
-    assert (here >= 0.0).all()
-    np.testing.assert_allclose(compute_proximity_gradient(distances, padding), (above - below) / (2 * small), atol=1e-3)
 
 
 @pytest.fixture
@@ -102,11 +92,3 @@ def test_users_without_a_home_have_a_cache(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", find_no_home)
     assert get_cache_folder(CACHE_KIND).parts[-2:] == ("handover_marl", CACHE_KIND)
-
-
-def test_folders_without_permission_are_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(path: Path) -> bool:
-        raise PermissionError(13, "Permission denied", str(path))
-
-    monkeypatch.setattr(Path, "exists", refuse)
-    assert load_cached_arrays(tmp_path / "a.npz", ("field",), "distance field") is None

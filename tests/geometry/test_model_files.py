@@ -33,14 +33,6 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_groups_polygons_and_counting_back(tmp_path: Path) -> None:
-    text = f"o first\n{TRIANGLE}v 1 1 0\nf 1//1 2//1 4//1 3//1\no second\nf -4/1 -3/2 -2/3\n"
-    found = read_obj(write(tmp_path, text))
-    assert found.vertices.shape == (4, 3)
-    assert [group.tolist() for group in found.groups] == [[[0, 1, 3], [0, 3, 2]], [[0, 1, 2]]]
-    assert len(found.faces) == 3
-
-
 def test_every_form_of_the_format(tmp_path: Path) -> None:
     """A box in unusual forms of the format equals the plain one."""
     box = trimesh.creation.box((1.0, 2.0, 3.0))
@@ -175,14 +167,6 @@ def test_unreadable_files(kind: str, tmp_path: Path) -> None:
         for read_mesh in (read_collision_mesh, lambda urdf: read_visual_meshes(urdf, TREE)):
             with refuses_within(5.0, HandoverError, kind):
                 read_mesh(urdf)
-
-
-@pytest.mark.parametrize("content", [b"", b'<?xml version="1.0" encoding="none"?><robot/>', b"<robot/>"])
-def test_what_is_no_urdf(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "body.urdf").write_bytes(content)
-    for read in (read_tree, check_collision_meshes):
-        with pytest.raises(HandoverError, match=r"body\.urdf.*check the file"):
-            read(tmp_path / "body.urdf")
 
 
 @pytest.mark.parametrize("n", [4, 8, 60, 400])

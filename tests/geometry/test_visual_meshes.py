@@ -8,13 +8,11 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.robot_model import CAMERA_PANDA_URDF
 from handover_marl.datasets import open_dataset
-from handover_marl.errors import DataFormatError, SimulationError
+from handover_marl.errors import DataFormatError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.meshes import VisualMesh, read_visual_meshes
 from handover_marl.geometry.model_files.surfaces import read_surfaces
-from handover_marl.geometry.panda import CAMERA_LINK
 from handover_marl.simulation.bullet.client import connect, load_urdf
 
 ASSETS = open_dataset("synthetic", robot="panda_camera").load_scene(9).assets
@@ -62,14 +60,6 @@ def test_every_visible_link_has_one_mesh(urdf: Path) -> None:
     assert {mesh.link for mesh in meshes} == {shape[1] for shape in client.getVisualShapeData(body)}
 
 
-def test_links_are_left_out_by_name() -> None:
-    assert ASSETS.panda == CAMERA_PANDA_URDF
-    camera = read_tree(ASSETS.panda).get_link(CAMERA_LINK)
-    every, some = ([mesh.link for mesh in read(ASSETS.panda, *names)] for names in ((), (CAMERA_LINK,)))
-    assert camera in every
-    assert some == [link for link in every if link != camera]
-
-
 def test_shapes_of_one_link_become_one_mesh(tmp_path: Path) -> None:
     """Shapes of one link are merged into one mesh and keep their positions, corners and colours."""
     box = '<box size="1 1 1"/>'
@@ -107,9 +97,3 @@ def test_damaged_textures_are_reported(tmp_path: Path) -> None:
     (tmp_path / "image.png").write_bytes(b"nothing")
     with pytest.raises(DataFormatError, match=r"mesh\.obj: not a readable OBJ file with a texture"):
         read_surfaces(urdf, read_tree(urdf))
-
-
-@pytest.mark.parametrize("shape", ["", '<cylinder radius="1" length="1"/>', "<mesh/>"])
-def test_unreadable_shapes_are_reported(tmp_path: Path, shape: str) -> None:
-    with pytest.raises(SimulationError, match=r"model\.urdf: cannot read a visual shape of link 'l'"):
-        read(write(tmp_path, visual(shape)))

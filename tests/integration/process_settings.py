@@ -30,7 +30,6 @@ EPISODES = (
     ("exact", "gaddpg:wait=0.1", "withdrawing"),
     ("mujoco", "vision", "hesitant"),
     ("mujoco", f"learned:{LEARNED}", "learned"),
-    ("exact", f"population:population={FOLDER / 'population.json'}", "population"),
     ("exact", "random", "recording_spread"),
 )
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from handover_marl import receivers
 from handover_marl.datasets import OfficialDataset
@@ -12,6 +13,7 @@ from handover_marl.receivers.omg import OmgReceiver
 WAYPOINTS, TAIL = 30, 5
 
 
+@pytest.mark.slow
 def test_goal_set_holds_the_goal_of_the_original(real_dataset: OfficialDataset, recordings: Path) -> None:
     receiver = receivers.make("omg", real_dataset)
     assert isinstance(receiver, OmgReceiver)

@@ -12,10 +12,10 @@ from handover_marl.episode import camera_observations
 from handover_marl.episode.camera_observations import WristCameraConfig
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import derive_robot_seed, run_episode
-from handover_marl.episode.spaces import OBS_PARTS, STATE
+from handover_marl.episode.spaces import OBS_PARTS
 from handover_marl.geometry.panda import PANDA_CAMERA
 from handover_marl.policies.policy import Policy
-from tests.episode.test_camera_observations import GOAL, STEPS, Looker
+from tests.episode.test_camera_observations import GOAL, STEPS
 from tests.integration.test_causality import RECEIVERS, Recorder, assert_same_until, make_receiver
 
 pytestmark = pytest.mark.slow
@@ -61,7 +61,7 @@ def test_observations_do_not_depend_on_the_scene_number(renderer: str, noise: st
     config = WorldConfig() if noise is None else NOISY_START
     episode, seen = Episode("fast", config, wrist_camera=WristCameraConfig(renderer, camera_noise=noise)), []
     for scene in (SCENE, rename(SCENE, 777)):
-        start(episode, scene, Looker(obs_mode=STATE), 1)
+        start(episode, scene, make_receiver("hold", DATA), 1)
         seen.append([{**episode.observe(), **episode.observe_camera(obs_mode)} for obs_mode in OBS_PARTS])
     for first, second in zip(*seen, strict=True):
         assert first.keys() == second.keys()

@@ -7,16 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handover_marl import receivers
 from handover_marl.config import OFFICIAL_CONFIG, PandaConfig
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.geometry.poses import transform_points
-from handover_marl.receivers import WAITING_JOINTS
-from handover_marl.receivers.omg import OmgReceiver
 from handover_marl.simulation.bullet.fast_world import FastWorld
 from handover_marl.simulation.camera.images import SegmentationLabel
 from tests.integration.test_reference import SEVERAL
@@ -56,20 +52,6 @@ def test_the_given_object_comes_first(several_objects: OfficialDataset, scene_id
     assert tuple(seen["object_classes"][:n]) == scene.info.object_ids
     # Motors follow the recording, and lag a little behind moving objects.
     np.testing.assert_allclose(seen["object_poses"][:n, :3], scene.object_dof[100, :, :3], atol=5e-3)
-
-
-@pytest.mark.parametrize("physics", PHYSICS)
-def test_held_objects_pass_through_each_other(several_objects: OfficialDataset, physics: str) -> None:
-    """Before the release, objects do not collide with each other, so that they can be at the same position."""
-    scene = several_objects.load_scene(STACK)
-    still = np.repeat(scene.object_dof[:1], scene.n_frames, axis=0)
-    still[:, 1:, :3] = still[:, :1, :3]
-    episode = Episode(physics)
-    episode.reset(replace(scene, object_dof=still))
-    episode.advance(START, 200)
-    reached = episode.world.read_object_joints()
-    episode.close()
-    np.testing.assert_allclose(reached, still[0], atol=1e-3)
 
 
 @pytest.mark.parametrize("physics", PHYSICS)
@@ -123,38 +105,6 @@ def test_fast_physics_ends_the_recordings_alike(several_objects: OfficialDataset
     np.testing.assert_allclose(fast[is_still], exact[is_still], atol=1e-3)
     np.testing.assert_allclose(fast[1:, :3], exact[1:, :3], atol=0.05)
     episode.close()
-
-
-def plan_path(dataset: OfficialDataset, scene: Scene) -> np.ndarray:
-    """Return the world positions (w, 3) of the hand at the waypoints of the plan (m)."""
-    episode = Episode("fast")
-    episode.reset(scene)
-    seen = {**episode.observe(), "time": np.float32([3.0])}
-    seen["robot_joint_position"] = np.array(WAITING_JOINTS, dtype=np.float32)
-    episode.close()
-    receiver = receivers.make("omg", dataset)
-    assert isinstance(receiver, OmgReceiver)
-    receiver.reset()
-    receiver.act(seen)
-    assert receiver.plan is not None
-    hand = receiver.arm.compute_chain_frames(receiver.plan.trajectory).origins[-1].T
-    return transform_points(receiver.world_from_base, hand)
-
-
-@pytest.mark.slow
-def test_plans_go_round_the_other_objects(several_objects: OfficialDataset) -> None:
-    scene = shorten(several_objects.load_scene(STACK), 10)
-    away = scene.object_dof.copy()
-    away[:, 1:, :3] = (0.0, 1.2, 0.0)
-    free = plan_path(several_objects, replace(scene, object_dof=away))
-    # A box is put on the path of the hand, far from the object that the hand is to grasp.
-    place = free[len(free) // 2]
-    assert np.linalg.norm(place - scene.object_dof[-1, 0, :3]) > 0.2, "not the object itself"
-    blocked = away.copy()
-    blocked[:, 1, :3] = place
-    round_it = plan_path(several_objects, replace(scene, object_dof=blocked))
-    assert np.linalg.norm(free - place, axis=1).min() < 1e-6
-    assert np.linalg.norm(round_it - place, axis=1).min() > 0.05
 
 
 def test_the_wrist_camera_separates_them(several_objects: OfficialDataset) -> None:

@@ -29,7 +29,7 @@ from handover_marl.learning.policy_spec import (
     PolicySpec,
 )
 from handover_marl.learning.schemes import count_outputs
-from handover_marl.policies.batch import ArrayPolicyBatch, SequentialPolicyBatch
+from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.reference import parse_policy
 from tests.learning.array_encodings import CONTEXT, COUNT, ROWS, SCHEMES, draw_observation, select
 from tests.tensors import make_device_tensors, make_observe_function
@@ -133,22 +133,6 @@ def test_a_batch_acts_as_single_policies(agent: str, features: str, scheme: str,
 def make_batch(policy: Any, agent: str = "receiver", arrays: ArrayFactory = NUMPY_ARRAYS) -> Any:
     reference = parse_policy(agent, policy, trust=True)
     return make_policy_batch(reference, SyntheticDataset(), WorldConfig(), "s0", 2, arrays)
-
-
-def test_dense_networks_are_evaluated_in_one_call(tmp_path: Path) -> None:
-    network = draw_network(count_features("receiver", "close"), 7, 0)
-    path = write(tmp_path / "policy.npz", "receiver", "close", "grasp_servo", network)
-    policies = [f"learned:{path}", f"learned:{path}:wait=0.5", handover_marl.as_receiver(path)]
-    assert [type(make_batch(policy)) for policy in policies] == [ArrayPolicyBatch] * 3
-    assert type(make_batch("learned", "giver")) is ArrayPolicyBatch
-    own = "tests.learning.custom"
-    custom = write(tmp_path / "own.npz", "receiver", f"{own}:OffsetAndCount", "grasp_servo", draw_network(4, 7, 0))
-    assert type(make_batch(f"learned:{custom}")) is SequentialPolicyBatch
-
-    class Other(LearnedPolicy):
-        pass
-
-    assert make_network_array_policy(Other("receiver", CONTEXT, path), 2, np.asarray) is None
 
 
 def test_a_batch_waits_as_the_option_says(tmp_path: Path) -> None:

@@ -74,17 +74,6 @@ def test_policies_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, 
         givers.make(f"learned:{tmp_path / 'policy.npz'}")
 
 
-def test_networks_that_are_none() -> None:
-    good, bias = np.zeros((3, 2), np.float32), np.zeros(3, np.float32)
-    for weights, biases in (((), ()), ((good,), (bias[:2],)), ((good, good), (bias, bias)), ((good[0],), (bias,))):
-        with pytest.raises(DataFormatError):
-            DenseNetwork(weights, biases)
-    with pytest.raises(DataFormatError, match="not finite"):
-        DenseNetwork((np.full_like(good, np.nan),), (bias,))
-    with pytest.raises(DataFormatError, match="unknown activation 'sine'; valid: tanh"):
-        DenseNetwork((good,), (bias,), activation="sine")
-
-
 @given(st.binary(max_size=300))
 def test_random_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
     path = tmp_path_factory.mktemp("noise") / "policy.npz"

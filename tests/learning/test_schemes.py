@@ -13,7 +13,6 @@ from handover_marl.learning.array_features import compute_handover_frames
 from handover_marl.learning.features import make_features
 from handover_marl.learning.giver_schemes import HandoverPoseScheme
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
-from handover_marl.learning.receiver_schemes import GraspServoScheme
 from handover_marl.learning.schemes import count_outputs, list_schemes, make_scheme, outputs_from_action
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.receivers import WAITING_JOINTS, make_policy_context
@@ -131,35 +130,6 @@ def test_grasp_servo_stays_closed() -> None:
     scheme.reset()
     scheme.set_outputs(np.zeros(7))
     assert scheme.compute_action(seen(time=np.float32([3.0])))[7] == np.float32(0.04)
-
-
-def test_grasp_servo_approaches_along_the_axis_of_the_grasp(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The target is the grasp if the gripper is on its axis, else a standoff on the axis."""
-    moves = []
-    monkeypatch.setattr(
-        GraspServoScheme,
-        "_move",
-        lambda scheme, seen, translation, rotation, closed: moves.append(translation[0]) or np.zeros((1, 9)),
-    )
-    monkeypatch.setattr(GraspServoScheme, "max_translation", 10.0)
-    scheme, observation = make_scheme("receiver", "grasp_servo", CONTEXT), seen(time=np.float32([3.0]))
-    first = select_grasp(CONTEXT, observation)
-    assert first is not None
-    backs = []
-    for away in ([0.0, 0.0, 0.0], [0.0, 0.0, -0.01], [0.1, 0.0, -0.2], [0.0, -0.3, 0.0]):
-        gripper = first[0].copy()
-        gripper[:3] += Rotation.from_quat(gripper[3:]).apply(away)
-        now = observation | {"gripper_pose": gripper.astype(np.float32)}
-        chosen = select_grasp(CONTEXT, now)
-        assert chosen is not None
-        scheme.compute_action(now)
-        place = gripper[:3] + Rotation.from_quat(gripper[3:]).apply(moves[-1])
-        x, y, z = Rotation.from_quat(chosen[0][3:]).inv().apply(place - chosen[0][:3])
-        np.testing.assert_allclose([x, y], 0.0, atol=1e-6)
-        backs.append(-z)
-    np.testing.assert_allclose(backs[:2], 0.0, atol=1e-6)
-    assert min(backs[2:]) > 0.0
-    assert max(backs) <= GraspServoScheme.max_standoff + 1e-6
 
 
 def test_chosen_grasp_is_kept_while_observations_are_equal() -> None:

@@ -11,8 +11,6 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.episode.observations import Observation
 from handover_marl.geometry.arrays import ArrayFactory, is_tensor, to_numpy
-from handover_marl.learning.action_scheme import ActionScheme
-from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.learning.features import make_array_features
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.learning.schemes import make_array_scheme
@@ -95,35 +93,3 @@ def test_selections_of_tensors(arrays: ArrayFactory) -> None:
         for one, other in zip(found, expected, strict=True):
             assert_equal(one, other, 1e-9)
     assert n_grasps > COUNT
-
-
-@declare_size(2)
-def compute_fingers(observation: Observation) -> np.ndarray:
-    assert all(type(values) is np.ndarray for values in observation.values())
-    return observation["robot_joint_position"][7:]
-
-
-class PatientScheme(ActionScheme):
-    """User-defined scheme that accepts NumPy arrays only and waits."""
-
-    name, agent, size = "patient", "receiver", 7
-
-    def needs_outputs(self, observation: Observation) -> bool:
-        assert all(type(values) is np.ndarray for values in observation.values())
-        return bool(observation["time"][0] > 0.5)
-
-    def set_outputs(self, outputs: np.ndarray) -> None:
-        assert type(outputs) is np.ndarray
-        super().set_outputs(outputs)
-
-    def compute_action(self, observation: Observation) -> np.ndarray:
-        arm = observation["robot_joint_position"][:7] + 0.2 * self.outputs
-        return np.array([*arm, 0.04, 0.04], dtype=np.float32)
-
-
-def test_user_defined_features_get_arrays(arrays: ArrayFactory) -> None:
-    test_features_of_tensors("receiver", compute_fingers, arrays)  # type: ignore[arg-type]
-
-
-def test_user_defined_schemes_get_arrays(arrays: ArrayFactory) -> None:
-    test_actions_of_tensors("receiver", PatientScheme, arrays)  # type: ignore[arg-type]

@@ -1,7 +1,5 @@
 """Tests of inverse kinematics: the library's own solver against PyBullet's, and the solver that threads share."""
 
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +9,8 @@ from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.geometry.poses import compose, compute_rotation_angle
-from handover_marl.planning import ik_solvers
 from handover_marl.planning.arm_control import ArmInWorld
-from handover_marl.planning.ik_solvers import PandaIkSolver, make_ik_solver
+from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
 
 URDF, PANDA = SyntheticDataset().panda_urdf, PandaConfig()
@@ -73,21 +70,3 @@ def test_many_queries_have_the_solutions_of_single_ones(solver_class: Any) -> No
     free = solver.solve_many(starts, positions)
     assert np.isfinite(free[:, 0]).sum() > np.isfinite(found[:, 0]).sum(), "without orientation, more is in reach"
     assert solver.solve(START, (3.0, 0.0, 1.0)) is None
-
-
-def test_threads_do_not_share_a_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    made: list[PandaConfig] = []
-
-    def make(urdf: Path, config: PandaConfig) -> PandaIkSolver:
-        made.append(config)
-        return PandaIkSolver(urdf, config)
-
-    monkeypatch.setattr(ik_solvers, "_make_solver", make)
-    monkeypatch.setattr(ik_solvers, "_thread_solvers", ik_solvers._ThreadSolvers())
-    solver, queries = make_ik_solver(URDF, PANDA), draw_queries(1, 6)
-    expected = [solver.solve(*query) for query in queries]
-    with ThreadPoolExecutor(3) as pool:
-        for found in pool.map(lambda _: [solver.solve(*query) for query in queries], range(6)):
-            for one, other in zip(found, expected, strict=True):
-                np.testing.assert_array_equal(one, other)
-    assert 2 <= len(made) <= 4

@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.distance_field import sample_distance_field
-from handover_marl.planning.goal_set import update_weights
 from handover_marl.planning.planner import Chomp, make_initial_trajectory
 from handover_marl.planning.trajectory_cost import Obstacle, ObstacleCost, sample_body_points
 from tests.planning.robots import ARM, LIMITS, START
@@ -29,21 +26,6 @@ def make_sphere(center: np.ndarray, radius: float = 0.1, in_tail: bool = False) 
 
 def chomp(cost: ObstacleCost) -> Chomp:
     return Chomp(cost, START, LIMITS, 30)
-
-
-@given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=8), st.integers(0, 1000))
-def test_mirror_step_is_a_projection(values: list[float], seed: int) -> None:
-    weights = np.array(values) / sum(values)
-    losses = np.random.default_rng(seed).uniform(0.0, 3.0, len(values))
-    found = update_weights(weights, losses)
-    assert found.sum() == pytest.approx(1.0)
-    assert (found >= 0.0).all()
-    shift = 1.0 / (4 * len(values) + 1)
-    # Every positive weight is (w + d) exp(l - loss) - d with the same l; it would not be positive for the others.
-    levels = np.log((found + shift) / (weights + shift)) + losses
-    level = levels[found > 0.0]
-    assert np.ptp(level) < 1e-9
-    assert (levels[found == 0.0] >= level.max() - 1e-9).all()
 
 
 def test_goals_behind_an_obstacle_are_expensive() -> None:

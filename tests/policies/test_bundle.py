@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import handover_marl
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataNotFoundError, PolicyError
 from handover_marl.learning.adapters.function_policy import DEFAULT_GIVER_FILE
@@ -126,23 +125,3 @@ def test_other_code_there_is_reported(tmp_path: Path, monkeypatch: pytest.Monkey
         at(None)
         with pytest.raises(PolicyError, match=r"on node .*Mine' must be installed as here, got .*robots_of_mine"):
             bundle.unpack(tmp_path)
-
-
-def test_other_code_of_an_adapted_function_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    name = "function_of_mine"
-    (tmp_path / f"{name}.py").write_text("def act(observation):\n    return observation['robot_joint_position']\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    bundle = PolicyBundle.pack(handover_marl.as_receiver(importlib.import_module(name).act))
-    assert bundle.unpack(tmp_path).name == "act"
-    (tmp_path / f"{name}.py").write_text("def act(observation):\n    return None\n")
-    with pytest.raises(
-        PolicyError, match=r"receiver 'act' must be installed as here, got PolicyError: it has other code"
-    ):
-        bundle.unpack(tmp_path)
-    (tmp_path / f"{name}.py").unlink()
-    sys.modules.pop(name)
-    with pytest.raises(PolicyError, match=rf"receiver 'act' must be installed as here, got .*{name}"):
-        bundle.unpack(tmp_path)
-    # A local function is sent in the bundle, so it needs no installed package.
-    assert dict(PolicyBundle.pack(handover_marl.as_receiver(lambda _: None)).packages) == {"handover_marl": __version__}

@@ -1,6 +1,5 @@
 """Tests of population files, and of policies that act as a randomly drawn member in each episode."""
 
-import configparser
 import os
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,13 @@ import numpy as np
 import pytest
 
 import handover_marl
-from handover_marl import evaluate_pair, givers, receivers
+from handover_marl import givers, receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, DataNotFoundError, OptionError
 from handover_marl.policies.populations import DEFAULT_POPULATION, PopulationPolicy, list_populations, load_population
 from handover_marl.policies.reference import parse_policy
 from tests.evaluation.strangers.populations import GIVERS, RECEIVERS, write_population
 from tests.givers.test_givers import seen
-from tests.short_episodes import shorten_episodes
 
 
 def test_own_file(tmp_path: Path) -> None:
@@ -55,9 +53,7 @@ def test_the_hash_covers_the_files_that_policies_name(tmp_path: Path, option: st
     [
         ({"givers": [GIVERS[0], GIVERS[0]]}, "every name must be unique, got 'recorded' twice"),
         ({"givers": [GIVERS[1], GIVERS[2] | {"split": "train"}]}, "family in one split must be unique, got 'timing'"),
-        ({"givers": [GIVERS[0] | {"split": "val"}]}, r"split must be train or test, got \['val'\]"),
         ({"givers": [{"name": "a"}]}, "not a readable population .*missing 4 required"),
-        ({"name": "a\nb"}, "values must be text without control characters"),
     ],
 )
 def test_malformed_files(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
@@ -82,28 +78,6 @@ def test_shipped_populations() -> None:
         if agent == "giver":
             labels = [reference.resolve(dataset).label for reference in references]
             assert len(set(labels)) == len(labels)
-
-
-@pytest.mark.slow
-def test_learned_givers_act_and_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = load_population()
-    learned = [giver for giver in found.givers if giver.family == "learned"]
-    assert len(learned) == 3
-    setup = configparser.ConfigParser()
-    setup.read(Path(__file__).parents[2] / "setup.cfg")
-    patterns = setup["options.package_data"]["handover_marl.assets"].split()
-    motions = set()
-    shorten_episodes(monkeypatch, 4000)
-    for giver in learned:
-        policy = found.get_policy(giver)
-        file = Path(policy.removeprefix("learned:"))
-        assert any(file.match(pattern) for pattern in patterns)
-        where = {"dataset": "synthetic", "split": "val", "scenes": [9], "physics": "fast", "progress": False}
-        report = evaluate_pair(policy, "hold", **where)
-        fluency = report.episodes[0].fluency
-        assert fluency is not None
-        motions.add(fluency.giver_path)
-    assert len(motions) == 3
 
 
 def make_giver(path: Path, partners: str = "all") -> PopulationPolicy:

@@ -3,7 +3,6 @@
 import importlib
 import os
 import pickle
-import re
 import subprocess
 import sys
 import threading
@@ -12,7 +11,6 @@ from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 
 from handover_marl.config import ProtocolConfig, WorldConfig
@@ -199,21 +197,6 @@ def test_invalid_givers(policy: Any, message: str) -> None:
         make(policy)
 
 
-def test_local_classes_are_pickled() -> None:
-    factor = 3.0
-
-    class Local(Mine):
-        name = "local"
-
-        def act(self, observation: Observation) -> Action:
-            return make_giver_action(rate=factor * self.speed)
-
-    for policy in (Local, (Local, {"speed": 0.1}), Local(0.1)):
-        made = make(policy)  # type: ignore[arg-type]
-        assert made.name == "local"
-        assert made.act({})[0] == pytest.approx(np.float32(factor * made.speed))
-
-
 SCRIPT = """
 import pickle, sys
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -284,42 +267,6 @@ def test_labels() -> None:
     assert resolve(f"{HERE}:Mine:word=x,speed=2").label == "mine:speed=2,word=x"
     assert resolve((Mine, {"word": "x", "speed": 2})).label == "mine:speed=2,word=x"
     assert resolve(f"learned:{DEFAULT_GIVER_FILE}").label.startswith("learned:for_yang2021@")
-
-
-@pytest.mark.parametrize("name", ["label", "weights_hash"])
-@pytest.mark.parametrize("value", [5, "two\nlines", "x" * 1001], ids=ascii)
-def test_labels_and_hashes_that_cannot_be_printed_are_refused(name: str, value: object) -> None:
-    with pytest.raises(OptionError, match=rf"{name} of giver 'Odd' must be text without control characters"):
-        resolve(type("Odd", (Mine,), {name: property(lambda self: value)}))
-
-
-def test_hashes_of_different_policies_differ() -> None:
-    sources = [
-        resolve(policy).code_hash
-        for policy in (
-            Mine,
-            (Mine, {"speed": 2}),
-            (Mine, {"speed": 3}),
-            Mine(2.0),
-            Mine(3.0),
-            Anything,
-            "replay",
-            "noisy",
-        )
-    ]
-    assert all(re.fullmatch("[0-9a-f]{8}", source) for source in sources)
-    assert len(set(sources)) == len(sources)
-    assert resolve(Mine).code_hash == resolve(f"{HERE}:Mine").code_hash
-    assert resolve((Mine, {"speed": 2})).code_hash == resolve(f"{HERE}:Mine:speed=2").code_hash
-    assert resolve(Mine(2.0)).code_hash == resolve(Mine(2.0)).code_hash
-
-
-def test_options_added_to_a_resolved_reference() -> None:
-    first = resolve(Mine)
-    assert parse_policy("giver", first) is first
-    changed = parse_policy("giver", (first, {"speed": 2}))
-    assert (changed.label, changed.code_hash) == ("", "")
-    assert changed.resolve(DATA).label == "mine:speed=2"
 
 
 PACKAGE = {

@@ -161,10 +161,3 @@ def test_what_the_caller_passes_is_imported() -> None:
     chosen = {"features": ENCODING["features"], "action_scheme": ENCODING["actions"]}
     handover_marl.as_receiver(lambda features: np.zeros(9), **chosen).make(DATA)
     assert Path("imported").exists()
-
-
-@pytest.mark.parametrize("control_period", [float("inf"), float("nan"), -1.0])
-def test_control_periods_in_files(control_period: float) -> None:
-    for read in (handover_marl.as_receiver, lambda file, trust: make_receiver(f"learned:{file}", trust)):
-        with pytest.raises(HandoverError, match=r"control_period must be a time from 0\.001 to 60 s"):
-            read(write_npz(control_period=control_period), trust=True)

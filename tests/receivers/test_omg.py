@@ -1,17 +1,13 @@
 """Tests of the OMG receiver."""
 
 import logging
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.loop import call_policy, start_policy
 from handover_marl.episode.observations import Observation
-from handover_marl.errors import OptionError
-from handover_marl.evaluation.rendering import render_plan
 from handover_marl.geometry.poses import transform_points
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers import WAITING_JOINTS
@@ -115,21 +111,3 @@ def test_failures_to_plan_are_logged(
             np.testing.assert_array_equal(action, np.float32(WAITING_JOINTS))
             assert receiver.hold_time == float("inf")
     assert text in caplog.text
-
-
-def test_missing_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(OptionError, match=r"handover-marl\[planning\]"):
-        receivers.make("omg", DATA)
-
-
-@pytest.mark.slow
-def test_picture_of_a_plan(tmp_path: Path) -> None:
-    path = render_plan(
-        SCENE, tmp_path / "new" / "plan.png", receiver="omg_hand_aware", physics="fast", dataset="synthetic"
-    )
-    assert path.read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(OptionError, match="png"):
-        render_plan(SCENE, tmp_path / "plan.gif")
-    with pytest.raises(OptionError, match="motion planner"):
-        render_plan(SCENE, tmp_path / "plan.png", receiver="hold", dataset="synthetic")

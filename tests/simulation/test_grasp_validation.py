@@ -53,6 +53,7 @@ def test_bad_grasps_are_rejected() -> None:
     assert not make_grasp_validator(urdf, rough).is_stable(load_grasps(MARKER)[0])
 
 
+@pytest.mark.slow
 def test_shipped_grasps_hold() -> None:
     """Most of the shipped grasps, which were validated in PyBullet, are stable; displaced ones are often bad."""
     rng, held, displaced = np.random.default_rng(0), [], []

@@ -17,8 +17,7 @@ from handover_marl.datasets import open_dataset
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback, run_episode
 from handover_marl.episode.referee import EpisodeStatus
-from handover_marl.geometry.kinematic_tree import compute_link_trajectory, read_tree
-from handover_marl.geometry.model_files.meshes import read_visual_meshes
+from handover_marl.geometry.kinematic_tree import compute_link_trajectory
 from handover_marl.geometry.panda import HAND_LINK
 from handover_marl.receivers import make
 from handover_marl.simulation.camera.images import SegmentationLabel
@@ -28,7 +27,6 @@ from handover_marl.visualization.replay_scene import (
     build_replay_page,
     compute_link_trajectories,
     compute_robot_link_poses,
-    load_simplified_meshes,
 )
 from tests.evaluation.quick import QuickReceiver
 from tests.short_episodes import shorten_episodes
@@ -107,19 +105,6 @@ def test_clouds_and_plans_are_recorded(log: ReplayRecorder) -> None:
     np.testing.assert_array_equal(log.frames[3].planned_path, Meaning.meant)
     for _, _, *clouds in log.clouds:
         assert all(cloud.shape[1] == 3 and len(cloud) <= 600 for cloud in clouds)
-
-
-@pytest.mark.slow
-def test_simplified_meshes_are_close_to_the_originals(fake_data: Path) -> None:
-    urdf = open_dataset("dexycb", fake_data).load_scene(9).assets.panda
-    large = {part.link: part for part in read_visual_meshes(urdf, read_tree(urdf))}
-    small = {part.link: part for part in load_simplified_meshes(urdf, 0)}
-    assert large.keys() == small.keys()
-    for link, part in small.items():
-        assert len(part.faces) <= 900
-        assert part.faces.max() < len(part.vertices)
-        for end in (np.min, np.max):
-            np.testing.assert_allclose(end(part.vertices, axis=0), end(large[link].vertices, axis=0), atol=0.004)
 
 
 def read_recording(page: str) -> dict[str, Any]:

@@ -31,10 +31,8 @@ def test_content_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": "other"}, "format and version must be"),
         ({"objects": [{"name": "bottle"}]}, "number"),
         ({"objects": [{**vars(CONTENT.objects[0]), "name": "../x"}]}, "must be 1 to 64"),
-        ({"objects": []}, "unknown class 'bottle'"),
         ({"setups": {"s0": dict.fromkeys(("train", "val", "test"), ())}}, "must not be one of s0, "),
         ({"setups": {"mine": {"train": [2], "val": [], "test": []}}}, "numbers of scenes that exist"),
         ([], ""),

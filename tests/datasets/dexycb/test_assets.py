@@ -1,7 +1,6 @@
 """Tests of the files in `assets/`: hands, objects, table, files of the third-party archive, and stand-ins for them."""
 
 import contextlib
-import dataclasses
 import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -14,9 +13,7 @@ from handover_marl.assets.shipped import find_object_urdf, load_object_grasps
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.dexycb import assets
 from handover_marl.datasets.dexycb.assets import (
-    build_hand_urdf,
     format_numbers,
-    write_hand_assets,
     write_object_assets,
     write_table_assets,
 )
@@ -25,10 +22,9 @@ from handover_marl.datasets.official import load_grasps
 from handover_marl.datasets.official_files import PANDA_FILES, is_stand_in_file, list_required_files
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import DataFormatError
-from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.model_files.urdf import list_mesh_references
 from handover_marl.geometry.ycb import CLASS_NAMES
-from tests.datasets.dexycb.raw_files import all_files, made_up_model
+from tests.datasets.dexycb.raw_files import all_files
 from tests.execution.test_archives import tar
 from tests.fake_layout import FakeScene, write_layout
 
@@ -43,50 +39,6 @@ from tests.fake_layout import FakeScene, write_layout
 )
 def test_format_numbers(values: tuple[float, ...], text: str) -> None:
     assert format_numbers(*values) == text
-
-
-def test_links_and_joints_of_the_hand() -> None:
-    joints = np.random.default_rng(0).uniform(-0.1, 0.1, (16, 3))
-    robot = ET.fromstring(build_hand_urdf(joints))
-    links, found = robot.findall("link"), robot.findall("joint")
-    assert [link.get("name") for link in links] == [f"link{number}" for number in range(53)]
-    assert [joint.get("name") for joint in found] == [f"joint{number}" for number in range(1, 53)]
-    kinds = ["prismatic"] * 3 + ["continuous"] * 3 + ["fixed"] + ["revolute"] * 45
-    assert [joint.get("type") for joint in found] == kinds
-    place = {"link0": np.zeros(3)}
-    for joint in found:
-        parent, child, xyz = (joint.find(tag) for tag in ("parent", "child", "origin"))
-        assert parent is not None and child is not None and xyz is not None  # noqa: PT018
-        offset = np.array(str(xyz.get("xyz")).split(), dtype=np.float64)
-        place[str(child.get("link"))] = place[str(parent.get("link"))] + offset
-    bodies = [link for link in links if link.find("visual") is not None]
-    assert [link.get("name") for link in bodies] == [f"link{7 + 3 * joint}" for joint in range(16)]
-    for number, body in enumerate(bodies):
-        np.testing.assert_allclose(place[str(body.get("name"))], joints[number], atol=1e-15)
-        meshes = [str(mesh.get("filename")) for mesh in body.iter("mesh")]
-        assert meshes == [f"meshes/{kind}/mesh{number + 1}.obj" for kind in ("visual", "collision")]
-    masses = [float(str(mass.get("value"))) for mass in robot.iter("mass")]
-    assert [mass for mass in masses if mass] == [0.2] + [0.02] * 15
-
-
-def test_meshes_of_a_hand(tmp_path: Path) -> None:
-    model, betas = made_up_model(), np.linspace(-1.0, 1.0, 10)
-    weights = model.weights * 0.5
-    for joint in (4, 7, 10):
-        weights[np.flatnonzero(weights[:, joint])[:10], joint] = 0.71
-    model = dataclasses.replace(model, weights=weights)
-    folder = write_hand_assets(tmp_path, "20200709-subject-01", model, betas)
-    assert folder == tmp_path / "20200709-subject-01_right"
-    vertices = model.shape_vertices(betas)
-    joints = model.regress_joints(vertices)
-    for joint in range(16):
-        seen = read_obj(folder / f"meshes/visual/mesh{joint + 1}.obj")
-        touched = read_obj(folder / f"meshes/collision/mesh{joint + 1}.obj")
-        kept = np.flatnonzero(weights[:, joint] > 0.2)
-        np.testing.assert_allclose(seen.vertices, vertices[kept] - joints[joint], atol=1e-6)
-        np.testing.assert_array_equal(touched.vertices, seen.vertices[: 10 if joint in (4, 7, 10) else None])
-        wanted = [face for face in model.faces.tolist() if set(face) <= set(kept.tolist())]
-        np.testing.assert_array_equal(kept[seen.faces], wanted)
 
 
 def test_object_urdfs_and_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from handover_marl.config import TABLE_HEIGHT, PandaConfig
 from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.datasets.generated.config import (
@@ -22,14 +21,9 @@ from handover_marl.datasets.generated.hands import draw_person
 from handover_marl.datasets.generated.motion import resample_fingers, resample_poses
 from handover_marl.datasets.generated.post_arrival_motion import (
     MAX_SPEED,
-    MIN_HEIGHT,
-    REACH,
-    draw_far_positions,
 )
-from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.errors import DataNotFoundError, HandoverError, SceneError, UnknownNameError
+from handover_marl.errors import HandoverError, SceneError, UnknownNameError
 from handover_marl.geometry.model_files.meshes import check_model, read_collision_mesh
-from handover_marl.geometry.panda import SHOULDER_HEIGHT
 
 DEFAULT, HARD = "generated:n=100000,seed=7", "generated:n=1000,seed=7,family=hard"
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.
@@ -128,15 +122,6 @@ def test_hard_scenes_move_and_turn_for_eight_seconds(scene_id: int) -> None:
     assert (rotations[80:].inv() * base[80:] * (rotations[80].inv() * base[80]).inv()).magnitude().max() < 1e-3
 
 
-def test_hard_offers_are_at_the_edge_of_reach() -> None:
-    x, y, z = PandaConfig().base_position
-    shoulder = np.array([x, y, z + SHOULDER_HEIGHT - TABLE_HEIGHT])
-    for seed in range(50):
-        _, handover = draw_far_positions(RandomStream(seed))
-        distance = np.linalg.norm(handover - shoulder)
-        assert REACH[0] - 1e-9 < distance < REACH[1] + 1e-9 or handover[2] == MIN_HEIGHT
-
-
 def test_models_can_be_loaded_and_are_written_once() -> None:
     dataset = GeneratedDataset("seed=2")
     for number in range(6):
@@ -150,12 +135,6 @@ def test_models_can_be_loaded_and_are_written_once() -> None:
     assert GeneratedDataset("seed=3").find_object_urdf(f"object_{number:05d}") != urdf
     check_model(write_hand_model(draw_person(dataset.config, 3), "left"), n_joints=51)
     assert not list(urdf.parents[2].rglob("*.part"))
-
-
-def test_folders_that_cannot_be_written_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", __file__)
-    with pytest.raises(DataNotFoundError, match="set XDG_CACHE_HOME"):
-        GeneratedDataset("seed=2").find_object_urdf("object_00001")
 
 
 def test_family_sets_its_defaults() -> None:
@@ -174,12 +153,8 @@ def test_family_sets_its_defaults() -> None:
         ("", "must be described as n=1000,seed=7, got ''"),
         ("n=ten", "n must be a whole number, got 'ten'"),
         ("n=0", "n must be from 1 to"),
-        ("n=1,n=2", "parameter n .* must be given once"),
-        ("left=nan", "left must be from 0 to 1, got nan"),
         ("clutter_min=3,clutter_max=2", "clutter_min must be from 0 to 2, got 3"),
-        ("boxes=0,cylinders=0,bottles=0,tools=0,superquadrics=0", "must be above 0, got 0 for all"),
         ("sed=1", "unknown parameter of generated scenes 'sed'"),
-        ("family=easy", "unknown family 'easy'"),
     ],
 )
 def test_wrong_texts_are_refused(text: str, message: str) -> None:
@@ -203,14 +178,3 @@ def test_rotations_between_keyframes_equal_scipy(seed: int) -> None:
     np.testing.assert_allclose(angles, expected, atol=2.0**-23)
     joint = Slerp(ends, Rotation.from_euler("XYZ", fingers[:, 21:24]))(times).as_euler("XYZ")
     np.testing.assert_allclose(resample_fingers(ends, fingers, times)[:, 21:24], joint, atol=2.0**-23)
-
-
-@pytest.mark.parametrize("axis", [0, 2])
-def test_angles_have_no_jumps(axis: int) -> None:
-    """The angles of a motion of more than two turns about an axis are continuous."""
-    vectors, ends = np.zeros((40, 3)), 0.04 * np.arange(40)
-    vectors[:, axis] = np.linspace(0.0, 14.0, 40)
-    times = np.linspace(0.0, ends[-1], 1561)
-    angles = resample_poses(ends, np.zeros((40, 3)), Rotation.from_rotvec(vectors), times)[:, 3:]
-    np.testing.assert_allclose(angles[:, axis], np.linspace(0.0, 14.0, len(angles)), atol=2e-6)
-    assert np.abs(np.delete(angles, axis, axis=1)).max() < 1e-6

@@ -5,18 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.geometry.arrays import ArrayFactory, to_numpy
+from handover_marl.geometry.arrays import to_numpy
 from tests.fake_device import DeviceTensor
-
-
-def move_to_device(values: Any, arrays: ArrayFactory) -> Any:
-    """Return the arrays in dictionaries and tuples as tensors on a device."""
-    if isinstance(values, dict):
-        return {key: move_to_device(value, arrays) for key, value in values.items()}
-    if isinstance(values, tuple):
-        moved = [move_to_device(value, arrays) for value in values]
-        return type(values)(*moved) if hasattr(values, "_fields") else tuple(moved)
-    return arrays.asarray(values)
 
 
 def assert_same(found: Any, expected: Any, is_on_device: bool = True) -> None:

@@ -3,7 +3,7 @@
 Physics is the same on both sides, so that all results agree to the accuracy of the arrays' functions.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,17 +15,22 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 import torch
 
 import handover_marl
+from handover_marl.config import PhysicsConfig, ProtocolConfig
+from handover_marl.datasets.dataset import Scene
 from handover_marl.envs.custom_rewards import combine_rewards
 from handover_marl.envs.transition import Transition
 from handover_marl.envs.wrappers.wrapper import EpisodeReturns
 from handover_marl.episode import episodes
 from handover_marl.errors import ActionError
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
+from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory, to_numpy
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.learning.custom_encodings import declare_size
+from handover_marl.simulation.engines import BatchBackend, make_worlds
+from handover_marl.simulation.reference_tracking import ReferenceMotion
+from handover_marl.simulation.world import RolloutContacts, Contacts, JudgeFunction, RolloutEnd, WorldState
+from handover_marl.simulation.worlds import Worlds
 from tests.envs.vector.comparison import assert_same
-from tests.envs.vector.tensor_worlds import TensorWorlds
-from tests.fake_device import DEVICE, FakeDevice
+from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
 
 COUNT = 4
 OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "synthetic", "threads": 1, "rewards": "shaped"}
@@ -33,6 +38,52 @@ OPTIONS: dict[str, Any] = {"setup": "s0", "split": "train", "dataset": "syntheti
 SHORT: dict[str, Any] = {**OPTIONS, "max_cycles": 13, "control_period": 0.1}
 #: Options of episodes in which the receiver acts after it has waited, and in which all episodes end.
 ENCODED: dict[str, Any] = {**OPTIONS, "control_period": 0.2, "max_cycles": 20}
+
+
+class TensorWorlds(Worlds):
+    """Worlds that take and return tensors on a device; arguments as for `make_worlds`."""
+
+    def __init__(self, config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> None:
+        self._worlds, self._arrays = make_worlds(config, count, backend, NUMPY_ARRAYS), arrays
+
+    def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
+        assert type(row) is int
+        self._worlds.reset(row, scene, start, robot_joints)
+
+    def rollout(
+        self, rows: Any, reference: ReferenceMotion, robot_targets: Any, judge: JudgeFunction, rules: ProtocolConfig
+    ) -> Any:
+        def judge_on_device(indices: Any, contacts: RolloutContacts) -> RolloutEnd:
+            end = judge(self._arrays.asarray(indices), RolloutContacts(*map(self._arrays.asarray, contacts)))
+            return RolloutEnd(*map(to_numpy, end))
+
+        targets = ReferenceMotion(*(_read(getattr(reference, name)) for name in ("objects", "hand", "hand_present")))
+        moved = _read(robot_targets, "float32")
+        simulated = self._worlds.rollout(_read(rows, "int64"), targets, moved, judge_on_device, rules)
+        return self._arrays.asarray(simulated)
+
+    def release_targets(self, rows: Any) -> None:
+        self._worlds.release_targets(_read(rows, "int64"))
+
+    def read_state(self, rows: Any) -> WorldState:
+        return WorldState(*map(self._arrays.asarray, self._worlds.read_state(_read(rows, "int64"))))
+
+    def are_grasped(self, rows: Any, rules: ProtocolConfig) -> Any:
+        return self._arrays.asarray(self._worlds.are_grasped(_read(rows, "int64"), rules))
+
+    def read_contacts(self, row: int, released: bool) -> Contacts:
+        assert type(row) is int
+        return self._worlds.read_contacts(row, released)
+
+    def close(self) -> None:
+        self._worlds.close()
+
+
+def _read(tensor: Any, dtype: str | None = None) -> Any:
+    assert isinstance(tensor, DeviceTensor)
+    values = to_numpy(tensor)
+    assert dtype is None or values.dtype == np.dtype(dtype)
+    return values
 
 
 @pytest.fixture
@@ -56,7 +107,7 @@ def rollout(arrays: ArrayFactory, steps: int, agent: str | None, options: dict[s
 
     chosen = arrays.asarray(np.array([True, False, True, False]))
     masked = {"reset_mask": chosen, "scene_id": envs.scene_ids[3]}
-    resets: list[dict[str, Any]] = [{"seed": 3}] if agent is None else [{"seed": 3}, {}, {"options": masked}]
+    resets: list[dict[str, Any]] = [{"seed": 3}] if agent is None else [{"seed": 3}, {"options": masked}]
     found: list[Any] = []
     for arguments in resets:
         found.append(envs.reset(**arguments))
@@ -117,9 +168,9 @@ def test_features_and_action_schemes(
 ) -> None:
     # The receiver waits for 2 s: one case simulates as long again, the others have shorter episodes.
     is_long, lasts = options.get("autoreset") == "next_step", options.get("schemes") == "offer"
-    steps, max_cycles = (30, 20) if is_long else (24, 15)
+    steps, max_cycles = (12, 14) if is_long else (16, 13)
     # An offer lasts a whole episode.
-    steps, max_cycles = (3, 12) if lasts else (steps, max_cycles)
+    steps, max_cycles = (2, 12) if lasts else (steps, max_cycles)
     compare(request, steps, agent, {**ENCODED, "max_cycles": max_cycles, **options})
 
 

@@ -114,6 +114,7 @@ def move(outputs: np.ndarray, observation: dict[str, Any]) -> np.ndarray:
     return np.asarray(observation["robot_joint_position"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

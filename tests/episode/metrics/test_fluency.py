@@ -8,7 +8,6 @@ import pytest
 
 from handover_marl.config import OFFICIAL_CONFIG, TIME_STEP
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.episode import loop
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import EpisodeCallback
 from handover_marl.episode.metrics import motion
@@ -31,7 +30,6 @@ from handover_marl.geometry.panda import ROBOTS
 from handover_marl.receivers import make
 from handover_marl.simulation.bullet.kinematics import BulletDistanceQuery
 from handover_marl.simulation.clearance import ClearanceMonitor, DistanceQuery
-from handover_marl.simulation.engines import make_distance_query
 from handover_marl.simulation.world import AgentJoints, Contacts
 from tests.playing import play
 
@@ -154,17 +152,6 @@ def test_nothing_to_tell() -> None:
     assert (found.human_idle, found.giver_path, found.reach) == (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("steps", [13_000, 12_999, 5000, 4013, 19, 20, 21])
-def test_samples_up_to_every_step(steps: int) -> None:
-    n = steps // 20 + 1
-    trace = made_up(wrist=np.zeros((n, 3)), gripper=np.zeros((n, 3)), fingers=np.zeros((n, 2)), steps=steps)
-    found = [trace.count_samples_until(step) for step in range(1, 13_001)]
-    assert found == [min(step // 20 + 1, n) for step in range(1, 13_001)]
-    # That is the number of samples, one every 20 steps from 0 on, that were taken when the step ended.
-    taken = np.arange(0, steps + 1, 20)
-    assert found[:steps] == [int((taken <= step).sum()) for step in range(1, steps + 1)]
-
-
 @pytest.mark.parametrize(
     ("release_step", "seconds"), [(4000, 4.0), (4001, 4.0), (4019, 4.0), (4020, 4.02), (3999, 3.98), (3001, 3.0)]
 )
@@ -225,13 +212,6 @@ def test_jerk_of_a_minimum_jerk_movement(length: float, duration: float) -> None
     assert found == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-6)
 
 
-def test_jerk_weights_are_those_of_scipy() -> None:
-    signal = pytest.importorskip("scipy.signal")
-    positions = np.random.default_rng(0).normal(size=(40, 3))
-    jerk = signal.savgol_filter(positions, 13, 5, deriv=3, delta=PERIOD, axis=0)[6:-6]
-    assert compute_rms_jerk(positions, PERIOD) == pytest.approx(np.sqrt((jerk**2).sum(axis=1).mean()))
-
-
 def test_jerk_of_the_hand_counts_until_the_release_and_of_the_gripper_to_the_end() -> None:
     still = np.zeros((N, 3))
     late = still.copy()
@@ -255,43 +235,6 @@ def test_path_and_speeds_of_the_gripper() -> None:
     assert found.gripper_mean_speed == exactly(0.6 / 5.0)
     # An episode that ends 19 ms after its last sample has these 19 ms in its duration.
     assert compute_fluency(made_up(steps=5019)).gripper_mean_speed == exactly(0.6 / 5.019)
-
-
-@pytest.mark.slow
-def test_gap_is_what_the_world_says() -> None:
-    """The distance between robot and hand equals the one that Bullet reports for the bodies in the world."""
-    scene = SyntheticDataset().load_scene(209)
-    episode = Episode("exact")
-    episode.reset(scene)
-    start = np.array([0.0, -1.285, 0.0, -2.356, 0.0, 1.571, 0.785, 0.04, 0.04], dtype=np.float32)
-    robot, hand, distances = [], [], []
-    for _ in range(15):
-        episode.advance(start, 100)
-        world = episode.world
-        body = getattr(world, "_hand", None)
-        if body is None:
-            continue
-        points = world._client.getClosestPoints(world._loaded_workcell.panda.id, body.id, 3.0)  # type: ignore[attr-defined]
-        distances.append(min(point[8] for point in points))
-        read_agent_joints = world.read_agent_joints()
-        robot.append(read_agent_joints.robot)
-        hand.append(read_agent_joints.hand)
-    assert len(distances) > 5
-    robot_dof, hand_dof = np.array(robot, dtype=np.float64), np.array(hand, dtype=np.float64)
-    panda = OFFICIAL_CONFIG.physics.panda
-    meter = ClearanceMonitor(scene.assets.panda, panda, make_distance_query(scene.assets.panda, panda))
-    frames = robot_frames(robot_dof), compute_link_trajectory(scene.assets.hand, hand_dof)
-    smallest = meter.compute_min_margin(scene.assets.hand, robot_dof, hand_dof, *frames)
-    assert smallest == pytest.approx(min(distances), abs=1e-4)
-    for number, distance in enumerate(distances):
-        one = slice(number, number + 1)
-        now = np.arange(len(distances)) == number
-        found = meter.compute_min_margin(
-            scene.assets.hand, robot_dof[one], hand_dof[one], *((origins[now], turns[now]) for origins, turns in frames)
-        )
-        assert found == pytest.approx(distance, abs=1e-4)
-    meter.close()
-    episode.close()
 
 
 def robot_frames(dof: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -476,20 +419,3 @@ def test_recording_changes_nothing_and_notes_what_can_be_seen() -> None:
 def test_every_metric_has_a_column() -> None:
     assert [column.key for column in FLUENCY] == [part.name for part in dataclasses.fields(FluencyMetrics)]
     assert estimate_fluency([]) == {}
-
-
-@pytest.mark.parametrize(("until", "n_samples"), [(100, 6), (119, 6), (120, 7)])
-def test_motion_is_sampled_every_twenty_steps(until: int, n_samples: int) -> None:
-    dataset, recorder = SyntheticDataset(), TraceRecorder()
-    episode = Episode("fast")
-    episode.reset(dataset.load_scene(209))
-    loop.run_episode(episode, make("hold", dataset), until=until, callbacks=[recorder])
-    episode.close()
-    recorder.close()
-    trace = recorder.trace
-    assert SAMPLE_STEPS == 20
-    assert len(trace.gripper) == len(trace.fingers) == len(trace.wrist) == n_samples
-    assert (trace.steps, trace.max_object_force, trace.max_hand_force) == (until, 0.0, None)
-    # The hand is not in the scene yet.
-    assert np.isnan(trace.wrist).all()
-    assert trace.min_distance is None

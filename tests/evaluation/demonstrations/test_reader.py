@@ -12,7 +12,6 @@ import handover_marl
 from handover_marl import Demonstrations
 from handover_marl.errors import DataFormatError, UnknownNameError
 from handover_marl.evaluation.demonstrations.demonstration import encode_demonstration
-from tests.evaluation.demonstrations.recording import SCENES
 
 
 @pytest.fixture
@@ -62,15 +61,6 @@ def test_transitions_are_those_of_the_episodes(out: Path) -> None:
         demonstrations.read_transitions(["smell"])
     with pytest.raises(IndexError):
         demonstrations[2]
-
-
-def test_metadata(out: Path) -> None:
-    first, second = Demonstrations(out).read_metadata()
-    assert (first["scene_id"], second["scene_id"]) == SCENES
-    named: dict[str, Any] = {"object_name": "003_cracker_box", "subject": "synthetic-subject-01", "side": "right"}
-    named |= {"outcome": "timeout", "status": 8, "release_step": -1, "receiver": "moving", "giver": "noisy", "seed": 0}
-    named |= {"physics": "fast", "dataset": "synthetic", "robot": "panda_camera", "version": handover_marl.__version__}
-    assert {**first, **named, "fingerprint": "synthetic-1"} == first
 
 
 def test_flipped_bytes_are_detected(own: Path) -> None:

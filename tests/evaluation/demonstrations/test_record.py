@@ -16,7 +16,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.loop import derive_seed
 from handover_marl.episode.observations import select_receiver_observation
-from handover_marl.errors import OptionError, UnknownNameError
+from handover_marl.errors import OptionError
 from tests.evaluation.demonstrations.recording import (
     HORIZON,
     OPTIONS,
@@ -151,20 +151,10 @@ def test_only_successes_and_then_all(tmp_path: Path, played: list[int]) -> None:
     assert contents(tmp_path / "out") == before
 
 
-def test_a_recording_without_episodes(tmp_path: Path) -> None:
-    nothing = record(tmp_path / "out", keep="success", scenes=[5])
-    assert (len(nothing), nothing.read_metadata(), list(nothing)) == (0, [], [])
-    assert nothing.read_transitions(["time"])[1].shape == (0, 9)
-    assert "0 episodes of moving" in str(nothing)
-    assert "Simulated: 1 (timeout 1)" in str(nothing)
-
-
 @pytest.mark.parametrize(
     ("error", "match", "options"),
     [
         (OptionError, "need an output folder", {"out": None}),
-        (UnknownNameError, "unknown keep 'some'; valid: all, success", {"keep": "some"}),
-        (UnknownNameError, "unknown obs_mode 'sonar'", {"obs_mode": "sonar"}),
         (OptionError, "split must be 'train', got 'val'", {"split": "val"}),
         (OptionError, "fps must be an integer from 1 to 1000, got 29.97", {"fps": 29.97}),
     ],
@@ -177,6 +167,7 @@ def test_impossible_recordings_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_the_command(
     fake_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

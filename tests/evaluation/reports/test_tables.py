@@ -34,16 +34,6 @@ def test_parts_of_a_wide_table_repeat_its_key_columns() -> None:
         assert max(map(len, part.splitlines())) <= 100
 
 
-def test_other_formats_are_not_split() -> None:
-    assert list(csv.reader(io.StringIO(WIDE.format("csv")))) == [list(WIDE.header), list(WIDE.rows[0])]
-    latex = WIDE.format("latex")
-    assert latex.count("\\begin{tabular}") == 1
-    assert r"column\_8 \%" in latex
-    assert r" a\_b" in latex
-    assert r"x \& y" in latex
-    assert ReportTable(["a"], []).format("latex") == ReportTable(["a"], []).format("csv") == ""
-
-
 @pytest.mark.parametrize("kind", ["report", "comparison", "agreement", "crossplay"])
 def test_every_result_has_every_format(kind: str) -> None:
     first, other = report(1, 2), report(2, 1, physics="fast")

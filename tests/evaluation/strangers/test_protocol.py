@@ -10,13 +10,12 @@ import pytest
 
 import handover_marl
 from handover_marl.cli import main
-from handover_marl.config import WorldConfig
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.evaluation.strangers import protocol
 from handover_marl.evaluation.strangers.protocol import make_leaderboard, update_references
 from handover_marl.evaluation.strangers.report import StrangersReport, read_report
-from handover_marl.policies.populations import POPULATION_FOLDER, load_population
+from handover_marl.policies.populations import load_population
 from tests.evaluation.strangers.populations import write_population
 from tests.short_episodes import shorten_episodes
 
@@ -194,17 +193,3 @@ def test_incomplete_folders_are_refused(population: Path, evaluated: Path, tmp_p
     ):
         (out / "strangers.json").write_text(json.dumps(content | {"folders": {"hold": folders}}))
         check(ResultsError, message, out)
-
-
-def test_arguments(fake_data: Path, population: Path, tmp_path: Path) -> None:
-    copies = [shutil.copy(POPULATION_FOLDER / "receiver_replay.npz", tmp_path / f"{name}.npz") for name in "ab"]
-    for options, message in (
-        ({"giver": "replay"}, "exactly one of receiver and giver"),
-        ({"receiver": None}, "exactly one of receiver and giver"),
-        ({"receiver": [f"learned:{copy}" for copy in copies]}, "receiver must name different policies, got two"),
-        ({"shard": "1/2"}, "shard must be left out"),
-        ({"world_config": WorldConfig(initial_joint_noise=0.1)}, "must be the official one for strangers"),
-        ({"scenes": None, "n_scenes": 0}, "number of scenes must be a whole number of at least 1"),
-    ):
-        with pytest.raises(OptionError, match=message):
-            run(fake_data, population, **options)

@@ -12,7 +12,6 @@ import handover_marl
 from handover_marl import receivers
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.errors import DataFormatError, HandoverError, OptionError
-from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import read_policy
 from handover_marl.learning.policy_spec import PolicySpec
 
@@ -141,18 +140,6 @@ def test_normalization_equals_that_of_vec_normalize_to_the_bit(encoded: Any) -> 
     assert find_input_normalization(VecNormalize(DummyVecEnv([lambda: encoded]), norm_obs=False)) is None
 
 
-def test_models_of_flat_observations() -> None:
-    env = make_env("Receiver")
-    model, observation = (
-        make_model("PPO", gymnasium.wrappers.FlattenObservation(make_env("Receiver")), 1.0),
-        collect(env, 0)[0],
-    )
-    expected, _ = model.predict(gymnasium.spaces.flatten(env.observation_space, observation), deterministic=True)
-    policy = handover_marl.as_receiver(model).make(DATA)
-    policy.reset()
-    np.testing.assert_allclose(policy.act(observation), expected, atol=2e-5)
-
-
 def test_models_that_do_not_fit_are_refused(encoded: Any, tmp_path: Path) -> None:
     path = tmp_path / "model.zip"
     make_model("PPO", encoded).save(path)
@@ -204,18 +191,6 @@ def test_modules_of_dense_layers(activation: str, tmp_path: Path) -> None:
             expected = module.eval()(torch.from_numpy(inputs)[None])[0].numpy()
         module.train()
         np.testing.assert_allclose(found(inputs), expected, atol=1e-5)
-
-
-def test_given_activations_are_compared_with_the_module() -> None:
-    net = make_net(activation=torch.nn.ReLU)
-    with pytest.raises(DataFormatError, match=r"one activation between them \(tanh\)"):
-        dense_network_from_module(net, "tanh")
-    squashed = dense_network_from_module(torch.nn.Sequential(net, torch.nn.Tanh()), "relu")
-    assert (squashed.activation, squashed.output) == ("relu", "tanh")
-    with torch.no_grad():
-        net[-1].weight.mul_(0.001)
-        net[-1].bias.zero_()
-    assert dense_network_from_module(net, "relu").output == "identity"
 
 
 @pytest.mark.parametrize(

@@ -91,12 +91,3 @@ def test_losses_are_least_for_what_is_good() -> None:
     assert worse["grasp"] == pytest.approx(0.02 * 3.0**0.5, rel=1e-3)
     assert best["quality"] < worse["quality"]
     assert best["object_center"] == best["object_motion"] == 0.0
-
-
-def test_settings_in_files_of_earlier_versions_are_read() -> None:
-    old = {"points": 16, "group": 8, "whole": 24, "grasp": 32, "hand": True, "groups": [4]}
-    network = GraspNetwork.from_settings(old)
-    assert network.config == GraspNetworkConfig(16, 8, 24, 32, group_sizes=(4,))
-    assert GraspNetwork.from_settings(network.get_settings()).config == network.config
-    with pytest.raises(ValueError, match="without points of the person's hand are not supported"):
-        GraspNetwork.from_settings(old | {"hand": False})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import ResultsError
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import DenseNetwork, PolicySpec
 from handover_marl.policies.reference import parse_policy
@@ -93,25 +93,3 @@ def test_policies_of_other_arguments_are_not_taken(train: ModuleType, tmp_path: 
     train.main(train.Args(**args))
     with pytest.raises(ResultsError, match=r"other arguments \(partner\)"):
         train.main(train.Args(**args, partner="noisy"))
-
-
-def test_missing_policy_of_a_pair_is_named(train: ModuleType, tmp_path: Path) -> None:
-    args = train.Args(dataset="synthetic", method="fictitious_co_play", out=tmp_path, pairs=1, seeds=(0,))
-    train.main(args)
-    (tmp_path / "pairs" / "giver_mid_1000.npz").unlink()
-    with pytest.raises(ResultsError, match=r"giver_mid_1000\.npz must exist beside giver_final_1000\.npz"):
-        train.main(args)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"ego": "giver", "method": "history"}, "method must be another one for a giver, got history"),
-        ({"partner": "noisy"}, "partner must be left out with method population"),
-        ({"seeds": (1000,)}, "seeds must be integers from 0 to 999"),
-        ({"out": Path("a,b")}, "out must be a path without commas"),
-    ],
-)
-def test_wrong_arguments_are_refused(options: dict[str, Any], message: str, train: ModuleType) -> None:
-    with pytest.raises(OptionError, match=message):
-        train.Args(**options)

@@ -3,15 +3,13 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pybullet
 import pytest
 
 from handover_marl.errors import SimulationError
 from handover_marl.simulation.bullet import client as client_module
-from handover_marl.simulation.bullet.client import connect, load_urdf
-from tests.unreadable import UNREADABLE, refuses_within, replace_by, write_model
+from handover_marl.simulation.bullet.client import connect
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is Linux's way to a screen")
@@ -45,16 +43,4 @@ def test_close_after_the_server_has_gone() -> None:
     client = connect()
     client.disconnect()
     client.close()
-    client.close()
-
-
-@pytest.mark.parametrize("file", ["body.urdf", "body.obj"])
-def test_unreadable_files_of_a_model(file: str, tmp_path: Path) -> None:
-    client = connect()
-    for kind in UNREADABLE:
-        (folder := tmp_path / kind).mkdir()
-        urdf = write_model(folder, "body.obj")
-        replace_by(kind, folder / file)
-        with refuses_within(5.0, SimulationError, kind):
-            load_urdf(client, urdf)
     client.close()

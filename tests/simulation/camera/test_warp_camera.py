@@ -90,6 +90,7 @@ def test_images_equal_those_of_the_processor(request: pytest.FixtureRequest, dat
     camera.close()
 
 
+@pytest.mark.slow
 def test_worlds_change_their_scenes(request: pytest.FixtureRequest) -> None:
     """A world that had more objects before has those of its present scene only; models are copied once."""
     scenes, rng = load_scenes(request, "synthetic"), np.random.default_rng(4)

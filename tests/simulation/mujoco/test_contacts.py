@@ -1,7 +1,5 @@
 """Tests of the contact sensors against MuJoCo's contacts, for one world and for several at once."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 
@@ -9,15 +7,11 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
-from handover_marl.config import PhysicsConfig, ProtocolConfig
+from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.geometry.arrays import NUMPY_ARRAYS, make_tensor_factory
 from handover_marl.geometry.panda import FINGER_LINKS, WAITING_JOINTS
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.world import Contacts, find_points_in_grasp_region
-
-FACTORIES = [NUMPY_ARRAYS, *([make_tensor_factory("cpu")] if importlib.util.find_spec("torch") else [])]
-RULES = ProtocolConfig()
+from handover_marl.simulation.world import Contacts
 
 
 @pytest.fixture(scope="module")
@@ -77,22 +71,6 @@ def test_sensors_agree_with_the_engines_contacts(scene: SceneModel, grasp: "mujo
         # The points lie on the pads, within their depth.
         assert (np.abs(points[:, :2]) < (0.012, 0.009)).all()
         assert ((points[:, 2] > 0.0) & (points[:, 2] < 0.056)).all()
-
-
-def test_many_worlds_are_read_like_one(scene: SceneModel, grasp: "mujoco.MjData") -> None:
-    rows = np.stack([grasp.sensordata, np.zeros_like(grasp.sensordata), 2.0 * grasp.sensordata])
-    for arrays in FACTORIES:
-        sensors = scene.contact_sensors.move_to(arrays)
-        many = sensors.compute_rollout_contacts(arrays.asarray(rows[None]), arrays.asarray([[grasp.qpos] * 3]), RULES)
-        for row, own in enumerate(rows):
-            one = scene.contact_sensors.compute_contacts(own, grasp.qpos, True)
-            assert bool(many.robot_touches_object[0, row]) == one.robot_touches_object == (row != 1)
-            assert many.fingers_touch[0, row].tolist() == [len(points) > 0 for points in one.finger_points]
-            inside = [find_points_in_grasp_region(points, RULES).any() for points in one.finger_points]
-            assert many.in_grasp_region[0, row].tolist() == inside
-            np.testing.assert_array_equal(many.gripper_position[0, row], one.gripper_position)
-    points = [scene.contact_sensors.compute_finger_points(data) for data in (rows, rows[2])]
-    np.testing.assert_array_equal(points[0][2], points[1])
 
 
 def test_hand_and_other_objects_are_sensed(scene: SceneModel) -> None:

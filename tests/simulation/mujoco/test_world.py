@@ -18,7 +18,6 @@ from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.simulation.bullet.fast_world import FastWorld
-from handover_marl.simulation.mujoco.batches.simulation import WorldData
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import World
@@ -129,32 +128,6 @@ def start() -> tuple[Episode, MujocoWorld]:
     episode.reset(SCENE)
     assert isinstance(episode.world, MujocoWorld)
     return episode, episode.world
-
-
-def test_ignoring_hands_out_of_reach_does_not_change_the_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An episode that ends with contact is bit-equal to one in which the hand can collide all the time."""
-    hands: set[bool] = set()
-    select = WorldData.select_model
-
-    def play(selects: tuple[bool, ...]) -> list[npt.NDArray[np.float32]]:
-        def select_model(data: WorldData, hand_collides: bool) -> object:
-            hands.add(hand_collides)
-            return select(data, hand_collides or selects == (True,))
-
-        monkeypatch.setattr(WorldData, "select_model", select_model)
-        episode, world = start()
-        # The world is woken long before the hand comes near.
-        world.wake()
-        states = []
-        while not episode.status:
-            episode.advance(INTO_THE_HAND, 50)
-            states += [episode.observe()["robot_joint_position"], episode.observe()["object_poses"]]
-        assert episode.status == EpisodeStatus.HUMAN_CONTACT
-        return [*states, np.float32([episode.steps])]
-
-    for one, other in zip(play((True, False)), play((True,)), strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert hands == {True, False}
 
 
 def test_sleeping_worlds_move_as_awake_ones() -> None:

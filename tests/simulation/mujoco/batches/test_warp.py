@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("mujoco_warp", reason="needs the extra `warp`")
 
-import mujoco
 
 from handover_marl.config import PandaConfig, PhysicsConfig, ProtocolConfig
 from handover_marl.datasets.dataset import Scene
@@ -22,10 +21,7 @@ from handover_marl.errors import SimulationError
 from handover_marl.geometry.arrays import AnyArray, make_tensor_factory, to_numpy
 from handover_marl.geometry.poses import transform_points
 from handover_marl.simulation.mujoco.batches import warp_group
-from handover_marl.simulation.mujoco.batches.warp_model import WarpModel
 from handover_marl.simulation.mujoco.batches.warp_worlds import WarpWorlds
-from handover_marl.simulation.mujoco.models.scene_model import load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 from handover_marl.simulation.mujoco.world import MujocoWorld
 from handover_marl.simulation.reference_tracking import ReferenceMotion
 from handover_marl.simulation.world import RolloutContacts, RolloutEnd
@@ -146,9 +142,3 @@ def test_a_failed_simulation_raises_an_error(monkeypatch: pytest.MonkeyPatch) ->
     message = r"failed: too many pairs of near bodies\. To go on, use backend='threads'"
     with pytest.raises(SimulationError, match=message):
         roll_out(WarpWorlds(CONFIG, 3, TENSORS), find_grasp_center(), 1, make_judge([]))
-
-
-def test_jacobians_are_dense() -> None:
-    scene = load_scene_model(load_scenes()[0].assets, CONFIG, padding=ModelPadding(objects=8, hulls=20))
-    assert scene.model.nv == 57
-    assert not mujoco.mj_isSparse(WarpModel(scene, 1, TENSORS).source)

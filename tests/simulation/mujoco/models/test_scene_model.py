@@ -1,6 +1,5 @@
 """Tests of scene models in MuJoCo, which have Bullet's masses, link poses, joint limits and collision masks."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,21 +12,18 @@ import mujoco
 
 from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
-from handover_marl.errors import HandoverError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.geometry.panda import LOWER_LIMITS, PANDA_CAMERA, UPPER_LIMITS
+from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.simulation.bullet.bodies import PandaBody
 from handover_marl.simulation.bullet.client import BulletClient, connect, load_urdf
 from handover_marl.simulation.mujoco.grasp_validation import GripperModelBuilder
 from handover_marl.simulation.mujoco.models import scene_model
-from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup, load_link_parts
+from handover_marl.simulation.mujoco.models.collision_shapes import CollisionGroup
 from handover_marl.simulation.mujoco.models.scene_model import SceneModel, load_scene_model
-from handover_marl.simulation.mujoco.models.scene_spec import _NEVER_COLLIDING, ModelPadding, SceneModelBuilder
-from tests.unreadable import UNREADABLE, refuses_within, replace_by, write_model
+from handover_marl.simulation.mujoco.models.scene_spec import ModelPadding
 
 CONFIG = PhysicsConfig()
 ASSETS = SyntheticDataset().load_scene(209).assets
-CAMERA_PANDA = SyntheticDataset(robot=PANDA_CAMERA).panda_urdf
 
 
 @pytest.fixture(scope="module")
@@ -101,37 +97,3 @@ def test_collision_masks(scene: SceneModel) -> None:
     assert all(meet(robot, body) for body in (table, target, other, *hand, 0, robot))
     assert not any(meet(target, body) for body in (table, other, *hand, 0)), "a held object meets the robot only"
     assert not any(meet(hand[0], body) for body in (table, target, 0, hand[1]))
-
-
-def test_excluded_pairs_of_links_stay_apart_in_sampled_poses() -> None:
-    builder = SceneModelBuilder(CONFIG)
-    builder.add_robot(CAMERA_PANDA)
-    model = builder.spec.compile()
-    assert (model.body_geomnum <= 1).all(), "what is measured here is one geom a body"
-    data, rng = mujoco.MjData(model), np.random.default_rng(7)
-    bodies = [body for body in range(1, model.nbody) if model.body_geomnum[body]]
-    gaps = dict.fromkeys(itertools.combinations(bodies, 2), np.inf)
-    low, high = model.jnt_range.T
-    for _ in range(400):
-        data.qpos[:] = rng.uniform(low - 0.02, high + 0.02)
-        mujoco.mj_kinematics(model, data)
-        for pair in gaps:
-            geoms = (int(model.body_geomadr[body]) for body in pair)
-            gaps[pair] = min(gaps[pair], mujoco.mj_geomDistance(model, data, *geoms, 1.0, None))
-    by_name = {tuple(model.body(body).name for body in pair): gap for pair, gap in gaps.items()}
-    assert min(by_name[pair] for pair in _NEVER_COLLIDING) > 0.01
-    assert any(gap < 0.0 for gap in by_name.values()), "some links do collide"
-    scene = load_scene_model(replace(ASSETS, panda=CAMERA_PANDA), CONFIG).model
-    excluded = {(scene.body(sign >> 16).name, scene.body(sign & 0xFFFF).name) for sign in scene.exclude_signature}
-    assert {*_NEVER_COLLIDING} < excluded
-
-
-@pytest.mark.parametrize("file", ["body.urdf", "body.obj", "body.stl"])
-def test_unreadable_files_of_a_model(file: str, tmp_path: Path) -> None:
-    for kind in UNREADABLE:
-        (folder := tmp_path / kind).mkdir()
-        urdf = write_model(folder, "body.stl" if file == "body.stl" else "body.obj")
-        tree = read_tree(urdf)
-        replace_by(kind, folder / file)
-        with refuses_within(5.0, HandoverError, kind):
-            load_link_parts(urdf, tree)
