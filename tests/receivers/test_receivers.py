@@ -10,7 +10,7 @@ from handover_marl import givers, receivers
 from handover_marl.datasets import OfficialDataset
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.errors import OptionError, UnknownNameError, UnknownNameError
+from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.policy import make_policy_context
 from handover_marl.receivers.yang2021 import Yang2021Receiver

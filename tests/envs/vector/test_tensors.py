@@ -27,7 +27,7 @@ from handover_marl.geometry.panda import WAITING_JOINTS
 from handover_marl.learning.custom_encodings import declare_size
 from handover_marl.simulation.engines import BatchBackend, make_worlds
 from handover_marl.simulation.reference_tracking import ReferenceMotion
-from handover_marl.simulation.world import RolloutContacts, Contacts, JudgeFunction, RolloutEnd, WorldState
+from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutContacts, RolloutEnd, WorldState
 from handover_marl.simulation.worlds import Worlds
 from tests.envs.vector.comparison import assert_same
 from tests.fake_device import DEVICE, DeviceTensor, FakeDevice
