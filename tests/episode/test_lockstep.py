@@ -7,11 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handover_marl.config import ProtocolConfig
-from handover_marl.episode.referee import (
-    Referee,
-    RefereeState,
-    judge_steps,
-)
+from handover_marl.episode.referee import Referee, RefereeState, make_judge
 from handover_marl.geometry.arrays import NUMPY_ARRAYS, ArrayFactory, make_tensor_factory
 from handover_marl.simulation.world import NO_POINTS, Contacts, RolloutContacts, find_points_in_grasp_region
 
@@ -111,16 +107,19 @@ def test_arrays_give_the_states_of_the_referee(
     ]:
         length = min(chunk, *(len(episodes[number]) - start[number] for number in running))
         parts = [episodes[number][start[number] : start[number] + length] for number in running]
-        before = stack_states([restored[number].get_state() for number in running])
-        before = RefereeState(*map(factory.asarray, before))
-        last, states = judge_steps(before, RolloutContacts(*map(factory.asarray, arrays(parts))), RULES)
+        states = RefereeState(*map(factory.asarray, stack_states([restored[number].get_state() for number in running])))
+        rows, contacts = factory.asarray(np.arange(len(running))), map(factory.asarray, arrays(parts))
+        end = make_judge(states, RULES)(rows, RolloutContacts(*contacts))
         for place, number in enumerate(running):
-            expected = step_by_step(referees[number], parts[place])
-            found = last[place], states.select_rows(place)
-            assert without_final_count(*found) == without_final_count(*expected)
+            was_released = referees[number].released
+            last, state = expected = step_by_step(referees[number], parts[place])
+            assert without_final_count(last, states.select_rows(place)) == without_final_count(*expected)
+            assert end.steps[place] == last + 1
+            assert bool(end.released[place]) == (referees[number].released and not was_released)
+            assert bool(end.ended[place]) == (state.status != 0)
             restored[number].restore(states.select_rows(place))
             assert restored[number].status == referees[number].status
             assert restored[number].release_reason == referees[number].release_reason
             assert restored[number].release_step == referees[number].release_step
             assert restored[number].released == referees[number].released
-            start[number] += int(last[place]) + 1
+            start[number] += last + 1
