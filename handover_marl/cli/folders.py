@@ -159,7 +159,7 @@ def run_strangers_table(
 
 
 def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
-    """Return folders, and their names if they are given as NAME=DIR.
+    """Return the folders without names, and their names if they are given as NAME=DIR, else None.
 
     Raises:
         OptionError: Only some have a name.

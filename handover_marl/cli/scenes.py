@@ -84,8 +84,8 @@ def add_motion(
         object: Class of the object that is handed over: a class of the folder or a YCB class.
         subject: Name of the person.
         recording: Name of the recording; default: the number of the scene.
-        side: Hand of the person.
-        hand: Number of the shipped hand, or none for a scene without a hand.
+        side: Hand with which the person gives the object.
+        hand: Number of the shipped model of a person's hand, or none for a scene without a hand.
         others: Classes of the other objects, whose poses are in the file.
         frame: Frame of the poses: world, table, or its pose in the world.
         object_offset: Pose of the object's frame in the recorded frame, such as that of its markers (m, quaternion).

@@ -26,7 +26,7 @@ def prepare_streams() -> None:
 
 
 def print_result(text: object) -> None:
-    """Print a result of a command at once.
+    """Print a result of a command on stdout, and empty the buffer.
 
     Raises:
         OSError: The output is closed, or its disk full.

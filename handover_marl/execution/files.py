@@ -43,7 +43,7 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
             path.hardlink_to(temporary)
         except FileExistsError:
             raise
-        except OSError:  # a file system without links
+        except OSError:  # a file system without hard links
             temporary.replace(path)
 
 

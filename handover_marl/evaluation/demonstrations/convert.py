@@ -168,7 +168,7 @@ def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
 
 
 def describe_features(columns: dict[str, npt.NDArray[Any]]) -> dict[str, dict[str, Any]]:
-    """Return the features of a data set with these columns, as LeRobot declares them."""
+    """Return type, shape and component names of each column, by the column's name, as LeRobot declares features."""
     return {
         name: {
             "dtype": "video" if name == _VIDEO else str(values.dtype),

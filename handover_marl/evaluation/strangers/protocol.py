@@ -131,7 +131,7 @@ def update_references(
     out: str | os.PathLike[str] | None = None,
     trust: bool = False,
 ) -> ReferenceTable:
-    """Update the references of a population from result folders and write them.
+    """Update the best policy known for each partner (reference) from result folders; write and return the table.
 
     Args:
         folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
@@ -167,7 +167,7 @@ def update_references(
 
 
 def _make_reference(agent: str, report: Report, partner_policy: str) -> Reference:
-    """Return the agent's policy with its scores and the command of the evaluation."""
+    """Return a report's policy of `agent` as reference; its command evaluates it with the partner `partner_policy`."""
     metadata = report.metadata
     policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
     policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
@@ -200,8 +200,8 @@ class Leaderboard(TabularResult):
     """Evaluations of several methods with the same partners. `str` returns Markdown tables.
 
     Attributes:
-        reports: Reports, the methods with the largest AS first, and the splits of a method one after the other. All
-            reports of a split have the same scenes.
+        reports: Reports, the methods with the largest average success (AS) first, and the splits of a method one
+            after the other. All reports of a split have the same scenes.
         names: Name of the method of every report.
     """
 
@@ -210,7 +210,7 @@ class Leaderboard(TabularResult):
 
     @property
     def splits(self) -> dict[str, list[int]]:
-        """Indices of the reports of every split of scenes."""
+        """Indices in `reports` by split of the scenes."""
         found: dict[str, list[int]] = {}
         for number, report in enumerate(self.reports):
             found.setdefault(report.condition.split, []).append(number)
