@@ -145,8 +145,8 @@ def run_strangers_table(
     """Print the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
 
     Args:
-        folders: Output folders of `strangers` with the same partners, one for each method and split; each with the
-            name of the method, or all without; default: the label of the policy.
+        folders: Output folders of `strangers` with the same partners, one for each method and split; all as NAME=DIR
+            with the name of the method, or all as DIR, which are named by the label of the policy.
         heat_map: Picture to write, with the success rate of every method with every partner.
     """
     from handover_marl.evaluation.strangers.protocol import make_leaderboard

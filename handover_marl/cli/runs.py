@@ -177,7 +177,7 @@ def run_render(
         scene: Number of the scene, 0 to 999.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
-        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, hand path.
+        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, path of the robot's hand.
         view: outside, or wrist for colours, depth and segmentation of the wrist camera below it.
         key_frames: Number of key frames of a .png.
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.

@@ -193,8 +193,8 @@ def _prepare(
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
     """Return the scenes of a shard such as "3/16", the third of 16, in the given order.
 
-    Scenes are distributed in a fixed pseudo-random order, so that objects, people and hands are as
-    mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
+    Scenes are distributed in a fixed pseudo-random order, so that objects, people and their right and left hands are
+    as mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
 
     Raises:
         OptionError: The text is not of this form, or there are fewer scenes than shards.

@@ -64,8 +64,7 @@ class EvaluationConfig(SceneConfig):
         """Open the dataset that the configuration names, with its data folder and robot model.
 
         Raises:
-            UnknownNameError, OptionError, DataNotFoundError: The same errors as
-                `handover_marl.datasets.open_dataset`.
+            UnknownNameError, OptionError, DataNotFoundError: The same errors as `handover_marl.datasets.open_dataset`.
         """
         return open_dataset(self.dataset, self.data_dir, self.robot)
 

@@ -107,7 +107,7 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
         if different := first.describe_differences(_read_identity(path), f"in {paths[0]}", f"in {path}"):
             raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")
         for recording in find_recordings(path):
-            # A link could name any file of this machine.
+            # A symbolic link could name any file of this machine.
             if not recording.is_file() or not recording.resolve().is_relative_to(path.resolve()):
                 raise ResultsError(f"{recording} is not a file in the result folder; remove it")
         for result in read_results(path, allow_empty=True):

@@ -41,7 +41,7 @@ class ResultMetadata:
         split: Split of the setup.
         receiver: Label of the receiver.
         giver: Label of the giver.
-        physics: Kind of physics.
+        physics: Physics, "exact", "fast" or "mujoco".
         dataset: Name of the dataset.
         version: Version of this library, or "HandoverSim" for folders that HandoverSim wrote.
         receiver_hash: Hash of the receiver's code, options and file; empty if unknown.
@@ -117,7 +117,7 @@ class ResultMetadata:
         return SPLIT_SIZES[self.setup, self.split] if self.setup in SETUPS else int(self.n_split_scenes)
 
     def to_dict(self) -> dict[str, str]:
-        """Return the fields by name, without the size of an official split."""
+        """Return the fields by name; `n_split_scenes` is left out if it is empty."""
         return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
@@ -203,7 +203,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
-    """Check the identity of an evaluation that was read from a file.
+    """Check the identity of an evaluation that was read from the file `path`, which errors name.
 
     Raises:
         ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no

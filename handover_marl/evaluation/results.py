@@ -70,8 +70,8 @@ class EpisodeResult:
         subject: Person recorded in the scene, or None if unknown.
         side: Hand that gives the object, "right" or "left", or None if unknown.
         n_objects: Number of objects on the table, or None if unknown.
-        models: Description of the hand model and of other substitutes for HandoverSim's models, or
-            None if unknown.
+        models: Description of the model of the person's hand and of other substitutes for HandoverSim's models, or None
+            if unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
         machine: Machine on which `plan_s` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.

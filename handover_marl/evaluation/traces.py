@@ -13,9 +13,9 @@ from handover_marl.evaluation.results import TRACES, EpisodeRecorder, EpisodeRes
 from handover_marl.policies.policy import Policy
 
 _POSITIONS = tuple(f"{point}_{axis}" for point in ("gripper", "wrist") for axis in "xyz")
-#: Columns: time (s); positions of the robot's hand link and of the wrist in the world frame (m), their speeds, averaged
-#: over 60 ms (m/s), and their distance (m); largest sums of normal forces since the previous row (N). Columns of the
-#: wrist are empty without a hand.
+#: Columns: time (s); positions of the robot's hand link and of the person's wrist in the world frame (m), their speeds,
+#: averaged over 60 ms (m/s), and their distance (m); largest sums of the robot's normal forces on object and person's
+#: hand since the previous row (N). Columns of the wrist are empty while the person's hand is absent.
 COLUMNS = (
     *("time", *_POSITIONS, "gripper_speed", "wrist_speed", "gripper_wrist_distance"),
     *("robot_object_force", "robot_hand_force"),

@@ -68,7 +68,7 @@ def draw_plan_figure(
     title: str,
     size: tuple[int, int],
 ) -> bytes:
-    """Draw objects, hand of the person and a motion plan; return a PNG.
+    """Draw objects, the person's hand and a motion plan; return a PNG.
 
     Args:
         plan: Motion plan; None draws the scene alone.

@@ -37,7 +37,7 @@ class ReplayFrame:
             each in the finger's frame (m).
         touches_object: Whether the robot has touched the object since the previous frame.
         touches_hand: Whether the robot has touched the person since the previous frame.
-        object_offered: Whether the person holds the object.
+        object_offered: Whether the person has picked up the object and not released it.
         released: Whether the person has released the object.
         planned_path: (k, 7) planned world poses of the robot's hand link, xyz (m) and quaternion
             xyzw, or None without a plan.

@@ -59,7 +59,7 @@ class LinkTrajectory:
 
     Attributes:
         name: Unique name, such as "robot/3".
-        label: Label of the body to which the link belongs.
+        label: Segmentation label of the body to which the link belongs.
         mesh: Visual mesh of the link.
         poses: (m, 7) world pose at each frame, xyz (m) and quaternion xyzw; (1, 7) if it is fixed.
         is_present: (m,) whether the link exists at each frame; (1,) if it is fixed.
@@ -177,7 +177,7 @@ def _run_server() -> Iterator[Any]:
             server.stop()
 
 
-# Function that shows an element of the scene as it is at a frame, whose index is given, too.
+# Function of a frame's index and the frame that shows an element of the scene as it is at this frame.
 _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 

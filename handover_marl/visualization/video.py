@@ -101,7 +101,7 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
 
 
 def format_caption(episode: Episode) -> str:
-    """Return simulated time and state of an episode: contact, drop, timeout, goal reached, released or touching."""
+    """Return time (s) and state of an episode as text, such as "3.20 s, released"; `render_scene` lists all."""
     time = f"{episode.steps * TIME_STEP:.2f} s"
     if episode.status is EpisodeStatus.SUCCESS:
         return f"{time}, goal reached"

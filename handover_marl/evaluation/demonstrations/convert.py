@@ -147,7 +147,7 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
 
 
 def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
-    """Return LeRobot's columns (T, ...) of an episode with T frames, by name; a number a frame has shape (T, 1)."""
+    """Return LeRobot's columns (T, ...) of an episode with T frames, by name; columns of single numbers are (T, 1)."""
     observations = {key: values[:-1] for key, values in demonstration.observations.items()}
     columns = {
         _RENAMED.get(key, f"observation.{key}"): values

@@ -256,7 +256,7 @@ class Demonstrations:
 
 @contextlib.contextmanager
 def _report_damage(path: Path) -> Iterator[None]:
-    """Report every exception of reading a file as damage.
+    """Turn every exception in a `with` block that reads a file into an error that names the file.
 
     Raises:
         DataFormatError: The file cannot be read.

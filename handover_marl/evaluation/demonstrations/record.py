@@ -178,7 +178,7 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file per recorded episode, and of the file that describes all of them; see `demonstrate`.
+    """Writer of one file per recorded episode, and of one that describes all, in a result folder; see `demonstrate`.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.

@@ -377,7 +377,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
 
 
 def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
-    """Return links to the replay pages of a result folder, relative to the folder of a page, by scene number."""
+    """Return the URLs of a result folder's replay pages, relative to a page in `page_folder`, by scene number."""
     relative = os.path.relpath(results.resolve(), page_folder.resolve())
     replays = find_numbered(results / REPLAYS, ".html").items()
     return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}

@@ -59,8 +59,7 @@ def strangers(
     Args:
         receiver: Receiver to evaluate with givers, as for `benchmark`; or several trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
-        population: Name of a shipped population, or path of a file; see
-            `handover_marl.policies.populations`.
+        population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families of the population to evaluate with: "train", "test" or "all".
         n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored beside `scenes`.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
@@ -329,7 +328,7 @@ def make_leaderboard(
     partners = [partner.name for partner in reports[0].partners]
     table = load_references(found, references)
     reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
-    # By the AS on the split that is given first, and the splits of a method one after the other.
+    # Methods are sorted by their AS on the split of the first folder; each method's splits follow one another.
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
     rows = list(zip(methods, reports, strict=True))
     rows.sort(key=lambda row: (splits.index(row[1].condition.split), -row[1].scores.mean()))

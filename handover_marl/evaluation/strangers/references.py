@@ -64,7 +64,7 @@ class Condition:
         return [name for name, value in vars(self).items() if value != vars(other)[name]]
 
     def contains(self, other: "Condition") -> bool:
-        """Return whether another condition is the same, with all or some of these scenes."""
+        """Return whether another condition is this one, on all or some of its scenes."""
         same = set(self.list_differences(other)) <= {"scenes", "data"}
         return same and set(zip(other.scenes, other.data, strict=True)) <= set(zip(self.scenes, self.data, strict=True))
 
@@ -156,7 +156,7 @@ def load_references(
     Args:
         population: Population of the partners.
         path: File of references; default: the one that is stored beside the population.
-        is_new: Whether a given file need not exist.
+        is_new: Whether a given file may be missing, because it is going to be written.
 
     Raises:
         DataNotFoundError: The given file does not exist, or cannot be read.

@@ -108,7 +108,7 @@ class StrangersReport(TabularResult):
 
     @property
     def partner_families(self) -> list[str]:
-        """Family of every partner."""
+        """Family of every partner, in the order of `partners`."""
         return [partner.family for partner in self.partners]
 
     @property
@@ -239,7 +239,7 @@ class StrangersReport(TabularResult):
         return ReportTable([*header, *(column.title for column in _METRIC_COLUMNS), N_EPISODES.title], rows, n_keys=2)
 
     def write(self, folder: Path) -> None:
-        """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
+        """Write `strangers.json`, which names each pair's result folder, and the tables `strangers.md` to a folder."""
         folders: dict[str, dict[str, str]] = {policy: {} for policy in self.policies}
         for (policy, partner), pair in self.reports.items():
             folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))

@@ -66,11 +66,11 @@ def estimate(
     """Estimate a statistic with its 95 % interval, for other policies, families and scenes of the same kind.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
         scores: Scores (policies, partners, scenes) from 0 to 1.
-        families: Family of every partner. Partners of a single family vary one by one; None if they are fixed, as for
-            the worst partner.
-        references: Scores (partners, scenes) of the best policy for each partner; default: none.
+        families: Family of every partner; the jackknife leaves out a family at a time, or a partner if there is one
+            family. None leaves out none, as for the worst partner.
+        references: Scores (partners, scenes) of the best policy for each partner; None if the statistic needs none.
     """
 
     def compute(own: Array, best: Array) -> float:
@@ -83,9 +83,9 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
     """Estimate a rate with its 95 % interval, at least as wide as Wilson's for as many episodes as it is computed from.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners), which are here shares of scenes; see `Statistic`.
         flags: Outcomes (policies, partners, scenes), 0 or 1.
-        families: Family of every partner; None for the rate with a single one of them. See `estimate`.
+        families: Family of every partner, see `estimate`; None for the rate with one of the partners, e.g. the worst.
     """
     value, error, quantile = _apply_jackknife(lambda own, _: statistic(own.mean(axis=-1), own), [flags], families, None)
     n = flags.size if families is not None else flags.size // flags.shape[1]
@@ -105,11 +105,11 @@ def estimate_difference(
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
         first: Scores (policies, partners, scenes) of the first method.
         second: Scores of the second method with the same partners and scenes; its number of policies may differ.
         families: Family of every partner; see `estimate`.
-        references: Scores (partners, scenes) of the best policy for each partner; default: none.
+        references: Scores (partners, scenes) of the best policy for each partner; None if the statistic needs none.
     """
 
     def compute(one: Array, other: Array, best: Array) -> float:
