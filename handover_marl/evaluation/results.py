@@ -305,7 +305,7 @@ def _check_scalar(name: str, value: Any, kind: type) -> Any:
 
 
 def read_result(path: Path) -> EpisodeResult:
-    """Read a result file.
+    """Read the result of an episode from its official result file.
 
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
@@ -314,7 +314,9 @@ def read_result(path: Path) -> EpisodeResult:
 
 
 def read_result_and_actions(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
-    """Read a result file and its array `action`, by the format (T, 9) for T steps, which is not checked; else empty.
+    """Return the result of an episode and the array `action` from its official result file.
+
+    The array is not checked; it should be (T, 9) for T physics steps, and is empty if the file has none.
 
     Raises:
         ResultsError: The file is damaged, or its values are impossible.

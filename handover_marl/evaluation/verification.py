@@ -295,7 +295,7 @@ class StoredActions:
         """Do nothing: stored actions need no preparation."""
 
     def reset(self, seed: int | None = None) -> None:
-        """Return to the first action."""
+        """Start again with the first action; the seed is not used."""
         self._next = 0
 
     def act(self, observation: Observation) -> Actions:

@@ -126,7 +126,7 @@ class DemonstrationRecorder(EpisodeCallback):
         self._giver: list[tuple[int, npt.NDArray[np.float32]]] = []
 
     def on_reset(self, episode: Episode) -> None:
-        """Discard the recording of the previous episode; record the first frame."""
+        """Discard the recording of the previous episode; with a frame rate, record the first frame."""
         self._observations, self._steps, self._receiver, self._giver = [], [], [], []
         self.on_step(episode)
 

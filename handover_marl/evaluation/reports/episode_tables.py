@@ -40,7 +40,7 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
 
 
 def format_scene_cells(episode: EpisodeResult) -> list[str]:
-    """Format the cells of an episode, in the order of `SCENE_HEADER`."""
+    """Return the cells of an episode as texts, in the order of `SCENE_HEADER`; "-" for unknown values."""
     cells = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label, episode.steps)
     texts = [NO_VALUE if cell is None else str(cell) for cell in (*cells, episode.release_step)]
     return [*texts, f"{episode.plan_s:.3f}"]

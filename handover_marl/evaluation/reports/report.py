@@ -311,7 +311,7 @@ def format_report_files(folder: Path, report: Report) -> dict[str, str]:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write a report's files into a result folder.
+    """Write `report.json`, `report.md`, `report.html` and `episodes.csv` into a result folder.
 
     Raises:
         ResultsError: The folder cannot be written.

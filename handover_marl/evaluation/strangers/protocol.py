@@ -308,9 +308,9 @@ def make_leaderboard(
     Args:
         folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
             scenes.
-        population: Population of the evaluations.
+        population: Population of the evaluations: name of a shipped one, or path of a file.
         references: File of references; default: that of the population.
-        names: Name of the method of every folder; default: the label of the policy.
+        names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:

@@ -160,7 +160,7 @@ class StrangersReport(TabularResult):
         )  # fmt: skip
 
     def estimate_all(self) -> dict[str, Estimate]:
-        """Return estimates (0..1) of the metrics `COLUMNS` and `worst_br_prox`, by key; BR-Prox needs references."""
+        """Return estimates (0..1) of success, contact, AS, BR-Prox (with references) and worst partner, by key."""
         found = self._estimate_means(range(len(self.partners))) | {
             "worst_partner_success": estimate_rate(compute_worst, self.successes, None),
             "largest_partner_contact": estimate_rate(compute_largest, self.contacts, None),

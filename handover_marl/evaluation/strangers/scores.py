@@ -28,7 +28,7 @@ _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at 
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities of returns (policies, partners) to those of the best policies (partners,).
+    """Compute best-response proximities: returns (policies, partners) over those of the best policies (partners,).
 
     They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
