@@ -184,7 +184,7 @@ def run_render(
         width: Width of an image in pixels.
         height: Height of an image in pixels.
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
-        target: Point in the world frame at the center of that camera's image (m); default: 0.45 -0.2 1.15.
+        target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
     """
     from handover_marl.config import CameraConfig
