@@ -39,7 +39,7 @@ RECORDINGS = REFERENCES[RECORDINGS_VARIABLE]
 
 
 def require_reference(what: str, variable: str, content: str) -> Path:
-    """The folder that a variable names; without it, the test is skipped."""
+    """Return the folder that an environment variable names; skip the test if it is not set."""
     folder = REFERENCES[variable]
     if not folder:
         pytest.skip(f"{what} MISSING: set {variable} to {content}")
@@ -48,25 +48,25 @@ def require_reference(what: str, variable: str, content: str) -> Path:
 
 @pytest.fixture(autouse=True)
 def _no_data_by_default(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tests name their data; none may depend on what happens to be set."""
+    """Unset the variable of the data folder, so that no test depends on it."""
     monkeypatch.delenv(DATA_DIR_VARIABLE, raising=False)
 
 
 @pytest.fixture(scope="session")
 def fake_data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small dataset in the official layout; do not write to it."""
+    """Return the folder of a small dataset in the official layout, which all tests share; do not write to it."""
     return write_layout(tmp_path_factory.mktemp("data") / "layout")
 
 
 @pytest.fixture
 def own_data(tmp_path: Path) -> Path:
-    """The same, for tests that spoil it."""
+    """Return a copy of `fake_data` for one test, which may change it."""
     return write_layout(tmp_path / "layout")
 
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """DexYCB in the official layout."""
+    """Return the folder with DexYCB in the official layout."""
     return require_reference("REAL DATA", DATA_DIR_VARIABLE, "a folder in HandoverSim's layout")
 
 
@@ -77,19 +77,19 @@ def real_dataset(real_data: Path) -> OfficialDataset:
 
 @pytest.fixture(scope="session")
 def several_objects() -> OfficialDataset:
-    """Scenes with two to five objects that the original simulator was recorded in."""
+    """Return the scenes with two to five objects in which the original simulator was recorded."""
     return OfficialDataset(require_reference("SCENES WITH SEVERAL OBJECTS", SEVERAL_OBJECTS_VARIABLE, "their folder"))
 
 
 @pytest.fixture(scope="session")
 def raw_dexycb() -> Path:
-    """A raw DexYCB with MANO, and what the original made of it."""
+    """Return the folder of a raw DexYCB with MANO, and of the files that HandoverSim's scripts made of them."""
     return require_reference("RAW DEXYCB", RAW_DEXYCB_VARIABLE, "a folder with raw/ and expected/")
 
 
 @pytest.fixture(scope="session")
 def recordings(real_data: Path) -> Path:
-    """Recordings of the reference simulator."""
+    """Return the folder with recordings of the reference simulator."""
     return require_reference("REFERENCE RECORDINGS", RECORDINGS_VARIABLE, "their folder")
 
 

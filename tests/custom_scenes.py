@@ -44,7 +44,7 @@ def make_recording(rate: float = 60.0, duration: float = 3.0) -> dict[str, npt.N
 
 
 def write_csv(path: Path, recording: Mapping[str, Any]) -> Path:
-    """Write arrays of a recording as a CSV file."""
+    """Write a recording, see `make_recording`, as a CSV file with empty cells for NaN; return the path."""
     columns = {"time": recording["time"]}
     for body, poses in recording.items():
         if body != "time":

@@ -19,11 +19,11 @@ DEVICE = torch.device("cuda")
 
 
 class DeviceTensor(torch.Tensor):
-    """Tensor of the device."""
+    """Tensor of the emulated device, in the processor's memory."""
 
     @property
     def device(self) -> Any:
-        """The device."""
+        """Emulated device, "cuda"."""
         return DEVICE
 
     def cpu(self) -> Any:

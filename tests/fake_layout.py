@@ -35,7 +35,7 @@ SCENES = (
 
 
 def write_layout(folder: Path, scenes: tuple[FakeScene, ...] = SCENES) -> Path:
-    """Write the scenes with all models and grasps they need."""
+    """Write scenes with all models and grasps that they need into a new folder, and return its path."""
     (folder / "dex-ycb-cache").mkdir(parents=True)
     assets = folder / "assets"
     _write(assets / "table" / "table.urdf", _table_urdf())
@@ -70,7 +70,7 @@ def write_scene(folder: Path, scene: FakeScene) -> None:
 
 
 def motion(n_objects: int, grasped: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the poses of objects (N_FRAMES, n_objects, 6) and of the hand (N_FRAMES, 1, 51).
+    """Return poses of objects (N_FRAMES, n_objects, 6) and hand (N_FRAMES, 1, 51) in the official form (m, rad).
 
     The grasped object rises from the table and moves towards the robot; the hand moves with it.
     """

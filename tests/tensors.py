@@ -12,7 +12,7 @@ from handover_marl.policies.batch import ObserveFunction
 
 @contextlib.contextmanager
 def make_device_tensors() -> Iterator[ArrayFactory]:
-    """Yield the creator of tensors on a device that refuses what a GPU refuses; see `fake_device.FakeDevice`."""
+    """Yield the factory of tensors on an emulated GPU, which refuses what a GPU refuses; see `tests.fake_device`."""
     pytest.importorskip("torch")
     from tests.fake_device import DEVICE, FakeDevice
 

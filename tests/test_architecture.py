@@ -43,7 +43,7 @@ def find_imports(path: Path) -> set[str]:
 
 @functools.cache
 def build_import_graph() -> dict[str, set[str]]:
-    """Return the other modules that each module imports; without the library's own, which imports by name."""
+    """Return the other modules that each module imports; `handover_marl` itself, which imports by name, is no key."""
     modules = {name: path for name, path in find_modules().items() if name != "handover_marl"}
     return {name: find_imports(path) - {name} for name, path in modules.items()}
 

@@ -79,7 +79,7 @@ def run_doctor(data_dir: DataDir = None, progress: Progress = True) -> int:
 
 
 def check_installation() -> list[Finding]:
-    """Check the physics engines and the packages of the optional extras."""
+    """Return findings on the library's version, the physics engines and the packages of the optional extras."""
     from handover_marl.simulation.engines import EXACT, list_available_physics
 
     machine = f"Python {platform.python_version()}, {platform.system()} {platform.machine()}"

@@ -145,8 +145,8 @@ def run_strangers_table(
     """Print the leaderboard of folders that `strangers` wrote, one for each method and split of scenes.
 
     Args:
-        folders: Output folders of `strangers` with the same partners, one for each method and split; each with the
-            name of the method, or all without; default: the label of the policy.
+        folders: Output folders of `strangers` with the same partners, one for each method and split; all as NAME=DIR
+            with the name of the method, or all as DIR, which are named by the label of the policy.
         heat_map: Picture to write, with the success rate of every method with every partner.
     """
     from handover_marl.evaluation.strangers.protocol import make_leaderboard
@@ -159,7 +159,7 @@ def run_strangers_table(
 
 
 def _split_names(folders: tuple[str, ...]) -> tuple[list[str], list[str] | None]:
-    """Return folders, and their names if they are given as NAME=DIR.
+    """Return the folders without names, and their names if they are given as NAME=DIR, else None.
 
     Raises:
         OptionError: Only some have a name.

@@ -101,7 +101,7 @@ class PairArguments(EvaluationConfig):
         """Do nothing: `make_config` checks the values, so that errors are printed without tyro's help text."""
 
     def make_config(self) -> EvaluationConfig:
-        """Make the configuration with these options."""
+        """Return the options as an `EvaluationConfig`; the noise of the joint positions is in its `world_config`."""
         values: dict[str, Any] = {part.name: getattr(self, part.name) for part in fields(EvaluationConfig)}
         if self.initial_joint_noise:
             values["world_config"] = WorldConfig(initial_joint_noise=self.initial_joint_noise)
@@ -141,5 +141,5 @@ class ExecutionArguments(ExecutionConfig):
         """Do nothing: `make_config` checks the values."""
 
     def make_config(self) -> ExecutionConfig:
-        """Make the configuration with these options."""
+        """Return the options as an `ExecutionConfig`, which checks them."""
         return ExecutionConfig(**{part.name: getattr(self, part.name) for part in fields(self)})

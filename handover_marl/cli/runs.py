@@ -84,7 +84,7 @@ def run_crossplay(
     """Evaluate every giver with every receiver and print the success rates.
 
     Args:
-        givers: Comma-separated givers; the first one is the baseline of the others.
+        givers: Comma-separated givers; the rates of the others are compared with those of the first.
         receivers: Comma-separated receivers.
     """
     from handover_marl.evaluation.crossplay import crossplay
@@ -112,7 +112,7 @@ def run_strangers(
     Args:
         receiver: Receiver to evaluate, or comma-separated trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
-        partners: Families of the population.
+        partners: Families of the population to evaluate with.
         n_scenes: Number of scenes, evenly spaced over the split; a large number takes all.
     """
     from handover_marl.evaluation.strangers.protocol import strangers
@@ -177,14 +177,14 @@ def run_render(
         scene: Number of the scene, 0 to 999.
         out: Output file: .png for a grid of key frames, .gif or .mp4 for a video, .html for a 3D replay.
         receiver: The robot's policy; default: the robot stays at rest.
-        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, hand path.
+        plan: Render the plan of a receiver such as omg (.png): start, goals, chosen goal, path of the robot's hand.
         view: outside, or wrist for colours, depth and segmentation of the wrist camera below it.
         key_frames: Number of key frames of a .png.
         caption: Show the time and the state of the episode (released, contact, goal reached) in images and videos.
         width: Width of an image in pixels.
         height: Height of an image in pixels.
         position: Position of the outside camera in the world frame (m); default: 1.95 -0.2 1.75.
-        target: Point at the center of its image in the world frame (m); default: 0.45 -0.2 1.15.
+        target: Point in the world frame at the center of the outside camera's image (m); default: 0.45 -0.2 1.15.
         vertical_fov: Vertical field of view of the outside camera (degrees); default: 54.
     """
     from handover_marl.config import CameraConfig

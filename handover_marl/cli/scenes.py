@@ -43,7 +43,7 @@ def add_object(
         density: Density (kg/m^3); default: 300, a half-filled plastic bottle.
         friction: Lateral friction coefficient.
         color: Color in images, a name of the library's palette.
-        concavity: CoACD's threshold, 0.01 (many convex parts) to 1 (one).
+        concavity: Threshold of the convex decomposition with CoACD, 0.01 (many convex parts) to 1 (one).
         grasps: Number of robot grasps to find in simulation; 0 for none.
         seed: Random seed of the grasps.
     """
@@ -84,8 +84,8 @@ def add_motion(
         object: Class of the object that is handed over: a class of the folder or a YCB class.
         subject: Name of the person.
         recording: Name of the recording; default: the number of the scene.
-        side: Hand of the person.
-        hand: Number of the shipped hand, or none for a scene without a hand.
+        side: Hand with which the person gives the object.
+        hand: Number of the shipped model of a person's hand, or none for a scene without a hand.
         others: Classes of the other objects, whose poses are in the file.
         frame: Frame of the poses: world, table, or its pose in the world.
         object_offset: Pose of the object's frame in the recorded frame, such as that of its markers (m, quaternion).
@@ -94,7 +94,7 @@ def add_motion(
         time: Unit of times.
         quaternion: Order of quaternions in NPZ files.
         fingers: Form of finger angles in the file: intrinsic XYZ Euler angles or rotation vectors.
-        max_gap: Largest gap (s) that is filled by interpolation.
+        max_gap: Largest time without recorded poses (s) that is filled by interpolation.
         preview: Image of the recorded paths, which is written before they are checked.
     """
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MotionConfig
@@ -142,7 +142,7 @@ def add_split(
         name: Name of the setup.
         by: Division by object, by person, or at random.
         val: Share of the val split, or names of its objects or persons, separated by commas.
-        test: Share of the test split, or names.
+        test: Share of the test split, or names of its objects or persons.
         seed: Random seed.
     """
     from handover_marl.assets.building.custom_scenes import CustomSceneFolder

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def prepare_streams() -> None:
-    """Set the streams to print characters that they cannot encode as escape sequences; open those that are closed."""
+    """Let stdout and stderr escape characters that they cannot encode; open them if they are closed."""
     for number, name in ((1, "stdout"), (2, "stderr")):
         stream = getattr(sys, name)
         if stream is None:  # as in `>&-`; libraries flush the streams, also in worker processes
@@ -26,7 +26,7 @@ def prepare_streams() -> None:
 
 
 def print_result(text: object) -> None:
-    """Print a result of a command at once.
+    """Print a result of a command on stdout, and empty the buffer.
 
     Raises:
         OSError: The output is closed, or its disk full.

@@ -113,14 +113,14 @@ def run_evaluations(
     recorded: str = "",
     make_writer: MakeWriter | None = None,
 ) -> list[Report]:
-    """Evaluate several configurations in the same worker processes.
+    """Evaluate several configurations in the same worker processes; return one report for each.
 
     Everything is checked, and all folders are prepared, before the first scene. Scenes with a result are not simulated.
 
     Args:
         parts: For each evaluation the subfolder of the output folder, "" for the folder itself, and the configuration.
         execution: Workers, output folder, replays and time series.
-        recorded: Description of further recordings, part of the identity of a result folder.
+        recorded: Description of other recordings, such as demonstrations; part of the identity of a result folder.
         make_writer: Function from result folder and resolved configuration to the writer of these recordings.
 
     Raises:
@@ -193,8 +193,8 @@ def _prepare(
 def select_shard(shard: str, scenes: Sequence[int]) -> tuple[int, ...]:
     """Return the scenes of a shard such as "3/16", the third of 16, in the given order.
 
-    Scenes are distributed in a fixed pseudo-random order, so that objects, people and hands are as
-    mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
+    Scenes are distributed in a fixed pseudo-random order, so that objects, people and their right and left hands are
+    as mixed in every shard as in the whole; the sizes of two shards differ by one scene at most.
 
     Raises:
         OptionError: The text is not of this form, or there are fewer scenes than shards.
@@ -237,7 +237,7 @@ def _show_progress(
 
 
 def _check_same_outcome(stored: EpisodeResult | None, current: EpisodeResult) -> None:
-    """Check that an episode that is simulated again, for its replay, ends as it did before."""
+    """Check that an episode that is simulated again, to record it, ends as its stored result; None skips the check."""
     before, now = (
         "" if result is None else f"{result.status.label} after {result.steps} steps, release at {result.release_step}"
         for result in (stored, current)

@@ -52,7 +52,7 @@ class Comparison(TabularResult):
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of the evaluations in tables: that in which they differ, of receiver, giver and physics, or A and B."""
+        """Names of the evaluations in tables: receivers if these differ, else givers, else physics, else A and B."""
         sides = [
             [report.metadata.receiver, report.metadata.giver, report.metadata.physics]
             for report in (self.first, self.second)

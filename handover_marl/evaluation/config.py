@@ -61,11 +61,10 @@ class EvaluationConfig(SceneConfig):
             object.__setattr__(self, "data_dir", str(check_path("data_dir", self.data_dir)))
 
     def open_dataset(self) -> Dataset:
-        """Open the dataset of the evaluated scenes.
+        """Open the dataset that the configuration names, with its data folder and robot model.
 
         Raises:
-            UnknownNameError, OptionError, DataNotFoundError: The same errors as
-                `handover_marl.datasets.open_dataset`.
+            UnknownNameError, OptionError, DataNotFoundError: The same errors as `handover_marl.datasets.open_dataset`.
         """
         return open_dataset(self.dataset, self.data_dir, self.robot)
 
@@ -108,7 +107,7 @@ class ExecutionConfig(PoolConfig):
         return None if self.out is None else Path(self.out)
 
     def for_subfolder(self, name: str) -> "ExecutionConfig":
-        """Return a copy of the configuration with a subfolder of its output folder."""
+        """Return a copy whose output folder is the subfolder `name`; the same object if nothing is written."""
         return self if self.out is None else replace(self, out=str(Path(self.out) / name))
 
 
@@ -173,7 +172,7 @@ def resolve_config(config: EvaluationConfig, trust: bool = False) -> tuple[Evalu
 
 
 def set_dataset(config: EvaluationConfig, dataset: Dataset) -> EvaluationConfig:
-    """Return a copy of a configuration with the name and the folder of a given dataset."""
+    """Return a copy of a configuration whose `dataset` and `data_dir` are the name and the folder of a dataset."""
     folder = dataset.source_folder
     return replace(config, dataset=dataset.name, data_dir=config.data_dir if folder is None else str(folder))
 

@@ -87,7 +87,7 @@ class CrossPlay(TabularResult):
         return format_csv([list(rows[0]), *(list(row.values()) for row in rows)])
 
     def write(self, folder: Path) -> None:
-        """Write tables (Markdown, CSV) and heat map; requires the extra `plot`.
+        """Write tables (Markdown, CSV) and a heat map of success rates (PNG) to a folder; requires the extra `plot`.
 
         Raises:
             ResultsError: The folder cannot be written.
@@ -106,7 +106,7 @@ class CrossPlay(TabularResult):
         write_atomically(folder / "crossplay.png", picture)
 
     def build_sections(self) -> list[str | ReportTable]:
-        """Build heading, note, matrix of success rates, and the tables of rates and of gains over the first giver."""
+        """Build heading, matrix of success rates, table of rates, tables of differences between policies, and note."""
         report = self._first_report
         metadata, baseline = report.metadata, self.givers[0]
         titles = [N_EPISODES.title, "success gain, points", "contact gain, points"]
@@ -154,7 +154,7 @@ class CrossPlay(TabularResult):
         return ReportTable(["giver", "receiver", *(column.title for column in columns)], rows, n_keys=2)
 
     def _format_gains(self, pair: PolicyPair, baseline: PolicyPair) -> list[object]:
-        """Format the number of episodes of a pair, and the differences of its rates to those of another pair."""
+        """Format number of episodes, and success and contact rates of a pair minus those of the baseline (points)."""
         sides = [self.reports[each].episodes for each in (pair, baseline)]
         differences = [
             estimate_paired_difference(*([bool(each.status & status) for each in side] for side in sides))
@@ -175,7 +175,7 @@ def crossplay(
     """Evaluate every giver with every receiver.
 
     Args:
-        givers: Givers, each as for `evaluate_pair`; gains are relative to the first one.
+        givers: Givers, each as for `evaluate_pair`; the rates of the others are compared with those of the first.
         receivers: Receivers, each as for `benchmark`.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
             policies are ignored.

@@ -60,7 +60,7 @@ class EpisodeRunner:
         dataset: Dataset of the scenes.
         receiver: Policy of the receiver.
         giver: Policy of the giver, or None for the replayed one, which cannot fail and takes no time.
-        episode: Episode of the last scene.
+        episode: Simulation that plays all scenes one after the other; it has the state of the last one.
     """
 
     def __init__(self, config: EvaluationConfig, parallelism: str = "", writers: Sequence[EpisodeWriter] = ()) -> None:
@@ -75,15 +75,14 @@ class EpisodeRunner:
         self._recorders = [writer.create_recorder(config, self.receiver) for writer in writers]
 
     def run(self, task: SceneTask, receiver: EpisodePolicy | None = None) -> FinishedEpisode:
-        """Simulate the scene of a task until its episode ends.
+        """Simulate a task's scene to the end of its episode; return the result and the content of each writer's file.
 
         Args:
             task: Scene to simulate.
             receiver: Policy to play instead of the configured receiver.
 
         Raises:
-            HandoverError: The scene cannot be simulated, its data differ from the main machine's,
-                or a policy fails.
+            HandoverError: The scene cannot be simulated, its data differ from the main machine's, or a policy fails.
         """
         scene = self.dataset.load_scene(task.scene_id)
         fingerprint = self.dataset.compute_fingerprint(task.scene_id)
@@ -136,7 +135,7 @@ def run_episodes(
         writers: Writers whose recorders observe the episodes.
 
     Returns:
-        Generator of pairs (index of the task, episode); closing it ends the tasks that still run.
+        Generator of pairs (index in `tasks`, finished episode); closing it ends the tasks that still run.
 
     Raises:
         WorkerError: Two workers died over the same scene, or the cluster cannot be used.
@@ -160,7 +159,7 @@ def _open_runner(
     writers: tuple[EpisodeWriter, ...],
     remote: tuple[DataLocation, list[PolicyBundle]] | None,
 ) -> Iterator[Callable[[SceneTask], FinishedEpisode]]:
-    """Open a runner; on a machine with other files, unpack policies and find the data folder first."""
+    """Yield the function that simulates a task; with `remote`, unpack the policies and find the data folder first."""
     with contextlib.nullcontext("") if remote is None else TemporaryDirectory() as folder:
         if remote is not None:
             location, bundles = remote

@@ -86,7 +86,7 @@ def _read_pairs(path: Path) -> list[tuple[str, str]]:
 
 
 def _merge_subfolders(paths: Sequence[Path], target: Path, names: Sequence[str]) -> list[Report]:
-    """Merge each of several subfolders of the shards; all are read before anything is written."""
+    """Merge the subfolders `names` of the shards into those of `target`; return their reports. All are read first."""
     shards = {name: _read_shards([path / name for path in paths]) for name in names}
     return [_write_merged(*read, target / name) for name, read in shards.items()]
 
@@ -107,7 +107,7 @@ def _read_shards(paths: Sequence[Path]) -> tuple[ResultMetadata, dict[int, Path]
         if different := first.describe_differences(_read_identity(path), f"in {paths[0]}", f"in {path}"):
             raise ResultsError(f"these are shards of different evaluations: {'; '.join(different)}")
         for recording in find_recordings(path):
-            # A link could name any file of this machine.
+            # A symbolic link could name any file of this machine.
             if not recording.is_file() or not recording.resolve().is_relative_to(path.resolve()):
                 raise ResultsError(f"{recording} is not a file in the result folder; remove it")
         for result in read_results(path, allow_empty=True):
@@ -141,7 +141,7 @@ def _read_identity(path: Path) -> ResultMetadata:
 
 
 def _write_merged(metadata: ResultMetadata, files: dict[int, Path], out: Path) -> Report:
-    """Write results, replays, demonstrations and report of the whole evaluation.
+    """Write results, recordings and report of the whole evaluation into the folder `out`; return the report.
 
     Raises:
         ResultsError: `out` holds another evaluation or cannot be written.

@@ -41,7 +41,7 @@ class ResultMetadata:
         split: Split of the setup.
         receiver: Label of the receiver.
         giver: Label of the giver.
-        physics: Kind of physics.
+        physics: Physics, "exact", "fast" or "mujoco".
         dataset: Name of the dataset.
         version: Version of this library, or "HandoverSim" for folders that HandoverSim wrote.
         receiver_hash: Hash of the receiver's code, options and file; empty if unknown.
@@ -117,11 +117,11 @@ class ResultMetadata:
         return SPLIT_SIZES[self.setup, self.split] if self.setup in SETUPS else int(self.n_split_scenes)
 
     def to_dict(self) -> dict[str, str]:
-        """Return the fields by name, without the size of an official split."""
+        """Return the fields by name; `n_split_scenes` is left out if it is empty."""
         return {key: value for key, value in asdict(self).items() if value or key != "n_split_scenes"}
 
     def describe_differences(self, other: "ResultMetadata", here: str, there: str) -> list[str]:
-        """Describe each field in which this evaluation and another one differ; both places are named, e.g. "now"."""
+        """Return a text for each field that differs, "seed '0' in A, '1' in B" if `here` is "in A", `there` "in B"."""
         return [
             f"{key.replace('_', ' ')} {value!r} {here}, {vars(other)[key]!r} {there}"
             for key, value in vars(self).items()
@@ -158,7 +158,7 @@ def parse_world_label(label: str) -> WorldConfig:
 
 
 def format_config(metadata: ResultMetadata, config: WorldConfig = OFFICIAL_CONFIG) -> str:
-    """Return the content of a result folder's `config.yaml`."""
+    """Return the content of a result folder's `config.yaml`: the identity of the evaluation, and rules of the world."""
     library: dict[str, Any] = metadata.to_dict()
     benchmark = {"SETUP": library.pop("setup"), "SPLIT": library.pop("split"), **_official_rules(config)}
     content = {"SIM": {"TIME_STEP": TIME_STEP}, "BENCHMARK": benchmark, _LIBRARY_SECTION: library}
@@ -203,7 +203,7 @@ def read_result_metadata(path: Path) -> ResultMetadata:
 
 
 def check_metadata(metadata: ResultMetadata, path: Path) -> None:
-    """Check the identity of an evaluation that was read from a file.
+    """Check the identity of an evaluation that was read from the file `path`, which errors name.
 
     Raises:
         ResultsError: Setup, split, physics, robot or observation mode does not exist, or a value is no
@@ -227,7 +227,7 @@ def check_metadata(metadata: ResultMetadata, path: Path) -> None:
 
 
 def _official_rules(config: WorldConfig) -> dict[str, Any]:
-    """Return the rules of HandoverSim's protocol under its own keys."""
+    """Return goal region (m), time to hold the object there (s) and time limit (s) under HandoverSim's keys."""
     protocol = config.protocol
     return {
         "GOAL_CENTER": list(protocol.goal_center),
@@ -238,7 +238,7 @@ def _official_rules(config: WorldConfig) -> dict[str, Any]:
 
 
 def _read_yaml(folder: Path) -> dict[str, Any]:
-    """Return the content of a result folder's `config.yaml`."""
+    """Return the sections of a result folder's `config.yaml`, by name."""
     path = folder / CONFIG_FILE
     try:
         content = read_yaml(path, _MAX_BYTES)
@@ -256,7 +256,7 @@ def _read_yaml(folder: Path) -> dict[str, Any]:
 
 
 def _infer_handoversim_metadata(path: Path, content: Mapping[str, Any]) -> dict[str, str]:
-    """Infer the identity of a result folder that HandoverSim wrote, without the wait."""
+    """Infer fields of `ResultMetadata` of a folder that HandoverSim wrote, from its name and its configuration."""
     has_camera = content.get("ENV", {}).get("ID", "") == "HandoverHandCameraPointStateEnv-v1"
     folder = path.resolve().name
     # <date>_<time>_<method>_<setup>_<split>

@@ -108,20 +108,17 @@ def render_scene(
         giver: The person's policy, as in `evaluate_pair`.
         key_frames: Number of images of a `.png`, evenly spaced from start to end of the episode.
         camera: Pose and image size of the outside camera.
-        view: "outside", or "wrist" for the outside image above colours, depth and segmentation of
-            the wrist camera.
+        view: "outside", or "wrist" for the outside image above colours, depth and segmentation of the wrist camera.
         caption: Whether images and videos show the simulated time and the state of the episode:
             "object touched", "released", "contact", "drop", "timeout" or "goal reached".
-        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`,
-            `camera_noise`, `seed`, `progress` and `trust`, see `handover_marl.EvaluationConfig`
-            and `handover_marl.ExecutionConfig`.
+        options: `dataset`, `data_dir`, `physics`, `robot`, `renderer`, `camera_model`, `camera_noise`, `seed`,
+            `progress` and `trust`, see `handover_marl.EvaluationConfig` and `handover_marl.ExecutionConfig`.
 
     Returns:
         Path of the written file.
 
     Raises:
-        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is
-            impossible.
+        OptionError: The file's suffix is unknown, a library for it is not installed, or a size is impossible.
         ResultsError: The file cannot be written; raised before rendering.
         UnknownNameError: The view, or another name, is unknown.
         SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
@@ -184,7 +181,7 @@ def render_plan(
     camera: CameraConfig = PLAN_CAMERA,
     **options: Any,
 ) -> Path:
-    """Render a receiver's first motion plan: start, goals, chosen goal and path of its hand.
+    """Render a receiver's first motion plan: start, goals, chosen goal and path of the robot's hand link.
 
     Args:
         scene_id: Number of the scene, 0 to 999 of official data.
@@ -199,8 +196,7 @@ def render_plan(
         Path of the written file.
 
     Raises:
-        OptionError: The receiver has no planner, the suffix is not .png, or matplotlib is not
-            installed.
+        OptionError: The receiver has no planner, the suffix is not .png, or matplotlib is not installed.
         UnknownNameError, SceneError, DataNotFoundError, DataFormatError: As for `benchmark`.
     """
     path = check_output_path(out, (".png",))

@@ -18,7 +18,7 @@ from handover_marl.visualization.replay_scene import build_replay_page
 
 
 def format_replay_facts(config: EvaluationConfig, models: str) -> str:
-    """Describe data, policies and simulation of a replayed episode, for its page.
+    """Return one line of text on data, policies and simulation of a replayed episode, for its page.
 
     Args:
         config: Resolved configuration of the evaluation.
@@ -54,7 +54,7 @@ class ReplayWriter(EpisodeWriter):
         self._include_successes = replays == REPLAYS_ALL
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of replays in one worker process."""
+        """Create the recorder of states and contacts, and the function that returns the page of an episode."""
         recorder = ReplayRecorder(receiver)
 
         def encode(result: EpisodeResult, trace: EpisodeTrace) -> bytes:
@@ -69,5 +69,5 @@ class ReplayWriter(EpisodeWriter):
         return (result.success and not self._include_successes) or super().contains(result)
 
     def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the replay page of an episode."""
+        """Return the path of an episode's replay page, which is named after the scene: `episodes/209.html`."""
         return self.path / f"{result.scene_id or 0:03d}.html"

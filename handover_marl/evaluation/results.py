@@ -70,8 +70,8 @@ class EpisodeResult:
         subject: Person recorded in the scene, or None if unknown.
         side: Hand that gives the object, "right" or "left", or None if unknown.
         n_objects: Number of objects on the table, or None if unknown.
-        models: Description of the hand model and of other substitutes for HandoverSim's models, or
-            None if unknown.
+        models: Description of the model of the person's hand and of other substitutes for HandoverSim's models, or None
+            if unknown.
         fingerprint: Hash of the scene's data files, or None if unknown.
         machine: Machine on which `plan_s` was measured, or None if unknown.
         fluency: Metrics beyond the official ones, or None if unknown.
@@ -124,7 +124,7 @@ class EpisodeWriter(ABC):
     The main process writes; worker processes hold a pickled copy, which only creates recorders.
 
     Args:
-        path: Folder of the files; created if missing. Files that killed processes left there are removed.
+        path: Folder of the files; created if missing. Temporary files of killed processes are removed from it.
 
     Raises:
         ResultsError: The folder cannot be created.
@@ -140,7 +140,7 @@ class EpisodeWriter(ABC):
 
     @abstractmethod
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of episodes in one worker process.
+        """Create the recorder of episodes, and the function that encodes its last recording, in one worker process.
 
         Args:
             config: Resolved configuration of the evaluation.
@@ -159,7 +159,7 @@ class EpisodeWriter(ABC):
         return self.get_path(result).is_file()
 
     def write(self, result: EpisodeResult, content: bytes) -> None:
-        """Write the file of an episode, unless its recorder returned nothing.
+        """Write the content of an episode's file; write no file if the content is empty.
 
         Raises:
             ResultsError: The file cannot be written.
@@ -174,7 +174,7 @@ def get_result_path(folder: Path, index: int) -> Path:
 
 
 def find_numbered(folder: Path, suffix: str) -> dict[int, Path]:
-    """Return the files 000, 001, ... of a folder with a suffix, by number in ascending order."""
+    """Return the paths of the files 000, 001, ... with a suffix such as ".npz" in a folder, by number, in order."""
     paths = [path for path in folder.glob(f"[0-9]*{suffix}") if path.stem.isdecimal()]
     found = [(int(path.stem), path) for path in paths if path.stem == f"{int(path.stem):03d}"]
     return dict(sorted(found))
@@ -245,7 +245,7 @@ class ResultFolder(EpisodeWriter):
         return result
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of actions and policy times in one worker process."""
+        """Create the recorder of actions and planning times, and the function that returns the official result file."""
         recorder = ActionRecorder()
         return recorder, lambda result, _: encode_result(result, recorder.actions, recorder.times)
 
@@ -253,9 +253,12 @@ class ResultFolder(EpisodeWriter):
 def encode_result(
     result: EpisodeResult, actions: npt.NDArray[np.float32], elapsed_time: npt.NDArray[np.float64]
 ) -> bytes:
-    """Return the content of a scene's official result file: its result, and arrays with a row for every physics step.
+    """Return the content of a scene's official result file (`.npz`).
 
-    These are the actions (T, 9), and the times (T,) in the receiver's policy (s), zero between decisions.
+    Args:
+        result: Result of the scene.
+        actions: (T, 9) target joint positions in each of T physics steps, 7 arm joints (rad), 2 fingers (m).
+        elapsed_time: (T,) wall-clock time in the receiver's policy in each step (s), zero between decisions.
     """
     arrays: dict[str, Any] = {
         "action": actions,
@@ -302,7 +305,7 @@ def _check_scalar(name: str, value: Any, kind: type) -> Any:
 
 
 def read_result(path: Path) -> EpisodeResult:
-    """Read a result file.
+    """Read the result of an episode from its official result file.
 
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
@@ -311,7 +314,9 @@ def read_result(path: Path) -> EpisodeResult:
 
 
 def read_result_and_actions(path: Path) -> tuple[EpisodeResult, npt.NDArray[Any]]:
-    """Read a result file, with the action (T, 9) of every physics step, or what else the file has as actions.
+    """Return the result of an episode and the array `action` from its official result file.
+
+    The array is not checked; it should be (T, 9) for T physics steps, and is empty if the file has none.
 
     Raises:
         ResultsError: The file is damaged, or its values are impossible.
@@ -351,12 +356,12 @@ def _parse_result(values: Mapping[str, Any]) -> EpisodeResult:
 
 
 def describe_episode(episode: EpisodeResult) -> dict[str, Any]:
-    """Return the values of an episode as JSON types, by key; metrics are in the dictionary `fluency`."""
+    """Return the fields of a result as JSON types, by name, and `outcome`, the text of the status, e.g. "success"."""
     return {**asdict(episode), "status": int(episode.status), "outcome": episode.status.label}
 
 
 def format_episode_file(metadata: ResultMetadata, episodes: Iterable[EpisodeResult]) -> str:
-    """Return the content of an episode file.
+    """Return the content of an episode file: JSON text with the results of all episodes, without their actions.
 
     Planning times are rounded to 0.1 ms, and metrics to four significant digits.
     """

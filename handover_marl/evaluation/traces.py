@@ -13,9 +13,9 @@ from handover_marl.evaluation.results import TRACES, EpisodeRecorder, EpisodeRes
 from handover_marl.policies.policy import Policy
 
 _POSITIONS = tuple(f"{point}_{axis}" for point in ("gripper", "wrist") for axis in "xyz")
-#: Columns: time (s); positions of the robot's hand link and of the wrist in the world frame (m), their speeds, averaged
-#: over 60 ms (m/s), and their distance (m); largest sums of normal forces since the previous row (N). Columns of the
-#: wrist are empty without a hand.
+#: Columns: time (s); positions of the robot's hand link and of the person's wrist in the world frame (m), their speeds,
+#: averaged over 60 ms (m/s), and their distance (m); largest sums of the robot's normal forces on object and person's
+#: hand since the previous row (N). Columns of the wrist are empty while the person's hand is absent.
 COLUMNS = (
     *("time", *_POSITIONS, "gripper_speed", "wrist_speed", "gripper_wrist_distance"),
     *("robot_object_force", "robot_hand_force"),
@@ -26,16 +26,16 @@ class ForceRecorder(EpisodeCallback):
     """Recorder of contact forces at the times of an `EpisodeTrace`.
 
     Attributes:
-        forces: Largest sums of the normal forces of the robot on object and hand (N) between two samples, one row for
-            each sample of the last episode.
+        forces: For each sample of the last episode the forces (on object, on the person's hand): the largest sum of
+            the robot's normal forces in one physics step since the previous sample (N).
     """
 
     def on_reset(self, episode: Episode) -> None:
-        """Discard the forces of the previous episode; those at its start are zero."""
+        """Discard the forces of the previous episode; the sample at the start has zero forces."""
         self.forces, self._largest = [(0.0, 0.0)], (0.0, 0.0)
 
     def on_step(self, episode: Episode) -> None:
-        """Update the largest forces, and keep them at every sample."""
+        """Update the largest forces since the last sample; append them to `forces` every `SAMPLE_STEPS` steps."""
         found, (on_object, on_hand) = episode.contacts, self._largest
         self._largest = max(on_object, found.robot_object_force), max(on_hand, found.robot_hand_force)
         if episode.steps % SAMPLE_STEPS == 0:
@@ -43,12 +43,12 @@ class ForceRecorder(EpisodeCallback):
             self._largest = (0.0, 0.0)
 
     def on_end(self, episode: Episode) -> None:
-        """Count forces after the last sample, such as of the contact that ended the episode, to the last sample."""
+        """Include forces after the last sample, such as those of a contact that ended the episode, in this sample."""
         self.forces[-1] = max(self.forces[-1][0], self._largest[0]), max(self.forces[-1][1], self._largest[1])
 
 
 class TraceWriter(EpisodeWriter):
-    """Writer of the time series of each episode.
+    """Writer of the time series of each episode, as a CSV file with the columns `COLUMNS`.
 
     Args:
         folder: Result folder of the evaluation.
@@ -61,17 +61,17 @@ class TraceWriter(EpisodeWriter):
         super().__init__(folder / TRACES)
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of forces in one worker process."""
+        """Create the recorder of contact forces, and the function that returns the CSV file of an episode."""
         recorder = ForceRecorder()
         return recorder, lambda result, trace: format_trace(trace, recorder).encode()
 
     def get_path(self, result: EpisodeResult) -> Path:
-        """Return the path of the time series of an episode."""
+        """Return the path of an episode's CSV file, which is named after the scene: `traces/209.csv`."""
         return self.path / f"{result.scene_id or 0:03d}.csv"
 
 
 def format_trace(trace: EpisodeTrace, recorder: ForceRecorder) -> str:
-    """Return the time series of an episode as CSV text with the columns `COLUMNS`."""
+    """Return a motion trace, and the forces recorded in the same episode, as CSV text with the columns `COLUMNS`."""
     has_hand = np.isfinite(trace.wrist[:, 0])
     values = np.column_stack(
         [

@@ -140,8 +140,7 @@ def verify(
 
     Args:
         folder: Result folder, of this library or of HandoverSim; nothing in it is changed.
-        data_dir: Data folder in HandoverSim's layout; default: the environment variable
-            HANDOVER_MARL_DATA.
+        data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         scenes: Scene numbers to verify; default: all that have a result.
         giver: The person's policy; default: the registered policy that the folder names.
         world_config: World and rules; must be the same as in the evaluation. Default: the official ones, with the
@@ -202,7 +201,7 @@ def verify(
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
-    """Simulate the stored actions of a scene and compare the result with the stored one; see `compare_results`."""
+    """Simulate the actions that a result folder has of a scene; return the differences, see `compare_results`."""
     file = get_result_path(folder, task.index)
     try:
         stored, actions = read_result_and_actions(file)
@@ -213,9 +212,10 @@ def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task:
 
 
 def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_version: bool) -> list[Difference]:
-    """Compare a stored result with the simulated one; values that HandoverSim's files lack are skipped.
+    """Return the values in which a stored result differs from the simulated one, except for planning time and machine.
 
-    Versions may compute hashes of data and descriptions of models differently, so these are compared within one only.
+    Values that HandoverSim's files lack are skipped. Versions may compute hashes of data and descriptions of models
+    differently, so these are compared only if the `same_version` of the library stored the result.
     """
     values, expected = describe_episode(stored), describe_episode(simulated)
     skipped = {*_UNVERIFIED, *(() if same_version else _VERSIONED)}
@@ -226,7 +226,7 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
 
 
 def check_reports(path: Path) -> list[Difference]:
-    """Compare the reports in a result folder with reports that are computed from its result files.
+    """Return the differences of the reports in a result folder from reports that are computed from its result files.
 
     Args:
         path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.
@@ -252,7 +252,7 @@ def check_reports(path: Path) -> list[Difference]:
 
 
 def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:
-    """Compare two values of JSON types; numbers may differ by rounding."""
+    """Return the differences of two values of JSON types, named by the path below `key`; numbers may differ by 1e-6."""
     if isinstance(stored, dict) and isinstance(expected, dict):
         names = sorted(stored.keys() | expected.keys())
         parts = [_compare_json(stored.get(name), expected.get(name), f"{key}.{name}".lstrip(".")) for name in names]
@@ -295,18 +295,18 @@ class StoredActions:
         """Do nothing: stored actions need no preparation."""
 
     def reset(self, seed: int | None = None) -> None:
-        """Return to the first action."""
+        """Start again with the first action; the seed is not used."""
         self._next = 0
 
     def act(self, observation: Observation) -> Actions:
-        """Return the next action that differs from the last one."""
+        """Return the next action (9,) that differs from the last one; the observation is not used."""
         action: Actions = self._actions[self._starts[self._next]]
         self._next += 1
         return action
 
     @property
     def hold_time(self) -> float:
-        """Time (s) for which the last action is held: until the next different one."""
+        """Time (s) for which the last action is held: until the next different one; infinite if there is none."""
         if self._next == len(self._starts):
             return np.inf
         return (self._starts[self._next] - self._starts[self._next - 1]) * TIME_STEP

@@ -22,8 +22,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
     """Write a file under a temporary name in the same folder, then rename it.
 
     Raises:
-        ResultsError: The file cannot be written, e.g. because the disk is full. An existing file
-            stays as it was.
+        ResultsError: The file cannot be written, e.g. because the disk is full. An existing file stays as it was.
     """
     with _write_temporary(path, content) as temporary:
         temporary.replace(path)
@@ -37,13 +36,13 @@ def create_exclusively(path: Path, content: bytes | str) -> None:
     """
     if os.path.lexists(path):
         return
-    # Unlike renaming, linking fails when the name exists.
+    # Unlike renaming, making a hard link fails when the name exists.
     with _write_temporary(path, content) as temporary, contextlib.suppress(FileExistsError):
         try:
             path.hardlink_to(temporary)
         except FileExistsError:
             raise
-        except OSError:  # a file system without links
+        except OSError:  # a file system without hard links
             temporary.replace(path)
 
 
@@ -158,7 +157,7 @@ def _write_temporary(path: Path, content: bytes | str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _lock(handle: int, on_wait: Callable[[], object]) -> Iterator[None]:
-    """Lock an open file or folder during a `with` block, and close it; call a function once before a wait."""
+    """Lock an open file or folder during a `with` block, then close it; call `on_wait` once before a wait."""
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -54,7 +54,7 @@ class Pool:
     def map_unordered(
         self, open_worker: OpenWorker[Task, Result], tasks: Sequence[Task], describe: Callable[[Task], str] = str
     ) -> Generator[tuple[int, Result], None, None]:
-        """Apply a function to tasks and yield (index of the task, result) as tasks finish.
+        """Apply a function to tasks and yield (index in `tasks`, result) as tasks finish.
 
         Functions and classes of scripts and notebooks are sent by value. Closing the generator
         ends all tasks that still run.
@@ -110,10 +110,10 @@ class Pool:
     def _run_tasks(
         self, job: tuple[str, bytes], tasks: dict[int, Any], n_workers: int, running: dict[Future[bytes], int]
     ) -> Generator[tuple[int, Any], None, None]:
-        """Run tasks in processes and yield (index, result) as tasks finish.
+        """Run a job's tasks, given by index, in `n_workers` processes; yield (index, result) as tasks finish.
 
-        No more tasks are submitted than workers exist, so that those in `running` are the ones that ran when a worker
-        died.
+        Indices of submitted tasks are put into `running`. No more are submitted than workers exist, so that these are
+        the ones that ran when a worker died.
         """
         if self._executor is None or self._n_processes < n_workers:
             self.close()

@@ -50,7 +50,7 @@ class RayPool:
 
     @functools.cached_property
     def n_workers(self) -> int:
-        """Number of tasks that run at a time, on the cluster to which this connects.
+        """Number of tasks that run at a time; the first query connects this process to the cluster.
 
         Raises:
             WorkerError: The cluster cannot be reached.
@@ -125,7 +125,7 @@ def run_ray_task(
         search_path: Import path of the main process; folders that exist here are searched last.
         job_id: Unique label of the job.
         pickled_job: Job, see `run_pickled_task`.
-        pickled_task: Task.
+        pickled_task: Task, see `run_pickled_task`.
     """
     installed = get_installed_versions()
     different = [f"{name} {installed[name]} there, {wanted} here" for name, wanted in versions.items()
@@ -142,7 +142,7 @@ def run_ray_task(
 
 
 def get_installed_versions() -> dict[str, str]:
-    """Return the versions of this library and of the packages that results depend on."""
+    """Return the versions of this library and of packages that results depend on, by name; "none" if missing."""
     found = {"handover_marl": __version__}
     for name in _PACKAGES:
         try:

@@ -30,7 +30,7 @@ def check_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> int:
     For readers that open paths themselves.
 
     Args:
-        path: File, or link to a file.
+        path: File, or symbolic link to a file.
         largest: Largest allowed size (bytes).
 
     Raises:
@@ -53,7 +53,7 @@ def read_plain_file(path: Path, largest: int = MAX_FILE_BYTES) -> bytes:
 
 
 def check_archive(source: Path | bytes, largest: int) -> None:
-    """Check that a zip archive does not state a size that would exhaust memory.
+    """Check that a zip archive unpacks to at most `largest` bytes, by the sizes of its files that it states.
 
     Args:
         source: Archive file, or its content.
@@ -78,7 +78,7 @@ def read_arrays(
 
     Args:
         source: The file, or its content.
-        names: Arrays that the file must contain; None for all its arrays.
+        names: Names of the arrays to read, which the file must contain; None for all its arrays.
         largest: Largest allowed size after unpacking (bytes).
 
     Raises:
@@ -123,7 +123,7 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 
 @contextlib.contextmanager
 def report_damage(path: Path, what: str, advice: str) -> Iterator[None]:
-    """Turn exceptions of a reader in a `with` block into errors that name the file, its kind and what to do.
+    """Turn exceptions of a reader in a `with` block into errors that name file, kind (`what`) and remedy (`advice`).
 
     Readers of damaged files raise exceptions of many types. Errors that name the file already pass.
 

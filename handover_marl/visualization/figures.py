@@ -38,7 +38,7 @@ _PALETTE = np.array([ImageColor.getrgb(LABEL_COLORS[label]) for label in Segment
 
 
 def draw_wrist_view(episode: Episode, camera: CameraConfig) -> Picture:
-    """Return an RGB image (h, w, 3): an outside view above colours, depth and segmentation of the wrist camera.
+    """Return an RGB image (h, w, 3) uint8: an outside view above colours, depth and segmentation of the wrist camera.
 
     The depth is brighter the nearer it is, and black from 2 m on.
 
@@ -68,7 +68,7 @@ def draw_plan_figure(
     title: str,
     size: tuple[int, int],
 ) -> bytes:
-    """Draw objects, hand of the person and a motion plan; return a PNG.
+    """Draw objects, the person's hand and a motion plan; return a PNG.
 
     Args:
         plan: Motion plan; None draws the scene alone.
@@ -151,7 +151,7 @@ def draw_heat_map(
         rows: Names of the rows; long names are wrapped and cut off.
         columns: Names of the columns; likewise.
         title: Title of the figure.
-        axis_labels: What the rows and the columns are.
+        axis_labels: Titles of the vertical axis (rows) and of the horizontal axis (columns).
     """
     from matplotlib.figure import Figure
 

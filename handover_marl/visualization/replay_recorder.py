@@ -37,7 +37,7 @@ class ReplayFrame:
             each in the finger's frame (m).
         touches_object: Whether the robot has touched the object since the previous frame.
         touches_hand: Whether the robot has touched the person since the previous frame.
-        object_offered: Whether the person holds the object.
+        object_offered: Whether the person has picked up the object and not released it.
         released: Whether the person has released the object.
         planned_path: (k, 7) planned world poses of the robot's hand link, xyz (m) and quaternion
             xyzw, or None without a plan.
@@ -89,7 +89,7 @@ class ReplayRecorder(EpisodeCallback):
         self._record_frame(episode)
 
     def on_decision(self, episode: Episode, decision: PolicyDecision) -> None:
-        """Record the point clouds that the receiver observed."""
+        """Record the point clouds that the receiver observed for its decision, if it uses the wrist camera."""
         obs_mode = STATE if self._receiver is None else self._receiver.obs_mode
         if has_camera(obs_mode) and decision.receiver_decided:
             clouds = _observed_clouds(episode, obs_mode)
@@ -127,7 +127,7 @@ class ReplayRecorder(EpisodeCallback):
 
 
 def describe_frame(log: ReplayRecorder, frame: ReplayFrame) -> str:
-    """Return a text of a few words on the time (s) and the state of an episode at a frame."""
+    """Return time and state of a recorded episode at a frame, as text such as "3.20 s - released - robot on object"."""
     parts = [f"{frame.step * TIME_STEP:.2f} s"]
     if frame.step == log.frames[-1].step and log.status:
         parts.append(log.status.label)
@@ -164,7 +164,7 @@ def list_events(log: ReplayRecorder) -> list[tuple[float, str]]:
 
 
 def _observed_clouds(episode: Episode, obs_mode: str) -> tuple[Points, Points]:
-    """Return the points of object and hand that an observation mode has now, without rendering again."""
+    """Return the points (n, 3) of object and person's hand that the receiver sees now, in the hand link's frame (m)."""
     if not parse_obs_mode(obs_mode) & {POINTCLOUD, SCENE_POINTCLOUD}:
         view = episode.capture_wrist_camera()
         return view.object_points, view.hand_points

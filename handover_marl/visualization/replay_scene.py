@@ -59,7 +59,7 @@ class LinkTrajectory:
 
     Attributes:
         name: Unique name, such as "robot/3".
-        label: Label of the body to which the link belongs.
+        label: Segmentation label of the body to which the link belongs.
         mesh: Visual mesh of the link.
         poses: (m, 7) world pose at each frame, xyz (m) and quaternion xyzw; (1, 7) if it is fixed.
         is_present: (m,) whether the link exists at each frame; (1,) if it is fixed.
@@ -86,7 +86,7 @@ def build_replay_page(log: ReplayRecorder, facts: str, camera: CameraConfig | No
 
     Args:
         log: Recorded episode.
-        facts: Description of data, policies and simulation.
+        facts: Text on data, policies and simulation that the page shows.
         camera: Initial camera; default: in front of the robot.
 
     Raises:
@@ -142,7 +142,7 @@ def _build_viser_page(log: ReplayRecorder, camera: CameraConfig) -> str:
 
 
 def build_color_legend(log: ReplayRecorder) -> list[tuple[str, str]]:
-    """Return the HTML colors in an episode's 3D scene, with their meanings."""
+    """Return pairs (HTML color, meaning) of the colors in an episode's 3D scene."""
     legend = [
         (LABEL_COLORS[SegmentationLabel.TARGET], "object"),
         (LABEL_COLORS[SegmentationLabel.HAND], "person's hand"),
@@ -164,7 +164,7 @@ def build_color_legend(log: ReplayRecorder) -> list[tuple[str, str]]:
 
 @contextlib.contextmanager
 def _run_server() -> Iterator[Any]:
-    """Run viser's server, which is needed to build scenes; only this machine can reach it."""
+    """Yield a running server of viser, which is needed to build scenes; only this machine can reach it."""
     import viser
 
     # Viser prints messages at start and end even with verbose=False.
@@ -177,7 +177,7 @@ def _run_server() -> Iterator[Any]:
             server.stop()
 
 
-# Function that shows an element of the scene as it is at a frame, whose index is given, too.
+# Function of a frame's index and the frame that shows an element of the scene as it is at this frame.
 _Show: TypeAlias = Callable[[int, ReplayFrame], None]
 
 
@@ -192,7 +192,7 @@ class _Element:
         self._handle, self._shown = handle, dict[str, Any]()
 
     def set(self, **values: Any) -> None:
-        """Set properties of the element that have other values."""
+        """Set the given properties of the element, except for those that have these values already."""
         for name, value in values.items():
             if name not in self._shown or not np.array_equal(self._shown[name], value):
                 setattr(self._handle, name, value)
@@ -217,7 +217,7 @@ def _add_link(scene: "SceneApi", link: LinkTrajectory) -> _Show:
 
 
 def _add_finger_contacts(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add the contact points of fingers and object."""
+    """Add the contact points of fingers and object; return the function that shows those of a frame."""
     poses = compute_robot_link_poses(log, [frame.snapshot for frame in log.frames], FINGER_LINKS)
     show_points = _add_points(scene, "/contacts", _FINGER_CONTACT_COLOR, 2 * _FINGER_CONTACT_RADIUS)
 
@@ -229,7 +229,7 @@ def _add_finger_contacts(scene: "SceneApi", log: ReplayRecorder) -> _Show:
 
 
 def _add_planned_path(scene: "SceneApi") -> _Show:
-    """Add the planned path of the hand link, with the gripper's outline at its end."""
+    """Add the hand link's planned path with the gripper at its end; return the function that shows it at a frame."""
     empty = np.zeros((1, 2, 3), dtype=np.float32)
     style: Any = {"thickness": 3.0, "thickness_units": "screen", "visible": False}
     element = _Element(scene.add_line_segments("/planned_path", empty, _PLAN_COLOR, **style))
@@ -247,7 +247,7 @@ def _add_planned_path(scene: "SceneApi") -> _Show:
 
 
 def _add_observed_points(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add the latest observed points of the object and of the person's hand."""
+    """Add the latest observed points of object and person's hand; return the function that shows those at a frame."""
     steps = np.array([step for step, *_ in log.clouds])
     snapshots = [snapshot for _, snapshot, *_ in log.clouds]
     hands = compute_robot_link_poses(log, snapshots, (HAND_LINK,))[:, 0] if log.clouds else np.zeros((0, 7))
@@ -280,7 +280,7 @@ def _add_points(scene: "SceneApi", name: str, color: Color, size: float) -> Call
 
 
 def _add_status(scene: "SceneApi", log: ReplayRecorder) -> _Show:
-    """Add the time and the state of the episode, above the goal region."""
+    """Add text on time and state of the episode above the goal region; return the function that shows a frame's."""
     x, y, z = log.config.protocol.goal_center
     element = _Element(scene.add_label("/status", "", position=(x, y, z + _LABEL_HEIGHT), anchor="bottom-center"))
     return lambda index, frame: element.set(text=describe_frame(log, frame))

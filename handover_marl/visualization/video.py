@@ -40,7 +40,7 @@ class FrameRecorder(EpisodeCallback):
         with_end: Whether to record the final state of the episode too.
 
     Attributes:
-        frames: Recorded frames.
+        frames: Recorded RGB images (height, width, 3), in order.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ def check_output_path(out: str | os.PathLike[str], suffixes: Sequence[str]) -> P
 
 
 def format_caption(episode: Episode) -> str:
-    """Return simulated time and state of an episode: contact, drop, timeout, goal reached, released or touching."""
+    """Return time (s) and state of an episode as text, such as "3.20 s, released"; `render_scene` lists all."""
     time = f"{episode.steps * TIME_STEP:.2f} s"
     if episode.status is EpisodeStatus.SUCCESS:
         return f"{time}, goal reached"
@@ -126,7 +126,7 @@ def draw_caption(frame: Picture, text: str) -> Picture:
 
 
 def encode_grid(frames: list[Picture], columns: int) -> bytes:
-    """Return a PNG image with a grid of frames, row by row; empty cells are white."""
+    """Return a PNG image with a grid of RGB frames, `columns` in each row; empty cells are white."""
     rows = [frames[start : start + columns] for start in range(0, len(frames), columns)]
     blank = np.full_like(frames[0], 255)
     width = min(columns, len(frames))
@@ -137,7 +137,7 @@ def encode_grid(frames: list[Picture], columns: int) -> bytes:
 
 
 def encode_video(frames: list[Picture], suffix: str) -> bytes:
-    """Encode frames as a video in real time; return the content of a ".gif" or ".mp4" file."""
+    """Encode frames, `FRAME_PERIOD_MS` apart, as a video; return the content of a file with `suffix` .gif or .mp4."""
     if suffix == ".gif":
         stream = io.BytesIO()
         first, *rest = [Image.fromarray(frame).quantize(64) for frame in frames]

@@ -16,7 +16,7 @@ HIGH = np.array([1.0, *[CONFIG.displacement] * 3, *[CONFIG.rotation] * 3, 1.0], 
 
 
 class OneGiver:
-    """A motion of one giver without the leading axis."""
+    """`GiverMotion` of a single giver, whose arrays have no leading axis of givers."""
 
     def __init__(self, scene: Scene) -> None:
         self.motion = GiverMotion(1, CONFIG)

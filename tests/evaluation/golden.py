@@ -19,7 +19,7 @@ Outcomes = dict[str, list[Any]]
 
 
 def outcomes(physics: str) -> Outcomes:
-    """Return status, steps and release step of every scene, by its number."""
+    """Simulate the scenes in a physics; return status, steps and release step of each, by its number."""
     report = handover_marl.benchmark(
         "s0",
         "val",

@@ -58,7 +58,7 @@ def make_report() -> Report:
 
 
 def write_results(path: Path) -> Path:
-    """Write the result folder of `make_report`."""
+    """Write the result folder of `make_report` to a path, and return it."""
     report = make_report()
     folder = ResultFolder(path, report.metadata)
     for result in report.episodes:

@@ -14,5 +14,5 @@ LIMITS = np.array(LOWER_LIMITS[:7]) + 0.2, np.array(UPPER_LIMITS[:7]) - 0.2
 
 
 def random_joints(seed: int, count: int) -> np.ndarray:
-    """Return random joints (count, 7) within the limits."""
+    """Return random arm joint positions (count, 7) within the limits (rad)."""
     return np.random.default_rng(seed).uniform(*LIMITS, (count, 7))

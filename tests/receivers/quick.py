@@ -28,7 +28,7 @@ QUICK_PREPARATION = GraspPreparationConfig(
 
 
 def observe_handover(scene: Scene, milliseconds: int) -> Observation:
-    """Return the observation of a robot that waits, at a time of the episode in fast physics."""
+    """Return the observation of a scene after some milliseconds in fast physics, with the robot at rest."""
     episode = Episode("fast")
     episode.reset(scene)
     episode.advance(np.array(WAITING_JOINTS, dtype=np.float32), milliseconds)

@@ -1,1 +1,1 @@
-"""Data sets of episodes for imitation learning: recording, Minari's file layout, and reading."""
+"""Data sets of episodes for imitation learning: recording, reading, and conversion for Minari and LeRobot."""

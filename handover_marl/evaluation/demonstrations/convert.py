@@ -147,7 +147,7 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
 
 
 def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
-    """Return LeRobot's columns (T, ...) of an episode with T frames, by name; a number a frame has shape (T, 1)."""
+    """Return LeRobot's columns (T, ...) of an episode with T frames, by name; columns of single numbers are (T, 1)."""
     observations = {key: values[:-1] for key, values in demonstration.observations.items()}
     columns = {
         _RENAMED.get(key, f"observation.{key}"): values
@@ -168,7 +168,7 @@ def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
 
 
 def describe_features(columns: dict[str, npt.NDArray[Any]]) -> dict[str, dict[str, Any]]:
-    """Return the features of a data set with these columns, as LeRobot declares them."""
+    """Return type, shape and component names of each column, by the column's name, as LeRobot declares features."""
     return {
         name: {
             "dtype": "video" if name == _VIDEO else str(values.dtype),

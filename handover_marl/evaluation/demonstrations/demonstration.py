@@ -93,7 +93,7 @@ class Demonstration:
 def hold_actions(
     decisions: Sequence[tuple[int, npt.NDArray[np.float32]]], steps: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float32]:
-    """Return the actions in effect from given physics steps on (zero-order hold).
+    """Return the actions (T, n) in effect from T given physics steps on (zero-order hold).
 
     Args:
         decisions: Physics step and action of each decision, in order; the first is at step 0.
@@ -256,7 +256,7 @@ class Demonstrations:
 
 @contextlib.contextmanager
 def _report_damage(path: Path) -> Iterator[None]:
-    """Report every exception of reading a file as damage.
+    """Turn every exception in a `with` block that reads a file into an error that names the file.
 
     Raises:
         DataFormatError: The file cannot be read.

@@ -110,10 +110,12 @@ def demonstrate(
 class DemonstrationRecorder(EpisodeCallback):
     """Recorder of observations and actions at every decision, or at a constant frame rate.
 
-    A frame has the observation at the physics step nearest to its time, and the actions that are in effect
-    from this step on.
+    A frame has the observation at the physics step nearest to its time, and the actions in effect from this step on.
 
-    See `demonstrate` for observation mode and frame rate; without one, the receiver's decisions are recorded.
+    Args:
+        config: Resolved configuration of the evaluation.
+        obs_mode: Observation mode of the recording.
+        fps: Frames per second; None records the receiver's decisions.
     """
 
     def __init__(self, config: EvaluationConfig, obs_mode: str, fps: int | None) -> None:
@@ -124,7 +126,7 @@ class DemonstrationRecorder(EpisodeCallback):
         self._giver: list[tuple[int, npt.NDArray[np.float32]]] = []
 
     def on_reset(self, episode: Episode) -> None:
-        """Discard the recording of the previous episode; record the first frame."""
+        """Discard the recording of the previous episode; with a frame rate, record the first frame."""
         self._observations, self._steps, self._receiver, self._giver = [], [], [], []
         self.on_step(episode)
 
@@ -176,7 +178,7 @@ class DemonstrationRecorder(EpisodeCallback):
 
 
 class DemonstrationWriter(EpisodeWriter):
-    """Writer of one file per recorded episode, and of the file that describes all of them; see `demonstrate`.
+    """Writer of one file per recorded episode, and of one that describes all, in a result folder; see `demonstrate`.
 
     Raises:
         ResultsError: The folder for the episodes cannot be created.
@@ -190,7 +192,7 @@ class DemonstrationWriter(EpisodeWriter):
         write_atomically(self.path / DEMONSTRATIONS_METADATA, json.dumps(description) + "\n")
 
     def create_recorder(self, config: EvaluationConfig, receiver: Policy) -> EpisodeRecorder:
-        """Create the recorder of demonstrations in one worker process."""
+        """Create the recorder of observations and actions, and the function that returns the file of an episode."""
         recorder = DemonstrationRecorder(config, self._obs_mode, self._fps)
         return (
             recorder,
@@ -198,7 +200,7 @@ class DemonstrationWriter(EpisodeWriter):
         )
 
     def contains(self, result: EpisodeResult) -> bool:
-        """Return whether the episode is recorded already, or is not to be recorded."""
+        """Return whether the episode has a file of the same evaluation already, or is not to be recorded."""
         if not self._includes(result):
             return True
         try:

@@ -40,7 +40,7 @@ def count_status(episodes: Iterable[EpisodeResult], status: EpisodeStatus) -> in
 
 
 def format_scene_cells(episode: EpisodeResult) -> list[str]:
-    """Format the cells of an episode, in the order of `SCENE_HEADER`."""
+    """Return the cells of an episode as texts, in the order of `SCENE_HEADER`; "-" for unknown values."""
     cells = (episode.scene_id, episode.object_name, episode.subject, episode.side, episode.status.label, episode.steps)
     texts = [NO_VALUE if cell is None else str(cell) for cell in (*cells, episode.release_step)]
     return [*texts, f"{episode.plan_s:.3f}"]
@@ -52,7 +52,7 @@ def build_scene_table(episodes: Iterable[EpisodeResult]) -> ReportTable:
 
 
 def build_object_table(episodes: Sequence[EpisodeResult]) -> ReportTable:
-    """Build the table of outcomes by object class."""
+    """Build the table of success rates and numbers of failures by object class."""
     rows = []
     for name in sorted({episode.object_name for episode in episodes if episode.object_name}):
         chosen = [episode for episode in episodes if episode.object_name == name]
@@ -125,10 +125,10 @@ def build_fluency_difference_table(pairs: Iterable[EpisodePair], names: tuple[st
 
 
 def build_fluency_table(means: Mapping[str, Estimate], title: str = "mean") -> ReportTable:
-    """Build the table of means of fluency metrics, given by key; without rows if there are none.
+    """Build the table of means of fluency metrics; without rows if there are none.
 
     Args:
-        means: Means, as of `estimate_fluency`.
+        means: Means by key, as `estimate_fluency` returns them.
         title: Title of their column.
     """
     rows: list[list[object]] = []

@@ -89,12 +89,12 @@ class Report(TabularResult):
 
     @functools.cached_property
     def rates(self) -> dict[str, Estimate]:
-        """Rates of the reported outcomes (0..1), by key."""
+        """Rates (0..1) of success, contact, drop and timeout, by these words."""
         return {flag.label: estimate_rate(self.count(flag), len(self.episodes)) for flag in REPORTED_STATUSES}
 
     @functools.cached_property
     def official_means(self) -> dict[str, Estimate]:
-        """Means of average success over all episodes and of times (s) over successes, by key."""
+        """Average success over all episodes (key AS, 0..1), and mean times over successes (exec_s, plan_s, total_s)."""
         times = [(each.steps * TIME_STEP, each.plan_s) for each in self.episodes if each.success]
         values = [[exec_s for exec_s, _ in times], [plan_s for _, plan_s in times], [sum(pair) for pair in times]]
         return {
@@ -172,7 +172,7 @@ class Report(TabularResult):
         return f"all {n} scenes"
 
     def format_notes(self) -> str:
-        """List the definitions and restrictions needed to read the tables, one per line."""
+        """Return notes on the definitions and restrictions that a reader of the tables needs, one per line."""
         lines = [
             "Rates over all scenes, times over successes. Intervals: Wilson for rates, bootstrap for means.",
             "AS (average success): mean over all scenes of 1 - exec / 13 s for successes, 0 for failures.",
@@ -226,7 +226,7 @@ class Report(TabularResult):
         return f"# Handover benchmark\n\n{self}\n\n## Scenes\n\n{build_scene_table(self.episodes)}\n"
 
     def to_json(self) -> dict[str, Any]:
-        """Return metrics and episodes as JSON types; rates 0..1, 95 % intervals, times in s."""
+        """Return metrics with 95 % intervals, and episodes, as JSON types; rates 0..1, times in s."""
         n, means = len(self.episodes), self.official_means
         return {
             **self.metadata.to_dict(),
@@ -311,7 +311,7 @@ def format_report_files(folder: Path, report: Report) -> dict[str, str]:
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write a report's files into a result folder.
+    """Write `report.json`, `report.md`, `report.html` and `episodes.csv` into a result folder.
 
     Raises:
         ResultsError: The folder cannot be written.
@@ -321,7 +321,7 @@ def write_report(folder: Path, report: Report) -> None:
 
 
 def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[EpisodeResult]) -> Iterator[EpisodeResult]:
-    """Add scene, object and subject to results of HandoverSim, if their index determines them.
+    """Yield the results; those of HandoverSim get scene, object and subject if their index determines them.
 
     Raises:
         ResultsError: A result states another scene than its index.
@@ -346,7 +346,7 @@ def _add_scene_info(path: Path, metadata: ResultMetadata, results: Iterable[Epis
 
 
 def render_report_page(report: Report, replays: Mapping[int, str] | None = None) -> str:
-    """Render a report as a self-contained web page.
+    """Render a report as a self-contained web page, and return it as HTML text.
 
     Args:
         report: Report to render.
@@ -377,7 +377,7 @@ def render_report_page(report: Report, replays: Mapping[int, str] | None = None)
 
 
 def find_replay_links(results: Path, page_folder: Path) -> dict[int, str]:
-    """Return links to the replay pages of a result folder, relative to the folder of a page, by scene number."""
+    """Return the URLs of a result folder's replay pages, relative to a page in `page_folder`, by scene number."""
     relative = os.path.relpath(results.resolve(), page_folder.resolve())
     replays = find_numbered(results / REPLAYS, ".html").items()
     return {scene: Path(relative, path.relative_to(results)).as_posix() for scene, path in replays}

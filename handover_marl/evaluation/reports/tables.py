@@ -40,7 +40,7 @@ class Estimate:
 
     Attributes:
         mean: Value; None if no episode has one.
-        interval_95: 95 % interval, or None if it has none.
+        interval_95: Lower and upper end of the 95 % interval, or None without an interval.
         n: Number of values.
     """
 
@@ -49,13 +49,13 @@ class Estimate:
     n: int
 
     def format_interval(self, spec: str = ".1f", scale: float = 100.0) -> str:
-        """Format the ends of the interval, by default of a share in percent."""
+        """Return the ends times `scale`, in the format `spec`, as text: "54.4 to 70.0"; "-" without an interval."""
         return (
             NO_VALUE if self.interval_95 is None else " to ".join(f"{scale * end:{spec}}" for end in self.interval_95)
         )
 
     def format(self, spec: str = ".1f", interval_spec: str = "", scale: float = 100.0) -> str:
-        """Format the value, by default a share in percent, with its interval.
+        """Return the value with its interval as text such as "62.5 (54.4 to 70.0)", by default in percent.
 
         Args:
             spec: Format specification of the value.
@@ -72,7 +72,7 @@ def estimate_mean(values: Sequence[float]) -> Estimate:
     """Estimate a mean with its bootstrap 95 % interval (percentiles of 2,000 resamples).
 
     The interval lies within the range of the values, so that no share exceeds one and no force is
-    negative. The generator has a fixed seed: equal values have equal intervals. Fewer than two values have none.
+    negative. The generator has a fixed seed: equal values have equal intervals. Fewer than two values have no interval.
     """
     n = len(values)
     if n < 2:
@@ -112,9 +112,9 @@ def estimate_average_success(scores: Sequence[float]) -> Estimate:
 def estimate_paired_difference(first: Sequence[bool], second: Sequence[bool]) -> Estimate:
     """Estimate the difference of two rates on the same scenes, first minus second (-1..1).
 
-    The 95 % interval follows Agresti and Min (Statistics in Medicine 24, 2005): half an episode is
-    added to each of the four kinds of pairs, so that the interval has a width even if few scenes,
-    or none, differ.
+    Both arguments say for every scene whether it had the outcome. The 95 % interval follows Agresti and Min (Statistics
+    in Medicine 24, 2005): half an episode is added to each of the four kinds of pairs, so that the interval has a width
+    even if few scenes, or none, differ.
     """
     differences = np.array(first, dtype=float) - np.array(second, dtype=float)
     n = len(differences) + 2.0
@@ -207,7 +207,7 @@ class ReportTable:
         return self.format()
 
     def select(self, columns: Sequence[str]) -> "ReportTable":
-        """Return a table with some columns alone, in their order; without rows if one is missing, whole without any."""
+        """Return the table with `columns` alone, in their order, without rows if it lacks one; all if none is given."""
         if not columns:
             return self
         if not set(columns) <= set(self.header):
@@ -288,7 +288,7 @@ def format_csv(rows: Sequence[Sequence[object]]) -> str:
 def format_table(
     header: Sequence[str], rows: Sequence[Sequence[object]], n_keys: int = 1, split_column: int = 0
 ) -> str:
-    """Format a Markdown table; split wide tables into several with the same first columns.
+    """Return a Markdown table; split a wide table into several with the same first columns.
 
     Args:
         header: Column titles.
@@ -314,10 +314,10 @@ def format_table(
 
 
 def format_seconds(value: float | None) -> str:
-    """Format a time (s)."""
+    """Return a time (s) as text with three decimals; "-" for None."""
     return NO_VALUE if value is None else f"{value:.3f}"
 
 
 def format_percent_rate(count: int, n: int, digits: int = 1) -> str:
-    """Format a rate in percent with Wilson's 95 % interval."""
+    """Return `count` of `n` trials in percent, with `digits` decimals and Wilson's 95 % interval, as text."""
     return estimate_rate(count, n).format(f".{digits}f", ".1f")

@@ -59,8 +59,7 @@ def strangers(
     Args:
         receiver: Receiver to evaluate with givers, as for `benchmark`; or several trainings of one method.
         giver: Giver to evaluate with receivers, in place of a receiver.
-        population: Name of a shipped population, or path of a file; see
-            `handover_marl.policies.populations`.
+        population: Name of a shipped population, or path of a file; see `handover_marl.policies.populations`.
         partners: Families of the population to evaluate with: "train", "test" or "all".
         n_scenes: Number of scenes, evenly spaced over the split; all scenes if it has fewer. Ignored beside `scenes`.
         setup: Official setup, "s0" to "s3", or one of other data; or a whole `handover_marl.EvaluationConfig`, whose
@@ -131,7 +130,7 @@ def update_references(
     out: str | os.PathLike[str] | None = None,
     trust: bool = False,
 ) -> ReferenceTable:
-    """Update the references of a population from result folders and write them.
+    """Update the best policy known for each partner (reference) from result folders; write and return the table.
 
     Args:
         folders: Result folders, or folders that contain some, such as those of `strangers` and `crossplay`. Pairs
@@ -167,7 +166,7 @@ def update_references(
 
 
 def _make_reference(agent: str, report: Report, partner_policy: str) -> Reference:
-    """Return the agent's policy with its scores and the command of the evaluation."""
+    """Return a report's policy of `agent` as reference; its command evaluates it with the partner `partner_policy`."""
     metadata = report.metadata
     policy, names = getattr(metadata, agent), ("dataset", "setup", "split", "physics", "robot", "seed")
     policies = {"giver": metadata.giver, "receiver": metadata.receiver} | {OTHER_AGENT[agent]: partner_policy}
@@ -200,8 +199,8 @@ class Leaderboard(TabularResult):
     """Evaluations of several methods with the same partners. `str` returns Markdown tables.
 
     Attributes:
-        reports: Reports, the methods with the largest AS first, and the splits of a method one after the other. All
-            reports of a split have the same scenes.
+        reports: Reports, the methods with the largest average success (AS) first, and the splits of a method one
+            after the other. All reports of a split have the same scenes.
         names: Name of the method of every report.
     """
 
@@ -210,7 +209,7 @@ class Leaderboard(TabularResult):
 
     @property
     def splits(self) -> dict[str, list[int]]:
-        """Indices of the reports of every split of scenes."""
+        """Indices in `reports` by split of the scenes."""
         found: dict[str, list[int]] = {}
         for number, report in enumerate(self.reports):
             found.setdefault(report.condition.split, []).append(number)
@@ -309,9 +308,9 @@ def make_leaderboard(
     Args:
         folders: Output folders of `strangers` with the same partners, data and simulation, and in each split the same
             scenes.
-        population: Population of the evaluations.
+        population: Population of the evaluations: name of a shipped one, or path of a file.
         references: File of references; default: that of the population.
-        names: Name of the method of every folder; default: the label of the policy.
+        names: Name of the method of every folder; default: the labels of its policies.
         trust: Whether modules that the population names may be imported, and code in policy files may run.
 
     Raises:
@@ -329,7 +328,7 @@ def make_leaderboard(
     partners = [partner.name for partner in reports[0].partners]
     table = load_references(found, references)
     reports = [replace(each, references=table.find_all(each.condition, partners)) for each in reports]
-    # By the AS on the split that is given first, and the splits of a method one after the other.
+    # Methods are sorted by their AS on the split of the first folder; each method's splits follow one another.
     splits = [*dict.fromkeys(report.condition.split for report in reports)]
     rows = list(zip(methods, reports, strict=True))
     rows.sort(key=lambda row: (splits.index(row[1].condition.split), -row[1].scores.mean()))

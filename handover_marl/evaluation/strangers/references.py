@@ -64,7 +64,7 @@ class Condition:
         return [name for name, value in vars(self).items() if value != vars(other)[name]]
 
     def contains(self, other: "Condition") -> bool:
-        """Return whether another condition is the same on a part of these scenes."""
+        """Return whether another condition is this one, on all or some of its scenes."""
         same = set(self.list_differences(other)) <= {"scenes", "data"}
         return same and set(zip(other.scenes, other.data, strict=True)) <= set(zip(self.scenes, self.data, strict=True))
 
@@ -87,7 +87,7 @@ class Reference:
 
     @property
     def mean(self) -> float:
-        """Return J of the policy with the partner: mean of the scores over scenes."""
+        """Average success (0..1) of the policy with the partner: the mean of `scores`."""
         return float(np.mean(self.scores))
 
 
@@ -114,7 +114,7 @@ class ReferenceTable(TabularResult):
         return [f"Best policies known for the partners of {self.population.label}.", table]
 
     def find(self, condition: Condition, partner: str) -> Reference | None:
-        """Return the best reference for a partner, with its scores in the scenes of a condition; None without one."""
+        """Return the best policy known for a partner, with its scores in a condition's scenes; None without one."""
         found = []
         for known, section in self.sections.items():
             if partner in section and known.contains(condition):
@@ -124,7 +124,7 @@ class ReferenceTable(TabularResult):
         return max(found, key=lambda reference: reference.mean, default=None)
 
     def find_all(self, condition: Condition, partners: Sequence[str]) -> tuple[Reference, ...] | None:
-        """Return the best reference for each of the partners; None if a partner has none."""
+        """Return the best policy known for each of the partners, see `find`; None if a partner has none."""
         found = [self.find(condition, partner) for partner in partners]
         return None if None in found else tuple(filter(None, found))
 
@@ -137,7 +137,7 @@ class ReferenceTable(TabularResult):
         return ReferenceTable(self.population, {**self.sections, condition: dict(sorted(section.items()))})
 
     def to_json(self) -> str:
-        """Return the table as JSON."""
+        """Return the content of a file of references, JSON text."""
         sections = []
         for condition, section in self.sections.items():
             rounded = {
@@ -156,7 +156,7 @@ def load_references(
     Args:
         population: Population of the partners.
         path: File of references; default: the one that is stored beside the population.
-        is_new: Whether a given file need not exist.
+        is_new: Whether a given file may be missing, because it is going to be written.
 
     Raises:
         DataNotFoundError: The given file does not exist, or cannot be read.

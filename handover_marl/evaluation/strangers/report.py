@@ -88,7 +88,7 @@ class StrangersReport(TabularResult):
         partner_split: Split of the population, "train", "test" or "all".
         agent: Agent of the evaluated policies, "receiver" or "giver".
         policies: Labels of the evaluated policies, several trainings of one method.
-        partners: Partners.
+        partners: Partners with whom every policy was evaluated.
         reports: Report of every (label of the policy, name of the partner).
         references: Best policy known for each partner on these scenes, or None if a partner has none.
     """
@@ -103,33 +103,33 @@ class StrangersReport(TabularResult):
 
     @property
     def first_report(self) -> Report:
-        """Report of the first pair."""
+        """Report of the first policy with the first partner."""
         return next(iter(self.reports.values()))
 
     @property
     def partner_families(self) -> list[str]:
-        """Family of every partner."""
+        """Family of every partner, in the order of `partners`."""
         return [partner.family for partner in self.partners]
 
     @property
     def families(self) -> dict[str, list[int]]:
-        """Indices of the partners of every family."""
+        """Indices in `partners` by family."""
         names = self.partner_families
         return {family: [number for number, name in enumerate(names) if name == family] for family in names}
 
     @property
     def best_scores(self) -> Array | None:
-        """Scores (partners, scenes) of the references, or None if a partner has none."""
+        """Average-success scores (partners, scenes), 0 to 1, of the references, or None if a partner has none."""
         return None if self.references is None else np.array([reference.scores for reference in self.references])
 
     @property
     def is_reference(self) -> bool:
-        """Whether an evaluated policy is itself the reference of a partner, which defines its proximity as 1."""
+        """Whether an evaluated policy is itself the best known for a partner; its BR-Prox is then 1 by definition."""
         return any(reference.policy in self.policies for reference in self.references or ())
 
     @property
     def condition(self) -> Condition:
-        """Scenes and simulation."""
+        """Scenes, their data and simulation, the same in all reports."""
         return Condition.from_report(self.agent, self.first_report)
 
     @property
@@ -140,7 +140,7 @@ class StrangersReport(TabularResult):
 
     @functools.cached_property
     def scores(self) -> Array:
-        """Scores of average success (policies, partners, scenes)."""
+        """Scores of episodes (policies, partners, scenes), 0 to 1, whose mean is the average success (AS)."""
         return self._collect(lambda episode: episode.speed_score)
 
     @functools.cached_property
@@ -160,7 +160,7 @@ class StrangersReport(TabularResult):
         )  # fmt: skip
 
     def estimate_all(self) -> dict[str, Estimate]:
-        """Estimate the metrics of the summary, by key; rates and shares 0..1, BR-Prox without references left out."""
+        """Return estimates (0..1) of success, contact, AS, BR-Prox (with references) and worst partner, by key."""
         found = self._estimate_means(range(len(self.partners))) | {
             "worst_partner_success": estimate_rate(compute_worst, self.successes, None),
             "largest_partner_contact": estimate_rate(compute_largest, self.contacts, None),
@@ -171,7 +171,7 @@ class StrangersReport(TabularResult):
         return found
 
     def _estimate_means(self, chosen: Sequence[int]) -> dict[str, Estimate]:
-        """Estimate the means over chosen partners, given by index."""
+        """Return estimates of success, contact and AS over the partners with the indices `chosen`, by key."""
         families = [self.partners[number].family for number in chosen]
         success = estimate_rate(compute_mean, self.successes[:, chosen], families)
         score = estimate(compute_mean, self.scores[:, chosen], families)
@@ -239,7 +239,7 @@ class StrangersReport(TabularResult):
         return ReportTable([*header, *(column.title for column in _METRIC_COLUMNS), N_EPISODES.title], rows, n_keys=2)
 
     def write(self, folder: Path) -> None:
-        """Write `strangers.json`, with the folders that `crossplay` gave to the pairs, and `strangers.md`."""
+        """Write `strangers.json`, which names each pair's result folder, and the tables `strangers.md` to a folder."""
         folders: dict[str, dict[str, str]] = {policy: {} for policy in self.policies}
         for (policy, partner), pair in self.reports.items():
             folders[policy][partner] = format_pair_folder((pair.metadata.giver, pair.metadata.receiver))
@@ -250,9 +250,9 @@ class StrangersReport(TabularResult):
 
 
 def read_entry(folder: Path) -> dict[str, Any]:
-    """Read the content of `strangers.json`: `population`, `partner_split`, `agent`, and names of result folders.
+    """Return the content of a folder's `strangers.json`: texts `population`, `partner_split`, `agent`, and `folders`.
 
-    The key `folders` has these names by policy and partner.
+    `folders[policy][partner]` is the name of the result folder of a pair.
 
     Raises:
         ResultsError: The file is missing or malformed.

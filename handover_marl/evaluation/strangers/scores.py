@@ -21,14 +21,14 @@ import scipy
 from handover_marl.evaluation.reports.tables import Estimate
 
 Array = npt.NDArray[np.float64]
-#: Function from returns (policies, partners) and reference returns (partners) to a number.
+#: Function from returns (policies, partners), and those of the best policies (partners,), to a number.
 Statistic = Callable[[Array, Array], float]
 
 _TRIMMED = 0.25  # share of the values that an interquartile mean leaves out at each end
 
 
 def compute_proximities(returns: Array, references: Array) -> Array:
-    """Compute best-response proximities of returns (policies, partners) to those of the best policies (partners,).
+    """Compute best-response proximities: returns (policies, partners) over those of the best policies (partners,).
 
     They are above 1 where a policy exceeds the best one, and 1 for partners with whom no policy has a positive return.
     """
@@ -36,27 +36,27 @@ def compute_proximities(returns: Array, references: Array) -> Array:
 
 
 def compute_proximity(returns: Array, references: Array) -> float:
-    """Compute the interquartile mean of the proximities over policies and partners (Agarwal et al., NeurIPS 2021)."""
+    """Compute the interquartile mean of `compute_proximities` over both axes (Agarwal et al., NeurIPS 2021)."""
     return float(scipy.stats.trim_mean(compute_proximities(returns, references), _TRIMMED, axis=None))
 
 
 def compute_mean(returns: Array, references: Array) -> float:
-    """Compute the mean of the returns over policies and partners."""
+    """Compute the mean of the returns (policies, partners); `references` is not used."""
     return float(returns.mean())
 
 
 def compute_worst(returns: Array, references: Array) -> float:
-    """Compute the mean over policies of the return with the worst partner."""
+    """Average the returns (policies, partners) over policies; return the smallest, that with the worst partner."""
     return float(returns.mean(axis=0).min())
 
 
 def compute_largest(returns: Array, references: Array) -> float:
-    """Compute the mean over policies of the return with the partner for which it is largest."""
+    """Average the returns (policies, partners) over policies; return the largest, that of one partner."""
     return float(returns.mean(axis=0).max())
 
 
 def compute_worst_proximity(returns: Array, references: Array) -> float:
-    """Compute the mean over policies of the proximity with the worst partner."""
+    """Average the proximities over policies; return the smallest, that with the worst partner."""
     return compute_worst(compute_proximities(returns, references), references)
 
 
@@ -66,11 +66,11 @@ def estimate(
     """Estimate a statistic with its 95 % interval, for other policies, families and scenes of the same kind.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
         scores: Scores (policies, partners, scenes) from 0 to 1.
-        families: Family of every partner. Partners of a single family vary one by one; None if they are fixed, as for
-            the worst partner.
-        references: Scores (partners, scenes) of the best policy for each partner; default: none.
+        families: Family of every partner; the jackknife leaves out a family at a time, or a partner if there is one
+            family. None leaves out none, as for the worst partner.
+        references: Scores (partners, scenes) of the best policy for each partner; None if the statistic needs none.
     """
 
     def compute(own: Array, best: Array) -> float:
@@ -83,9 +83,9 @@ def estimate_rate(statistic: Statistic, flags: Array, families: Sequence[str] | 
     """Estimate a rate with its 95 % interval, at least as wide as Wilson's for as many episodes as it is computed from.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners), which are here shares of scenes; see `Statistic`.
         flags: Outcomes (policies, partners, scenes), 0 or 1.
-        families: Family of every partner; None for the rate with a single one of them. See `estimate`.
+        families: Family of every partner, see `estimate`; None for the rate with one of the partners, e.g. the worst.
     """
     value, error, quantile = _apply_jackknife(lambda own, _: statistic(own.mean(axis=-1), own), [flags], families, None)
     n = flags.size if families is not None else flags.size // flags.shape[1]
@@ -105,11 +105,11 @@ def estimate_difference(
     """Estimate the difference of a statistic of two methods, first minus second, paired by partner and scene.
 
     Args:
-        statistic: Function of returns and reference returns.
+        statistic: Function of returns (policies, partners) and reference returns (partners,); see `Statistic`.
         first: Scores (policies, partners, scenes) of the first method.
         second: Scores of the second method with the same partners and scenes; its number of policies may differ.
         families: Family of every partner; see `estimate`.
-        references: Scores (partners, scenes) of the best policy for each partner; default: none.
+        references: Scores (partners, scenes) of the best policy for each partner; None if the statistic needs none.
     """
 
     def compute(one: Array, other: Array, best: Array) -> float:
@@ -126,7 +126,7 @@ def _estimate(
     references: Array | None,
     lowest: float,
 ) -> Estimate:
-    """Estimate a function of the scores of methods and references; its smallest value is given."""
+    """Estimate a function of methods' scores and the references; its 95 % interval ends at `lowest` or above."""
     value, error, quantile = _apply_jackknife(compute, methods, families, references)
     low, high = value - quantile * error, value + quantile * error
     return Estimate(value, (max(lowest, low), min(1.0 if references is None else np.inf, high)), methods[0].size)
@@ -135,7 +135,7 @@ def _estimate(
 def _apply_jackknife(
     compute: Callable[..., float], methods: list[Array], families: Sequence[str] | None, references: Array | None
 ) -> tuple[float, float, float]:
-    """Return a function's value of the scores of methods and references, its standard error, and the quantile."""
+    """Return the value of a function of methods' scores and references, its standard error, and Student's quantile."""
     shape = methods[0].shape
     arrays = [*methods, np.zeros((1, *shape[1:])) if references is None else references[None]]
     everywhere = range(len(arrays))
@@ -159,5 +159,5 @@ def _apply_jackknife(
 
 
 def _group(labels: Sequence[object]) -> list[list[int]]:
-    """Return the indices of every label."""
+    """Return one list for each different label: the indices of its entries."""
     return [[n for n, label in enumerate(labels) if label == one] for one in dict.fromkeys(labels)]

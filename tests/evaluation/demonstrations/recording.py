@@ -35,7 +35,7 @@ class MovingReceiver(Receiver):
 
 
 def record(out: Path | None, **options: Any) -> Demonstrations:
-    """Record short episodes of synthetic scenes, unless `options` say otherwise."""
+    """Record short episodes of synthetic scenes with `demonstrate`; `options` are its arguments and go first."""
     named: dict[str, Any] = {"receiver": MovingReceiver, "scenes": SCENES, "world_config": SHORT, "physics": "fast"}
     named |= {"dataset": "synthetic", "progress": False, "workers": 1}
     return handover_marl.demonstrate("s0", out=out, **{**named, **options})
