@@ -202,7 +202,7 @@ def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray
 
 
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return the XYZ Euler angles (n, 3) in rad of the rotations `angles` (n, 3), nearest to `previous` (n, 3)."""
+    """Return the XYZ Euler angles (n, 3) of the rotations with `angles` (n, 3), nearest to `previous` (n, 3) (rad)."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
     solution, turns = select_nearest_euler(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns

@@ -38,7 +38,7 @@ class ArmInWorld:
 
     @classmethod
     def for_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
-        """Create the kinematics of a Panda at its configured base pose, with limits narrowed by `padding` (rad) each.
+        """Create the kinematics of a Panda at its configured base pose, with each limit narrowed by `padding` (rad).
 
         Raises:
             SimulationError: The model cannot be read.
@@ -76,7 +76,7 @@ class ArmInWorld:
         return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
-        """Return the Jacobian (3, 7) at joints (7,) of a world point (3,) on a link: 0-6 of the arm, 7 for the hand."""
+        """Return the world-frame Jacobian (3, 7) at joints (7,) of a point (3,) on arm link 0-6 or 7, the hand link."""
         chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
         axes = chain.rotations[:-1, :, 2, 0] @ rotation.T
@@ -192,7 +192,7 @@ class ArmServo:
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
         """Clip wanted joint velocities (..., 7) in rad/s to those that can be reached in one period.
 
-        They differ from the last command by at most `acceleration` (rad/s^2), None for the configured one, * period.
+        They differ from the last command by at most the period times `acceleration` (rad/s^2; None: as configured).
         """
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
@@ -200,9 +200,9 @@ class ArmServo:
         return np.asarray(self._velocity + np.clip(velocity - self._velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
-        """Return motor position targets (7,) in rad that make joints (7,) move at a velocity (7,) in rad/s.
+        """Return motor position targets (7,) in rad that make the arm, now at joints (7,), move at a velocity (7,).
 
-        The velocity is clipped by `limit_acceleration` first, and is then that of the last command.
+        The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as that of the last command.
         """
         self._velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))

@@ -126,13 +126,13 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the flange behind the hand, at hand link poses (n, 7), and a body."""
+    """Return the clearances (n,) in m of the flange, at hand link poses (n, 7), from a body in the same frame."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between open gripper with flange, at hand link poses (n, 7), and a body."""
+    """Return the clearances (n,) in m of open gripper with flange, at hand link poses (n, 7), from a body."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -140,7 +140,7 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return the clearances (n,) in m between a gripper that closes at hand link poses (n, 7) and a body.
+    """Return the clearances (n,) in m of a gripper that closes at hand link poses (n, 7) from a body in the same frame.
 
     The volume between the open fingers counts as part of the gripper, and so do the straight approach of length
     `sweep` (m) along the hand link's z axis and, if `flange` is set, the flange behind the hand.
@@ -161,7 +161,7 @@ def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int
 
 
 def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
-    """Return the closest points between the open gripper, at a world pose (7,) of the hand link, and a body."""
+    """Return the closest points of open gripper, at a world pose (7,) of the hand link, and a body in the world."""
     rotation = Rotation.from_quat(hand[3:]).as_matrix()
     local = (spheres.centers - hand[:3]) @ rotation
     offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
@@ -183,7 +183,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the arm, elbow to wrist, at joints (n, 7) in rad and a body."""
+    """Return the clearances (n,) in m of the arm, elbow to wrist, at joints (n, 7) in rad from a body in the world."""
     starts, ends = _arm_segments(arm, joints)
     points = spheres.centers
     axes = ends - starts
@@ -204,7 +204,7 @@ def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points of arm (elbow to wrist) at joints (7,) and body, and the number of the arm link."""
+    """Return the closest points of arm (elbow to wrist) at joints (7,) and a body in the world, and the arm link."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]

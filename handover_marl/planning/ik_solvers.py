@@ -137,7 +137,7 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 
 
 def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
-    """Create a solver that iterates until it converges, for the Panda `urdf`; PyBullet's where PyBullet is installed.
+    """Create an IK solver that iterates until it converges, for a Panda at its base pose; PyBullet's where installed.
 
     Raises:
         SimulationError: The model cannot be read.
@@ -146,7 +146,7 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create a solver of few iterations, which may not converge; PyBullet's where PyBullet is installed.
+    """Create an IK solver of few iterations, which may not converge; PyBullet's where PyBullet is installed.
 
     Arguments and errors are the same as for `make_ik_solver`.
     """

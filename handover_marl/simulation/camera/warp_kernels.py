@@ -34,7 +34,7 @@ _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 
 @warp.func
 def compute_ray(pixel: int) -> warp.vec3:
-    """Return the direction of a pixel's ray, with z = 1."""
+    """Return the direction of the ray of a pixel, by number, in the camera's frame, with z = 1."""
     column, row = pixel % _IMAGE_SIZE, pixel // _IMAGE_SIZE
     right = float(column) + _OFFSET_RIGHT - _HALF_SIZE
     down = float(row) + _OFFSET_DOWN - _HALF_SIZE
@@ -43,7 +43,7 @@ def compute_ray(pixel: int) -> warp.vec3:
 
 @warp.func
 def is_near_sphere(ray: warp.vec3, sphere: warp.vec4, far: float) -> bool:
-    """Return whether a ray from the near plane to depth `far` may hit a sphere, given by center and radius."""
+    """Return whether a ray from the near plane to depth `far` (m) may hit a sphere, given by center and radius (m)."""
     center, radius = warp.vec3(sphere[0], sphere[1], sphere[2]), sphere[3]
     if center[2] + radius < _NEAR or center[2] - radius > far:
         return False
@@ -69,7 +69,7 @@ class FaceHit:
 
 @warp.func
 def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, far: float) -> FaceHit:
-    """Return the first front face of a mesh, posed in the camera's frame, that a ray hits before depth `far`."""
+    """Return the first front face of a mesh, at a pose in the camera's frame, that a ray hits before depth `far`."""
     mesh_from_camera = warp.transpose(rotation)
     start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
     hit = FaceHit()

@@ -45,7 +45,7 @@ def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.N
 def count_hand_free_steps(
     worlds: Sequence[WorldData], robots: Sequence[RobotOnlySimulation], targets: Array, wrists: Array
 ) -> npt.NDArray[np.int_]:
-    """Return the numbers (w,) of coming steps in which each hand cannot touch its robot.
+    """Return the number (w,) of steps, from the coming one on, in which the hand of each world cannot touch the robot.
 
     Args:
         worlds: States of the worlds.

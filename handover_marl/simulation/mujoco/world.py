@@ -94,7 +94,7 @@ class MujocoWorld(RolloutWorld):
         return self._data
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start; see `World.reset`."""
+        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
         model, urdf, simulation = load_scene_model(scene.assets, self._config), scene.assets.hand, self._simulation
         data = simulation.load_scene(model)
         hand_motors, hand_joints = list_hand_motors(self._config.hand), start.hand[0] if start.hand_present[0] else None
@@ -112,7 +112,7 @@ class MujocoWorld(RolloutWorld):
         self._data, self._scene = data, scene
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
         # Trajectories continue from the end of the last reference.
         track_worlds([self])
         self._set_state()
@@ -276,7 +276,7 @@ class MujocoWorld(RolloutWorld):
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand."""
+        """Return the current state of robot, objects and human hand; see `WorldState`."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
@@ -295,7 +295,7 @@ class MujocoWorld(RolloutWorld):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand."""
+        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
         robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 
@@ -306,7 +306,7 @@ class MujocoWorld(RolloutWorld):
         return joints
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
         self._set_state()
         poses = self.data.qpos[self.data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
@@ -344,12 +344,12 @@ class MujocoWorld(RolloutWorld):
 
 
 def _split(numbers: list[int]) -> list[list[int]]:
-    """Split the numbers of worlds into those of single rollouts."""
+    """Split the numbers of worlds into lists of at most 32, the most that one call simulates."""
     return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
 
 
 def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
-    """Compute the trajectories of hands and sleeping objects under new reference motions."""
+    """Compute the trajectories of hands and sleeping objects in the worlds that have a new reference motion."""
     behind = [world for world in worlds if not world.is_tracked]
     hands = [(one.hand, one.reference.hand, one.reference.hand_present) for one in behind]
     objects = [
