@@ -141,8 +141,7 @@ class ArmKinematics:
 class IndependentArmKinematics(ArmKinematics):
     """Kinematics of a Panda whose result for a configuration is the same to the last bit, whatever the others are.
 
-    It is faster than `ArmKinematics` for few configurations, and slower for hundreds. Arguments and errors are the
-    same.
+    Arguments and errors are those of `ArmKinematics`, which is slower for few configurations and faster for hundreds.
     """
 
     def __init__(self, tree: KinematicTree) -> None:

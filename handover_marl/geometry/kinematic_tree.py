@@ -183,8 +183,7 @@ def read_tree(urdf: Path) -> KinematicTree:
     """Read the kinematic tree of a URDF file; an unchanged file is read once.
 
     Raises:
-        SimulationError: The file is not a URDF, or has a joint type other than revolute, continuous,
-            prismatic and fixed.
+        SimulationError: The file is not a URDF, or has a joint that is not revolute, continuous, prismatic or fixed.
     """
     try:
         return _read_tree(urdf, urdf.stat().st_mtime_ns)

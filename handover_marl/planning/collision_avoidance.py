@@ -1,8 +1,8 @@
 """Collision avoidance: joint velocities that keep clear of bodies, and via points around obstacles.
 
-Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper
-(Faverjon and Tournassoud, 1987): clearance beyond a minimum may be used up within a given time
-and no sooner, with the other body's own motion taken into account.
+Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper (Faverjon and
+Tournassoud, 1987): clearance beyond a minimum may be used up within a given time and no sooner, by the motion of robot
+and body together.
 """
 
 import math

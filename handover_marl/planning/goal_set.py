@@ -98,8 +98,7 @@ class GoalSet:
     Attributes:
         tails: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
         grasps: (g,) index of each goal's grasp among the grasps that were given to the builder.
-        clearances: (g,) smallest clearance of the gripper to the person's hand in the tail (m),
-            infinite where the hand is ignored.
+        clearances: (g,) smallest clearance of gripper and person's hand in the tail (m), inf where the hand is ignored.
     """
 
     tails: Array

@@ -54,8 +54,7 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        in_tail: Whether the obstacle has a cost in the final approach to a grasp too, unlike an
-            object that is to be grasped.
+        in_tail: Whether the obstacle has a cost in the final approach to a grasp, too, unlike an object to be grasped.
     """
 
     field: DistanceField

@@ -14,9 +14,9 @@ from handover_marl.geometry.arrays import AnyArray
 
 Array = npt.NDArray[np.float64]
 
-#: Number of joints that carry the whole hand: three prismatic, three revolute.
+#: Number of joints that carry the whole human hand: three prismatic, three revolute.
 BASE_JOINTS = 6
-#: Number of the hand's link at the wrist.
+#: Number of the human hand's link at the wrist.
 WRIST_LINK = 6
 
 

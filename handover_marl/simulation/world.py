@@ -113,7 +113,8 @@ class RolloutEnd(NamedTuple):
     ended: AnyArray
 
 
-#: Function that applies the rules to the contacts (k, n) of k steps of the worlds with n indices in a rollout.
+#: Function that applies the task's rules: from the indices (n,) of worlds in a rollout and their contacts in k steps to
+#: the part of these steps that counts.
 JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
@@ -316,7 +317,7 @@ class RolloutWorld(World):
             worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
             robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
             steps: Number of physics steps, at most the rows left in each reference motion.
-            judge: Function that applies the rules.
+            judge: Function that applies the rules of release and end to the contacts of some of the worlds.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:

@@ -37,7 +37,7 @@ class Worlds(ABC):
             rows: Indices (r,) of worlds of running episodes.
             reference: Joint targets of hands and objects of these worlds in k steps.
             robot_targets: Joint targets (r, 9) of the Pandas (rad, m).
-            judge: Function that applies the rules of release and end to some of the r worlds.
+            judge: Function that applies the rules of release and end to the contacts of some of the r worlds.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:
