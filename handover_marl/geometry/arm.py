@@ -193,7 +193,7 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Arr
 
 
 class ReachabilityBound:
-    """Test for hand poses that the Panda cannot reach, by two necessary conditions.
+    """Test for poses of the hand link that the Panda cannot reach, by two necessary conditions.
 
     Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
     orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis, and
@@ -250,4 +250,4 @@ class IkSolver(Protocol):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, of n queries; arguments have a row for each."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `solve`."""

@@ -194,7 +194,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -248,7 +248,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):

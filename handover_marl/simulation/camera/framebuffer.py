@@ -188,7 +188,7 @@ def _bound_boxes(
 
 
 def _shade(colors: npt.NDArray[np.integer], normals: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    """Return colours (n, 3) in the light that falls on faces with normals (n, 3) or (3,) in the world."""
+    """Return RGB colours (n, 3), uint8, in the light that falls on faces with normals (n, 3) or (3,) in the world."""
     unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     cosine = unit @ np.array(LIGHT)
     height = 2.0 * cosine * unit[..., 2] - LIGHT[2]

@@ -69,7 +69,10 @@ class FaceHit:
 
 @warp.func
 def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, far: float) -> FaceHit:
-    """Return the first front face of a mesh, at a pose in the camera's frame, that a ray hits before depth `far`."""
+    """Return the first front face of a mesh that a ray from the camera hits before depth `far` (m), -1 if none.
+
+    `rotation` and `origin` are the pose of the mesh in the camera's frame, in which `ray` is a direction with z = 1.
+    """
     mesh_from_camera = warp.transpose(rotation)
     start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
     hit = FaceHit()
@@ -113,7 +116,7 @@ def sample_texture(
 
 @warp.func
 def shade(color: warp.vec3, normal: warp.vec3) -> warp.vec3:
-    """Return a colour in the light that falls on a face with a unit normal in the world."""
+    """Return a colour, 0 to 255, in the light that falls on a face with a unit normal in the world."""
     cosine = warp.dot(normal, _LIGHT)
     height = warp.max(2.0 * cosine * normal[2] - _LIGHT[2], 0.0)
     return (_AMBIENT + _DIFFUSE * warp.max(cosine, 0.0) + _SPECULAR * height * height) * color

@@ -204,7 +204,7 @@ class SleepState:
         return self._free - (row - self._first)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
-        """Write the state after step `row`, but for the velocities of the objects, to the arrays of a world."""
+        """Write positions of robot and objects, and velocities of the robot, after step `row` to arrays of a world."""
         scene, done = self._scene, row + 1 - self._first
         qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
         qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()

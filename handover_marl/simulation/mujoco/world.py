@@ -203,8 +203,8 @@ class MujocoWorld(RolloutWorld):
         """Simulate several steps of worlds with the same `rollout_key`, at most the `remaining_steps` of any.
 
         Returns:
-            The contacts, and a function `truncate(number, steps)` that sets the world with index `number` back to its
-            state after `steps` of these steps (1 or more).
+            The contacts in these steps, and a function `truncate(number, steps)` that sets the world with index
+            `number` back to its state after `steps` of them (1 or more).
         """
         cls.prepare(worlds, robot_targets)
         first = worlds[0]
@@ -323,7 +323,7 @@ class MujocoWorld(RolloutWorld):
         self.row, self._is_state_set = row, self.sleep is None
 
     def _set_state(self) -> None:
-        """Write the state of a sleeping world to its data, which is updated only on demand."""
+        """Write the joint state of a sleeping world to `data`, which its steps do not update."""
         if self.sleep is not None and not self._is_state_set:
             self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True
@@ -334,7 +334,7 @@ class MujocoWorld(RolloutWorld):
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
     def _get_coming_controls(self, steps: int) -> Array:
-        """Return the computed controls (steps, c) of the coming steps."""
+        """Return the part (steps, c) of the computed controls for a number of coming steps."""
         first = self.row + 1 - self.controls_row
         return self.controls[first : first + steps]
 
