@@ -32,7 +32,7 @@ class LinkFrames:
 
     Attributes:
         origins: (L, 3, n) origins of the L links (m).
-        rotations: (L, 3, 3, n) rotation matrices of the links.
+        rotations: (L, 3, 3, n) rotation matrices from the links' frames to the base frame.
     """
 
     origins: Array
@@ -77,7 +77,7 @@ class ArmKinematics:
         self._fingers = [_fixed_transform(tree, names.index(finger), hand) for finger in FINGER_LINKS]
 
     def compute_chain_frames(self, joints: Array) -> LinkFrames:
-        """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
+        """Compute the base-frame poses of eight links (seven arm links, hand) at arm joints (n, 7) in rad."""
         count = len(joints)
         origins = np.empty((self.n_joints + 1, 3, count))
         rotations = np.empty((self.n_joints + 1, 3, 3, count))
@@ -94,7 +94,7 @@ class ArmKinematics:
         return LinkFrames(origins, rotations)
 
     def compute_link_frames(self, joints: Array) -> LinkFrames:
-        """Compute frames of arm links, hand and fingers for arm joints (n, 7) in rad."""
+        """Compute the base-frame poses of all ten links (arm, hand, two fingers) at arm joints (n, 7) in rad."""
         chain = self.compute_chain_frames(joints)
         origin, rotation = chain.origins[-1], chain.rotations[-1]
         fingers = [(origin + offset @ rotation, turn.T @ rotation) for offset, turn in self._fingers]
@@ -104,19 +104,19 @@ class ArmKinematics:
         )
 
     def compute_jacobian(self, chain: LinkFrames) -> Array:
-        """Compute Jacobians (6, 7, n) of the robot's hand: linear rows (m/rad), then angular."""
+        """Compute base-frame Jacobians (6, 7, n), linear rows (m/rad) first, of the hand link from its chain frames."""
         axes = chain.rotations[:-1, :, 2]
         levers = chain.origins[-1] - chain.origins[:-1]
         columns = np.concatenate([np.cross(axes, levers, axis=1), axes], axis=1)
         return np.asarray(columns.transpose(1, 0, 2))
 
     def compute_hand_jacobians(self, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute Jacobians and rotations of the robot's hand for arm joints (n, 7) in rad.
+        """Compute base-frame Jacobians and rotations of the hand link at arm joints (n, 7) in rad.
 
-        The result of each configuration does not depend on the others to the last bit.
+        The result of each configuration is the same to the last bit, whatever the other configurations are.
 
         Returns:
-            Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3).
+            Jacobians (n, 6, 7): linear rows (m/rad), then angular; and rotations (n, 3, 3) from hand to base frame.
         """
         xp, angles, identity = as_arrays(joints, np.eye(3)[..., None])
         origin, rotation = xp.zeros_like(angles.T[:3]), xp.broadcast_to(identity, (3, 3, len(angles)))
@@ -139,10 +139,9 @@ class ArmKinematics:
 
 
 class IndependentArmKinematics(ArmKinematics):
-    """Kinematics of a Panda whose result for a configuration does not depend on the others to the last bit.
+    """Kinematics of a Panda whose result for a configuration is the same to the last bit, whatever the others are.
 
-    It is faster than `ArmKinematics` for few configurations, and slower for hundreds. Arguments and errors are the
-    same.
+    Arguments and errors are those of `ArmKinematics`, which is slower for few configurations and faster for hundreds.
     """
 
     def __init__(self, tree: KinematicTree) -> None:
@@ -153,7 +152,7 @@ class IndependentArmKinematics(ArmKinematics):
             matrix[:3, :3], matrix[:3, 3], matrix[3, 3] = turn, offset, 1.0
 
     def compute_chain_frames(self, joints: Array) -> LinkFrames:
-        """Compute frames of the seven arm links and the hand for arm joints (n, 7) in rad."""
+        """Compute the base-frame poses of eight links (seven arm links, hand) at arm joints (n, 7) in rad."""
         frames = np.repeat(self._fixed[None], len(joints), axis=0)
         x, y = self._fixed[:-1, :, 0], self._fixed[:-1, :, 1]
         sines, cosines = np.sin(joints)[..., None], np.cos(joints)[..., None]
@@ -170,7 +169,7 @@ def _combine(weights: Array, vectors: AnyArray) -> AnyArray:
 
 
 def transform_body_points(frames: LinkFrames, on_links: Sequence[Array]) -> Array:
-    """Return points (3, L * m, n) in the base frame of (m, 3) points on each of L links in n configurations (m)."""
+    """Transform m points (m, 3) on each of L links, in the link's frame, to base-frame points (3, L * m, n) (m)."""
     moved = [
         points @ rotation + origin[:, None]
         for points, origin, rotation in zip(on_links, frames.origins, frames.rotations, strict=True)
@@ -194,7 +193,7 @@ def _fixed_transform(tree: KinematicTree, link: int, ancestor: int) -> tuple[Arr
 
 
 class ReachabilityBound:
-    """Test for hand poses that the Panda cannot reach, by two necessary conditions.
+    """Test for poses of the hand link that the Panda cannot reach, by two necessary conditions.
 
     Joint limits are ignored. The hand must not be farther from the shoulder than the arm is long. For a given
     orientation, the wrist (origin of the last joint but one) can only be on a circle around the last joint's axis, and
@@ -210,9 +209,10 @@ class ReachabilityBound:
     def is_unreachable(
         self, position: npt.ArrayLike, orientation: npt.ArrayLike | None, distance: float, angle: float
     ) -> npt.NDArray[np.bool_]:
-        """Return whether the hand can certainly not reach positions (..., 3) and quaternions (..., 4), or None for any.
+        """Return a mask (...) of the world poses that the hand link certainly cannot reach.
 
-        The tolerances are those of position (m) and orientation (rad).
+        Positions (..., 3) are in m, orientations (..., 4) are quaternions xyzw or None for any. A pose counts as
+        reached within `distance` (m) and `angle` (rad).
         """
         target = np.asarray(position, dtype=np.float64)
         is_too_far = np.asarray(np.linalg.norm(target - self._shoulder, axis=-1) > _ARM_LENGTH + distance)
@@ -227,7 +227,7 @@ class ReachabilityBound:
 
 
 def as_row(values: npt.ArrayLike) -> Array:
-    """Return an array (1, k) of one row."""
+    """Return k values as a float64 array (1, k)."""
     return np.asarray(values, dtype=np.float64)[None]
 
 
@@ -239,7 +239,8 @@ class IkSolver(Protocol):
     ) -> Array | None:
         """Return arm joints (7,) in rad that bring the hand link to a world pose, or None without convergence.
 
-        It starts at joints (9,), whose fingers are ignored; without an orientation, xyzw, the rotation is free.
+        The search starts at joints `start` (9,), whose fingers are ignored. The pose is a position (3,) in m and an
+        orientation, a quaternion (4,) xyzw or None for any.
         """
         found: Array = self.solve_many(
             as_row(start), as_row(position), None if orientation is None else as_row(orientation)
@@ -249,4 +250,4 @@ class IkSolver(Protocol):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return the arm joints (n, 7) of n queries in rad, nan where `solve` returns None."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `solve`."""

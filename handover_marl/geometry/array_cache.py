@@ -1,6 +1,6 @@
 """Cache files of arrays computed from object models, in the user's cache folder.
 
-Several processes may share the folder: files are written atomically, and unreadable files are computed again.
+Several processes may share the folder: files are written atomically, and the arrays of unreadable files computed again.
 """
 
 import hashlib
@@ -26,9 +26,9 @@ _log = logging.getLogger(__name__)
 
 
 def get_cache_folder(kind: str) -> Path:
-    """Return the user's cache folder for one kind of files, below XDG_CACHE_HOME if that is set.
+    """Return the folder `handover_marl/KIND` in the user's cache folder, which is XDG_CACHE_HOME or else ~/.cache.
 
-    Users without a home folder, as in some containers, have it in the folder for temporary files.
+    For users without a home folder, as in some containers, it is in the folder for temporary files.
     """
     folder = os.environ.get("XDG_CACHE_HOME")
     try:
@@ -39,9 +39,9 @@ def get_cache_folder(kind: str) -> Path:
 
 
 def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
-    """Return the path of the cache file of a kind for an object model.
+    """Return the path of the cache file for an object model in the folder `get_cache_folder(kind)`.
 
-    The file name has a hash of the object's collision shapes and of all other inputs, the parameters.
+    The file name has a hash of the URDF file, its collision meshes and `parameters`, the bytes of all other inputs.
     """
     digest = hashlib.sha256(b"".join(parameters))
     for path in (urdf, *list_mesh_files(urdf, "collision")):
@@ -50,7 +50,10 @@ def get_cache_path(kind: str, urdf: Path, *parameters: bytes) -> Path:
 
 
 def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | None:
-    """Load arrays by name from a cache file; None if it is missing, and with a warning if it cannot be read."""
+    """Load arrays by name from a cache file; return None if it is missing or unreadable.
+
+    An unreadable file is logged as a warning, which calls the content `what`, e.g. "distance field".
+    """
     try:
         return read_arrays(path, tuple(names)) if path.exists() else None
     except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile, zlib.error) as error:
@@ -59,7 +62,7 @@ def load_cached_arrays(path: Path, names: Sequence[str], what: str) -> Arrays | 
 
 
 def save_cached_arrays(path: Path, arrays: Arrays, what: str) -> None:
-    """Write arrays to a cache file; log a warning, with a description of them, if that fails."""
+    """Write arrays by name to a cache file; if that fails, log a warning, which calls the content `what`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_arrays(path, arrays)

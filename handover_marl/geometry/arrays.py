@@ -42,9 +42,9 @@ def get_namespace(*arrays: object) -> Any:
 
 
 def as_arrays(*values: Any) -> tuple[Any, ...]:
-    """Return the common namespace of values, and the values as arrays of it, tensors on one device.
+    """Return the common array namespace of values, followed by each value as an array of that namespace.
 
-    Numbers and lists become arrays of their own number type.
+    If a value is a tensor, all become tensors on its device. Numbers and lists keep their own number type.
     """
     torch = sys.modules.get("torch")
     if torch is None or not any(isinstance(value, torch.Tensor) for value in values):
@@ -55,7 +55,7 @@ def as_arrays(*values: Any) -> tuple[Any, ...]:
 
 
 def make_constant(values: tuple[float, ...], like: AnyArray) -> AnyArray:
-    """Return numbers as a float64 array in the namespace and on the device of another array.
+    """Return numbers as a float64 array (k,) in the namespace and on the device of the array `like`.
 
     The array is cached and must not be changed.
     """
@@ -77,13 +77,13 @@ def to_numpy(array: AnyArray) -> npt.NDArray[Any]:
 
 
 def widen(array: AnyArray) -> AnyArray:
-    """Return an array as float64."""
+    """Return an array or tensor with its values as float64."""
     xp = get_namespace(array)
     return xp.astype(array, xp.float64)
 
 
 def expand_mask(mask: AnyArray, like: AnyArray) -> AnyArray:
-    """Append axes of length 1 to a mask (n,), so that it broadcasts to an array (n, ...)."""
+    """Append axes of length 1 to a mask (n,), so that it broadcasts to the array `like` (n, ...)."""
     return mask.reshape(-1, *[1] * (like.ndim - 1))
 
 
@@ -137,9 +137,9 @@ def use_default_torch_settings() -> Iterator[None]:
 
 @contextlib.contextmanager
 def disable_gradients() -> Iterator[None]:
-    """Compute without gradients and with PyTorch's initial settings.
+    """Compute without gradients and with PyTorch's initial settings in a `with` block.
 
-    Tensors can be changed later, also if the caller is in PyTorch's inference mode.
+    Tensors that are made in the block can be changed later, even if the caller is in PyTorch's inference mode.
     """
     import torch
 
@@ -153,18 +153,18 @@ class ArrayFactory:
 
     Attributes:
         xp: Array namespace.
-        device: Device in the namespace's notation.
+        device: Device of the arrays: "cpu" for NumPy, a `torch.device` for PyTorch.
     """
 
     xp: Any
     device: Any
 
     def zeros(self, shape: int | tuple[int, ...], dtype: str = "float64") -> AnyArray:
-        """Return an array of zeros (or False)."""
+        """Return an array of zeros, or of False with the number type "bool"."""
         return self.xp.zeros(shape, dtype=self._get_dtype(dtype), device=self.device)
 
     def full(self, shape: int | tuple[int, ...], value: float, dtype: str = "float64") -> AnyArray:
-        """Return an array of one value."""
+        """Return an array whose entries are all `value`."""
         return self.xp.full(shape, value, dtype=self._get_dtype(dtype), device=self.device)
 
     def arange(self, count: int) -> AnyArray:
@@ -172,7 +172,7 @@ class ArrayFactory:
         return self.xp.arange(count, dtype=self.xp.int64, device=self.device)
 
     def asarray(self, values: Any, dtype: str | None = None) -> AnyArray:
-        """Return values as an array, with their own number type by default; a tensor never shares NumPy's memory."""
+        """Return values as an array of a number type, None for their own; tensors share no memory with NumPy arrays."""
         own = values if is_tensor(values) else np.asarray(values)
         is_copied = None if is_tensor(own) or self.xp is np else True
         number_type = None if dtype is None else self._get_dtype(dtype)
@@ -198,7 +198,7 @@ def make_tensor_factory(device: Any) -> ArrayFactory:
 
 
 class RowBank:
-    """Rows of one shape in an array that grows by doubling.
+    """Array of rows of one shape that grows: its capacity is doubled whenever it is full.
 
     Args:
         arrays: Creator of the array.
@@ -206,7 +206,7 @@ class RowBank:
         dtype: Number type.
 
     Attributes:
-        rows: Array (c, *shape), whose last rows may be unused.
+        rows: Array (c, *shape) with the capacity c; its last rows may be unused.
     """
 
     def __init__(self, arrays: ArrayFactory, shape: tuple[int, ...], dtype: str) -> None:
@@ -214,7 +214,7 @@ class RowBank:
         self.rows = arrays.zeros((0, *shape), dtype)
 
     def extend(self, values: AnyArray) -> int:
-        """Append rows (k, *shape), and return the index of the first. A single row needs no first axis."""
+        """Append rows (k, *shape), or one row (*shape), and return the index in `rows` of the first."""
         new = self._arrays.asarray(values, self._dtype).reshape(-1, *self.rows.shape[1:])
         first, self._count = self._count, self._count + len(new)
         if self._count > len(self.rows):

@@ -14,7 +14,7 @@ from handover_marl.geometry.model_files.meshes import read_collision_mesh
 Floats = npt.NDArray[np.float32]
 Array = npt.NDArray[np.float64]
 
-#: Distance (m) outside the grid, larger than any padding of a planner.
+#: Distance (m) that is assumed at points outside the grid, larger than any padding of a planner.
 OUTSIDE_DISTANCE = 1.0
 #: Folder of the cached fields within the user's cache folder.
 CACHE_KIND = "distance_fields"
@@ -29,7 +29,7 @@ class DistanceField:
     """Signed distance field of a closed surface on a regular grid; negative inside.
 
     Attributes:
-        values: (x, y, z) float32 distances at the grid's nodes (m).
+        values: (nx, ny, nz) float32 distances at the grid's nodes (m).
         lower: (3,) position of the first node in the surface's frame (m).
         cell: Spacing of the nodes (m).
     """
@@ -39,16 +39,16 @@ class DistanceField:
     cell: float
 
     def compute_distances(self, points: Floats) -> Floats:
-        """Interpolate signed distances (n,) in m at points (3, n).
+        """Interpolate signed distances (n,) in m at points (3, n) in the surface's frame.
 
         Points outside the grid get `OUTSIDE_DISTANCE`.
         """
         return self._interpolate(points, with_gradients=False)[0]
 
     def compute_distances_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
-        """Interpolate signed distances (n,) in m and their gradients (3, n) at points (3, n).
+        """Interpolate signed distances (n,) in m and their gradients (3, n) at points (3, n) in the surface's frame.
 
-        Gradients are zero outside the grid.
+        Points outside the grid get `OUTSIDE_DISTANCE` and a gradient of zero.
         """
         return self._interpolate(points, with_gradients=True)
 
@@ -78,7 +78,10 @@ class DistanceField:
 
 
 def sample_distance_field(distance: Callable[[Array], Array], lower: Array, upper: Array, cell: float) -> DistanceField:
-    """Sample a function from points (n, 3) to signed distances (n,) in m on a grid over a box."""
+    """Sample a function `distance` from points (n, 3) to signed distances (n,) in m on a grid over a box.
+
+    The grid starts at the corner `lower` (3,) of the box, reaches `upper` (3,), and has the spacing `cell` (m).
+    """
     counts = np.ceil((upper - lower) / cell).astype(int) + 1
     axes = [start + cell * np.arange(count) for start, count in zip(lower, counts, strict=True)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -102,7 +105,8 @@ def _differentiate_trilinear(corners: Floats, fraction: Floats) -> Floats:
 def load_object_sdf(urdf: Path, margin: float) -> DistanceField:
     """Load the signed distance field of an object's collision shapes from the cache, or compute and cache it.
 
-    The shapes may overlap, and have holes. The grid extends `margin` (m) beyond the shapes.
+    The field is in the frame of the link that has the shapes, which may overlap and have holes. The grid extends
+    `margin` (m) beyond the shapes.
 
     Raises:
         DataFormatError: The URDF file or a mesh cannot be read.

@@ -82,7 +82,7 @@ class KinematicTree:
         moving_links: Child links of the moving joints, in the order of the joint positions.
         constants: Constants of the joints.
         columns: Index (L,) in the joint positions of each link's joint; `n_dof` for fixed joints.
-        levels: Links and their parents, level by level from the children of the base's children on.
+        levels: Numbers of the links at one depth and of their parents, for each depth from the base's grandchildren on.
     """
 
     def __init__(self, joints: Sequence[TreeJoint]) -> None:
@@ -118,7 +118,7 @@ class KinematicTree:
         return compute_tree_frames(self.constants, self.levels, values)
 
     def compute_link_poses(self, dof: npt.ArrayLike, links: Sequence[int]) -> Array:
-        """Compute poses (n, k, 7) of k links in the base link's frame for joint positions (n, d) (rad, m)."""
+        """Compute base-frame poses (n, k, 7), quaternions xyzw, of k links by number at joints (n, d) (rad, m)."""
         origins, rotations = self.compute_link_frames(dof)
         chosen = list(links)
         return np.concatenate([origins[:, chosen], quaternion_from_matrix(rotations[:, chosen])], axis=-1)
@@ -132,10 +132,10 @@ class KinematicTree:
         return [joint.link for joint in self.joints].index(name)
 
     def compute_reach(self, link: int, spheres: Mapping[int, BoundingSphere]) -> float:
-        """Compute the largest distance (m) from a link's origin to shapes that the link carries.
+        """Compute the largest distance (m) from a link's origin to the shapes of the link and its descendants.
 
-        These are the shapes, in bounding spheres by link number, of the link and its descendants; joints may
-        have any position.
+        The shapes are given by bounding spheres by link number. The revolute joints between them may have any
+        position, prismatic ones are at zero.
         """
         reaches: dict[int, float] = {}
         # Children follow their parents.
@@ -183,8 +183,7 @@ def read_tree(urdf: Path) -> KinematicTree:
     """Read the kinematic tree of a URDF file; an unchanged file is read once.
 
     Raises:
-        SimulationError: The file is not a URDF, or has a joint type other than revolute, continuous,
-            prismatic and fixed.
+        SimulationError: The file is not a URDF, or has a joint that is not revolute, continuous, prismatic or fixed.
     """
     try:
         return _read_tree(urdf, urdf.stat().st_mtime_ns)
@@ -234,7 +233,7 @@ def _read_joint(element: ET.Element, link: str, parent: int) -> TreeJoint:
 
 
 def matrix_from_rpy(rpy: str) -> Array:
-    """Convert a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
+    """Convert the text of a URDF `rpy` attribute, three angles in rad, to a rotation matrix (3, 3)."""
     return np.asarray(Rotation.from_euler("xyz", np.array(rpy.split(), dtype=np.float64)).as_matrix())
 
 
@@ -255,7 +254,7 @@ def compute_link_trajectory(
 
 
 class TreeBank:
-    """Kinematic trees of models that have the same joints; links may have different sizes.
+    """Kinematic trees on a device of models that have the same joints; links may have different sizes.
 
     Args:
         noun: Plural of the models' kind, for errors, e.g. "hands".
@@ -270,7 +269,7 @@ class TreeBank:
         self._levels: Sequence[tuple[AnyArray, AnyArray]] = ()
 
     def add(self, urdf: Path) -> int:
-        """Copy the constants of a model to the device, unless they are there, and return its number.
+        """Copy the constants of a model to the device, unless they are there, and return the model's number.
 
         Raises:
             OptionError: The model has other joints than the models before.
@@ -282,9 +281,9 @@ class TreeBank:
         return self._numbers[key]
 
     def compute_link_frames(self, numbers: AnyArray, joints: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
+        """Compute base-frame origins (r, k, L, 3) in m and rotations (r, k, L, 3, 3) of the links of r models.
 
-        `joints` (r, k, d) are positions in k configurations of each model (rad, m), float64.
+        `numbers` (r,) are from `add`; `joints` (r, k, d) are k configurations of each model (rad, m), float64.
         """
         xp = self._arrays.xp
         constants = TreeConstants(*(bank.rows[numbers][:, None] for bank in self._constants))

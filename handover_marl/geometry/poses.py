@@ -124,13 +124,13 @@ def unnormalized_quaternion_from_matrix(matrix: AnyArray) -> AnyArray:
 
 
 def poses_from_matrices(matrices: npt.ArrayLike) -> Array:
-    """Convert homogeneous matrices (n, 4, 4) to poses (n, 7)."""
+    """Convert homogeneous matrices (n, 4, 4) to poses (n, 7), position and quaternion xyzw."""
     transforms = np.asarray(matrices)
     return np.concatenate([transforms[:, :3, 3], quaternion_from_matrix(transforms[:, :3, :3])], axis=-1)
 
 
 def poses_from_rotations(positions: npt.ArrayLike, rotations: npt.ArrayLike) -> Array:
-    """Combine positions (..., 3) and rotation matrices (..., 3, 3) to poses (..., 7)."""
+    """Combine positions (..., 3) and rotation matrices (..., 3, 3) to poses (..., 7) with quaternions xyzw."""
     return np.concatenate([np.asarray(positions), quaternion_from_matrix(rotations)], axis=-1)
 
 
@@ -164,7 +164,7 @@ def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float
 
 
 def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Array:
-    """Return the rotation angles (...) between unit quaternions (..., 4); see `compute_rotation_angle`."""
+    """Return the angles (...) in rad, 0 to pi, between unit quaternions (..., 4) xyzw; see `compute_rotation_angle`."""
     product = np.vecdot(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
     return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 
@@ -183,15 +183,15 @@ def quaternions_from_euler(angles: AnyArray) -> AnyArray:
 
 
 def _euler_solutions(angles: AnyArray) -> AnyArray:
-    """Return both Euler solutions (n, 2, 3) of each rotation, up to multiples of 2 pi."""
+    """Return both triples (n, 2, 3) of XYZ Euler angles of each rotation `angles` (n, 3), up to multiples of 2 pi."""
     xp, own, half_turns, signs = as_arrays(angles, np.array([np.pi, np.pi, np.pi]), np.array([1.0, -1.0, 1.0]))
     return xp.stack([own, half_turns + own * signs], axis=1)
 
 
 def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray, AnyArray]:
-    """Select the Euler solution nearest to the previous angles (n, 3).
+    """Select the XYZ Euler angles of the rotations `angles` (n, 3) that are nearest to `previous` (n, 3) (rad).
 
-    Returns its index (n,) and the full turns (n, 3) that are added to it.
+    Returns which triple is nearest (n,), 0 for the given or 1 for the other one, and the turns (n, 3) to add to it.
     """
     xp = get_namespace(angles)
     solutions = _euler_solutions(angles)
@@ -202,7 +202,7 @@ def select_nearest_euler(angles: AnyArray, previous: AnyArray) -> tuple[AnyArray
 
 
 def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
-    """Return the Euler angles (n, 3) of the same rotations that are nearest to the previous angles (n, 3)."""
+    """Return the XYZ Euler angles (n, 3) of the rotations with `angles` (n, 3), nearest to `previous` (n, 3) (rad)."""
     xp, solutions = get_namespace(angles), _euler_solutions(angles)
     solution, turns = select_nearest_euler(angles, previous)
     return xp.where(solution[:, None] == 0, solutions[:, 0], solutions[:, 1]) + 2.0 * np.pi * turns
@@ -211,7 +211,8 @@ def find_nearest_euler(angles: AnyArray, previous: AnyArray) -> AnyArray:
 def compute_pose_distances(pose: npt.ArrayLike, poses: Array, rotation_weight: float) -> Array:
     """Compute distances (..., n) in m^2 from poses (..., n, 7) to poses (..., 7), for the ranking of grasps.
 
-    A distance is the squared distance of the positions plus a rotation term with a weight in m^2.
+    A distance is the squared distance of the positions plus `rotation_weight` (m^2) times 1 - (p . q)^2, where p and q
+    are the quaternions.
     """
     one = np.asarray(pose, dtype=np.float64)
     translation: Array = ((poses[..., :3] - one[..., None, :3]) ** 2).sum(axis=-1)

@@ -16,7 +16,7 @@ _SMALL_ANGLE = 1e-3
 
 
 def matrices_from_quaternions(quaternions: AnyArray) -> AnyArray:
-    """Convert quaternions (n, 4), which are normalized first, to rotation matrices (n, 3, 3), float64."""
+    """Convert quaternions (n, 4) xyzw, which are normalized first, to rotation matrices (n, 3, 3), float64."""
     if not is_tensor(quaternions):
         return Rotation.from_quat(quaternions).as_matrix()
     unit = normalize_quaternions(quaternions.double())
@@ -30,7 +30,7 @@ def matrices_from_quaternions(quaternions: AnyArray) -> AnyArray:
 
 
 def quaternions_from_rotation_vectors(vectors: AnyArray) -> AnyArray:
-    """Convert rotation vectors (n, 3) in rad to unit quaternions (n, 4), float64."""
+    """Convert rotation vectors (n, 3) in rad to unit quaternions (n, 4) xyzw, float64."""
     if not is_tensor(vectors):
         return Rotation.from_rotvec(vectors).as_quat()
     xp, own = get_namespace(vectors), vectors.double()
@@ -42,7 +42,7 @@ def quaternions_from_rotation_vectors(vectors: AnyArray) -> AnyArray:
 
 
 def rotation_vectors_from_quaternions(quaternions: AnyArray) -> AnyArray:
-    """Convert quaternions (n, 4) to rotation vectors (n, 3) of at most pi rad, float64."""
+    """Convert quaternions (n, 4) xyzw to rotation vectors (n, 3) of at most pi rad, float64."""
     if not is_tensor(quaternions):
         return Rotation.from_quat(quaternions).as_rotvec()
     xp, unit = get_namespace(quaternions), normalize_quaternions(quaternions.double())
@@ -57,7 +57,7 @@ def rotation_vectors_from_quaternions(quaternions: AnyArray) -> AnyArray:
 
 
 def compute_rotation_magnitudes(quaternions: AnyArray) -> AnyArray:
-    """Compute the rotation angles (n,) of quaternions (n, 4), 0 to pi rad, float64."""
+    """Compute the rotation angles (n,) of quaternions (n, 4) xyzw, 0 to pi rad, float64."""
     if not is_tensor(quaternions):
         return Rotation.from_quat(quaternions).magnitude()
     return compute_lengths(rotation_vectors_from_quaternions(quaternions))

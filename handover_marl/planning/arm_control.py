@@ -38,7 +38,7 @@ class ArmInWorld:
 
     @classmethod
     def for_panda(cls, urdf: Path, panda: PandaConfig, padding: float = 0.0) -> "ArmInWorld":
-        """Create the kinematics of a configured Panda, with joint limits narrowed by `padding` on each side (rad).
+        """Create the kinematics of a Panda at its configured base pose, with each limit narrowed by `padding` (rad).
 
         Raises:
             SimulationError: The model cannot be read.
@@ -70,13 +70,13 @@ class ArmInWorld:
         return origins, rotation @ chain.rotations[:-1].transpose(3, 0, 1, 2)
 
     def compute_jacobian(self, joints: Array) -> Array:
-        """Return the Jacobian (6, 7) of the hand's origin at joints (7,), linear rows first."""
+        """Return the world-frame Jacobian (6, 7) of the hand link at joints (7,) in rad: linear rows (m/rad) first."""
         local = self.arm.compute_jacobian(self.arm.compute_chain_frames(joints[None]))[..., 0]
         rotation = self._world_from_base_rotation
         return np.concatenate([rotation @ local[:3], rotation @ local[3:]])
 
     def compute_point_jacobian(self, joints: Array, point: Array, link: int) -> Array:
-        """Return the (3, 7) Jacobian of a world point (3,) that is fixed to a moving link, counted from 0."""
+        """Return the world-frame Jacobian (3, 7) at joints (7,) of a point (3,) on arm link 0-6 or 7, the hand link."""
         chain = self.arm.compute_chain_frames(joints[None])
         rotation = self._world_from_base_rotation
         axes = chain.rotations[:-1, :, 2, 0] @ rotation.T
@@ -91,7 +91,7 @@ class ArmInWorld:
         """Solve inverse kinematics for world poses (n, 7) of the hand link from seeds (n, 7) in rad.
 
         The tolerance is the maximum error of each component of position (m) and rotation vector (rad). Returns
-        configurations (n, 7), and whether each one reaches its pose (n,).
+        configurations (n, 7) in rad after at most `iterations` steps, and whether each one reaches its pose (n,).
         """
         local = compose(self._base_from_world, poses)
         rotations = Rotation.from_quat(local[:, 3:]).as_matrix()
@@ -100,10 +100,10 @@ class ArmInWorld:
     def compute_joint_velocity(
         self, joints: Array, linear: Array, angular: Array, rotation_weight: float, period: float
     ) -> Array:
-        """Return joint velocities (7,) in rad/s that give the hand a linear (m/s) and an angular velocity (rad/s).
+        """Return joint velocities (7,) in rad/s at joints (7,) that give the hand link a velocity in the world frame.
 
-        Joints that would exceed their limit within the control period (s) are not moved. `rotation_weight` is
-        the weight of the angular velocity relative to the linear one (m/rad).
+        The velocity is linear (3,) in m/s and angular (3,) in rad/s, with the weight `rotation_weight` (m/rad).
+        Joints that would exceed their limit within the control `period` (s) are not moved.
         """
         weights = np.array([1.0, 1.0, 1.0, rotation_weight, rotation_weight, rotation_weight])
         rows = weights[:, None] * self.compute_jacobian(joints)
@@ -173,7 +173,7 @@ class ArmServo:
         return self._velocity
 
     def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
-        """Return joint velocities (7,) in rad/s towards a goal (7,) in rad, slowing down to stop there."""
+        """Return joint velocities (7,) in rad/s from joints towards a goal, (7,) in rad, slowing down to stop there."""
         error = goal - joints
         # Speeds change once in a period, so braking starts half a period early.
         half = 0.5 * self.config.deceleration * self.period
@@ -190,16 +190,19 @@ class ArmServo:
         return velocity / excess if excess > 1.0 else velocity
 
     def limit_acceleration(self, velocity: Array, acceleration: float | None = None) -> Array:
-        """Return wanted joint velocities (..., 7) clipped to the configured or another acceleration limit (rad/s^2)."""
+        """Clip wanted joint velocities (..., 7) in rad/s to those that can be reached in one period.
+
+        They differ from the last command by at most the period times `acceleration` (rad/s^2; None: as configured).
+        """
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
         most = (acceleration or self.config.max_acceleration) * self.period
         return np.asarray(self._velocity + np.clip(velocity - self._velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
-        """Return motor position targets (7,) in rad that make the joints move at a velocity (7,) in rad/s.
+        """Return motor position targets (7,) in rad that make the arm, now at joints (7,), move at a velocity (7,).
 
-        `acceleration` is the maximum change of a joint's speed (rad/s^2) instead of the configured one.
+        The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as that of the last command.
         """
         self._velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))

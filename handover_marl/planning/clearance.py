@@ -69,7 +69,7 @@ class Spheres:
     radii: Array
 
     def transform_to_frame(self, pose: Array) -> "Spheres":
-        """Return the spheres in another frame, whose pose (7,) in their present frame is given."""
+        """Return the spheres in another frame; `pose` (7,) is the pose of that frame in their present one."""
         return Spheres(inverse_transform_points(pose, self.centers), self.radii)
 
     def select_within(self, position: Array, distance: float) -> "Spheres":
@@ -101,7 +101,7 @@ class ClosestPoints:
 
 
 def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Spheres:
-    """Place a number of spheres of a radius (m) on the surface of a mesh by farthest point sampling."""
+    """Place `count` spheres (fewer on tiny meshes) of a radius (m) on a mesh's surface by farthest point sampling."""
     weights = np.array([(a, b, 1.0 - a - b) for a in _GRID for b in _GRID if a + b <= 1.0])
     points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
     chosen = find_farthest_points(points, min(count, len(points)), 0)
@@ -109,7 +109,7 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
 
 
 def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
-    """Return the indices of `count` of the points (n, 3), chosen by farthest point sampling from the first index on."""
+    """Return the indices of `count` of the points (n, 3) by farthest point sampling, the first of which is `first`."""
     chosen, distances = [first], np.full(len(points), np.inf)
     while len(chosen) < count:
         distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
@@ -118,7 +118,7 @@ def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
 
 
 def compute_gripper_corners(hands: Array) -> Array:
-    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper at hand poses (n, 7)."""
+    """Return the corners (n, 32, 3) in m of the four boxes that bound the open gripper at hand link poses (n, 7)."""
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     local = (GRIPPER_BOX_CENTERS[:, None] + signs * GRIPPER_BOX_HALF_SIZES[:, None]).reshape(-1, 3)
     rotations = Rotation.from_quat(hands[:, 3:]).as_matrix()
@@ -126,13 +126,13 @@ def compute_gripper_corners(hands: Array) -> Array:
 
 
 def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the flange behind the hand, at poses (n, 7), and a body."""
+    """Return the clearances (n,) in m of the flange, at hand link poses (n, 7), from a body in the same frame."""
     local = _points_in_hands(hands, spheres.centers) - GRIPPER_BOX_CENTERS[_FLANGE]
     return np.asarray((_box_distances(local, GRIPPER_BOX_HALF_SIZES[_FLANGE]) - spheres.radii).min(axis=1))
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the open gripper with its flange and a body."""
+    """Return the clearances (n,) in m of open gripper with flange, at hand link poses (n, 7), from a body."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -140,10 +140,10 @@ def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0, flange: bool = True) -> Array:
-    """Return the clearances (n,) in m between a gripper that closes at hand poses (n, 7) and a body.
+    """Return the clearances (n,) in m of a gripper that closes at hand link poses (n, 7) from a body in the same frame.
 
     The volume between the open fingers counts as part of the gripper, and so do the straight approach of length
-    `sweep` (m) along the hand's z axis and, if wanted, the flange behind the hand.
+    `sweep` (m) along the hand link's z axis and, if `flange` is set, the flange behind the hand.
     """
     local = _points_in_hands(hands, spheres.centers)
     back = np.array([0.0, 0.0, 0.5 * sweep])
@@ -155,13 +155,13 @@ def compute_grasp_clearances(hands: Array, spheres: Spheres, sweep: float = 0.0,
 
 
 def count_points_between_pads(hands: Array, points: Array) -> npt.NDArray[np.int_]:
-    """Return the number (n,) of points (k, 3) between the finger pads of the open gripper at hand poses (n, 7)."""
+    """Return how many (n,) of the points (k, 3) are between the open gripper's pads at hand link poses (n, 7)."""
     local = _points_in_hands(hands, points)
     return np.asarray((np.abs(local - _PAD_REGION[0]) < _PAD_REGION[1]).all(axis=-1).sum(axis=1))
 
 
 def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
-    """Return the closest points between the open gripper, at a hand pose (7,), and a body in the world."""
+    """Return the closest points of open gripper, at a world pose (7,) of the hand link, and a body in the world."""
     rotation = Rotation.from_quat(hand[3:]).as_matrix()
     local = (spheres.centers - hand[:3]) @ rotation
     offsets = local[None] - GRIPPER_BOX_CENTERS[:, None]
@@ -183,7 +183,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m between the arm, from elbow to wrist, at joints (n, 7) and a body."""
+    """Return the clearances (n,) in m of the arm, elbow to wrist, at joints (n, 7) in rad from a body in the world."""
     starts, ends = _arm_segments(arm, joints)
     points = spheres.centers
     axes = ends - starts
@@ -197,14 +197,14 @@ def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> 
 
 
 def compute_lowest_heights(arm: ArmInWorld, joints: Array) -> Array:
-    """Return the world z (n,) in m of the lowest point of forearm and gripper."""
+    """Return the world z (n,) in m of the lowest point of forearm and open gripper at joints (n, 7) in rad."""
     starts, ends = _arm_segments(arm, joints)
     capsules = (np.minimum(starts[..., 2], ends[..., 2]) - _RADII).min(axis=1)
     return np.asarray(np.minimum(capsules, compute_gripper_corners(arm.compute_hand_poses(joints))[..., 2].min(axis=1)))
 
 
 def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) -> tuple[ClosestPoints, int]:
-    """Return the closest points between the arm from elbow to wrist, at joints (7,), and a body, and the link index."""
+    """Return the closest points of arm (elbow to wrist) at joints (7,) and a body in the world, and the arm link."""
     starts, ends = (end[0] for end in _arm_segments(arm, joints[None]))
     axes = (ends - starts)[:, None]
     from_start = spheres.centers - starts[:, None]
@@ -220,7 +220,7 @@ def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) ->
 
 
 def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
-    """Return both ends (n, capsules, 3) of the capsules' axes in the world (m)."""
+    """Return both ends (n, capsules, 3) of the axes of the arm's capsules at joints (n, 7) in the world (m)."""
     origins, rotations = arm.compute_link_frames(joints)
     link_origins, link_rotations = origins[:, _LINKS], rotations[:, _LINKS]
     starts, ends = ((link_rotations @ local[..., None])[..., 0] + link_origins for local in (_STARTS, _ENDS))
@@ -228,12 +228,12 @@ def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:
 
 
 def _points_in_hands(hands: Array, points: Array) -> Array:
-    """Return points (k, 3) in the frame of each hand (n, 7), shape (n, k, 3)."""
+    """Transform points (k, 3) to the frame of each of n hand links with poses (n, 7): (n, k, 3)."""
     return np.asarray((points[None] - hands[:, None, :3]) @ Rotation.from_quat(hands[:, 3:]).as_matrix())
 
 
 def _box_distances(points: Array, half_size: Array) -> Array:
-    """Return the signed distances (...) of points (..., 3) to a box around the origin."""
+    """Return the signed distances (...) in m of points (..., 3) to a box around the origin with half sizes (3,)."""
     beyond = np.abs(points)
     beyond -= half_size
     # One coordinate at a time and in place: NumPy reduces short axes slowly.

@@ -1,8 +1,8 @@
 """Collision avoidance: joint velocities that keep clear of bodies, and via points around obstacles.
 
-Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper
-(Faverjon and Tournassoud, 1987): clearance beyond a minimum may be used up within a given time
-and no sooner, with the other body's own motion taken into account.
+Velocities follow the idea of speed and separation monitoring in ISO/TS 15066, as a velocity damper (Faverjon and
+Tournassoud, 1987): clearance beyond a minimum may be used up within a given time and no sooner, by the motion of robot
+and body together.
 """
 
 import math
@@ -94,7 +94,7 @@ def enforce_separation(
     config: SeparationConfig,
     leaving: bool = False,
 ) -> Array:
-    """Return the joint velocities (7,) nearest to the wanted ones that keep clear of all bodies.
+    """Change wanted joint velocities (7,) in rad/s at joints (7,) as little as needed to keep clear of all bodies.
 
     The most important body is the last. If `leaving` is set, the robot only has to avoid coming closer to a body
     whose clearance is already too small, as when it withdraws from a person's hand.
@@ -128,6 +128,7 @@ def select_safe_velocity(
 
     If no candidate does so, the one (7,) with the smallest violation is returned. The candidates `wanted` (n, 7) in
     rad/s are ordered by preference; `reached` (n, 7) are the velocities that the motors can reach for each of them.
+    The arm is at `joints` (7,) in rad, and the table's surface at `table_height`, world z in m.
     """
     line = np.concatenate([joints[None], joints + config.lookahead * reached])
     hands, heights = arm.compute_hand_poses(line), compute_lowest_heights(arm, line) - table_height
@@ -162,7 +163,7 @@ class PathObstacles:
 
 
 def is_path_clear(arm: ArmInWorld, start: Array, goal: Array, obstacles: PathObstacles) -> bool:
-    """Return whether arm and open gripper keep clear of obstacles on a straight joint path.
+    """Return whether arm and open gripper keep clear of obstacles on a straight joint path from start to goal, (7,).
 
     If the start has less than the wanted clearance, a path counts as clear if no point of it has less clearance
     than the start.
@@ -180,7 +181,7 @@ def find_via_point(
     obstacles: PathObstacles,
     max_candidates: int,
 ) -> Array | None:
-    """Return the via point (7,) of the fastest clear path to a configuration, or None if no candidate has one.
+    """Return the via point (7,) of the fastest clear path from start to goal, (7,) in rad; None if there is none.
 
     The paths from start to via point and from there to the goal are straight in joint space. Candidates are the
     `known` ones (n, 7) and random ones around the middle of the path; the `max_candidates` fastest are checked,
@@ -200,7 +201,7 @@ def find_via_point(
 
 
 def _are_clear(arm: ArmInWorld, start: Array, paths: Array, obstacles: PathObstacles) -> npt.NDArray[np.bool_]:
-    """Return which (n,) of the paths (n, k, 7) keep clear, or are no closer than the start."""
+    """Return a mask (n,) of the paths (n, k, 7) that keep clear of the obstacles, or are no closer than the start."""
     line = np.concatenate([start[None], paths.reshape(-1, paths.shape[-1])])
     spheres = obstacles.spheres
     clearances = np.minimum(

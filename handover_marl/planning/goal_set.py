@@ -39,7 +39,7 @@ _IK_SEEDS = (
 )
 # Number of Newton steps of inverse kinematics, and its error in each component of position (m) and rotation vector.
 _MAX_ITERATIONS, _TOLERANCE = 100, 1e-6
-# Distance of the standoff pose from the grasp, back along the hand's z axis (m).
+# Length of `N_TAIL` steps along the hand's z axis (m); an approach, with the standoff as first pose, has one step less.
 _STANDOFF = 0.08
 #: Number of poses on the approach (tail) from standoff to grasp, both included.
 N_TAIL = 5
@@ -67,7 +67,10 @@ MIN_HAND_CLEARANCE = 0.02
 
 
 def is_usable_grasp(object_name: str, grasps: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps (n, 7) that OMG uses; for some objects, grasps that slip are excluded."""
+    """Return a mask (n,) of the grasps, hand link poses (n, 7) in the object's frame, that OMG uses.
+
+    For some objects, by their YCB class names, grasps that slip are excluded.
+    """
     rule = _RULES.get(object_name)
     if rule is None:
         return np.ones(len(grasps), dtype=bool)
@@ -95,8 +98,7 @@ class GoalSet:
     Attributes:
         tails: (g, t, 7) configurations on the approach from the standoff to the grasp (rad).
         grasps: (g,) index of each goal's grasp among the grasps that were given to the builder.
-        clearances: (g,) smallest clearance of the gripper to the person's hand in the tail (m),
-            infinite where the hand is ignored.
+        clearances: (g,) smallest clearance of gripper and person's hand in the tail (m), inf where the hand is ignored.
     """
 
     tails: Array
@@ -147,10 +149,10 @@ class GoalSetBuilder:
         self._unchecked_last = unchecked_last
 
     def build(self, grasps: Array, objects: Sequence[Obstacle], person: Obstacle | None) -> GoalSet:
-        """Return the goals at which the gripper can grasp an object by grasps (n, 7) in the base frame.
+        """Return the goals at which the hand link reaches one of the grasps, poses (n, 7) in the base frame.
 
-        Goals are ordered by decreasing clearance to the person's hand. Goals with too little clearance are
-        excluded if other goals exist.
+        The arm must not collide with `objects` at a standoff. Goals with too little clearance to `person`, the person's
+        hand or None, are excluded if others exist; of similar goals, that with most clearance is kept. Order is random.
         """
         goals = self._add_wrist_flips(self._solve_tails(grasps))
         goals = goals.select(self._is_rotated_little(goals.goals))
@@ -163,7 +165,7 @@ class GoalSetBuilder:
         return self._thin_out(goals)
 
     def _compute_clearances(self, tails: Array, person: Obstacle) -> Array:
-        """Return the smallest distances (g,) in m of the gripper to a hand over (g, t, 7) tails."""
+        """Return the smallest distances (g,) in m between gripper and the person's hand over each tail (g, t, 7)."""
         frames = self._arm.compute_link_frames(tails.reshape(-1, tails.shape[-1]))
         hand = len(frames.origins) - len(self._gripper)
         points = transform_body_points(LinkFrames(frames.origins[hand:], frames.rotations[hand:]), self._gripper)
@@ -186,7 +188,7 @@ class GoalSetBuilder:
         return GoalSet(tails[is_short], numbers[is_short], np.full(int(is_short.sum()), np.inf))
 
     def _tail_poses(self, grasps: Array, step: int) -> Array:
-        """Return the hand poses (n, 7) at one step of the tails."""
+        """Return the hand link poses (n, 7) at one step of the tails, from 0 (standoff) to `N_TAIL` - 1 (grasp)."""
         back = _STANDOFF / N_TAIL * (N_TAIL - 1 - step)
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
@@ -211,7 +213,7 @@ class GoalSetBuilder:
         )
 
     def _is_rotated_little(self, goals: Array) -> npt.NDArray[np.bool_]:
-        """Return whether (g,) the hand stays upright on the straight joint line to each goal."""
+        """Return a mask (g,) of the goals (g, 7) for which the hand link stays upright on the straight joint path."""
         shares = np.arange(1, _N_PATH_CHECKS + 1) / (_N_PATH_CHECKS + 1)
         line = self._start + shares[:, None, None] * (goals - self._start)
         rotations = self._arm.compute_chain_frames(line.reshape(-1, 7)).rotations[-1]
@@ -221,7 +223,7 @@ class GoalSetBuilder:
         return np.asarray(is_allowed.reshape(len(shares), -1).all(axis=0))
 
     def _is_collision_free(self, standoffs: Array, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
-        """Return whether (g,) arm and hand, without fingers, are collision-free at standoffs."""
+        """Return a mask (g,) of the standoffs (g, 7) at which arm and hand link, without fingers, do not collide."""
         points = transform_body_points(self._arm.compute_link_frames(standoffs), self._body)
         points = points[:, : points.shape[1] - _N_FINGERS * len(self._body[0])]
         hits = np.zeros(len(standoffs), dtype=np.int_)
@@ -278,7 +280,7 @@ class GoalSelector:
         return int(np.argmin(self._costs(trajectory, 0)))
 
     def select_next(self, trajectory: Array, round_number: int) -> int:
-        """Update the selection by the goals' present costs in a round, from 1, and return the selected goal's index."""
+        """Update the selection by a trajectory (w, 7) in a round, from 1, and return the index of the selected goal."""
         costs = self._costs(trajectory, round_number)
         before = self._experts
         self._experts = np.stack(
@@ -290,7 +292,7 @@ class GoalSelector:
         return int(np.argmax(self._expert_weights @ self._experts))
 
     def _costs(self, trajectory: Array, round_number: int) -> Array:
-        """Return the costs (g,) of straight paths from a waypoint, with a norm of 1."""
+        """Return the costs (g,), scaled to norm 1, of straight paths to the goals from the waypoint of a round."""
         first = min(int(_LOOKAHEAD_RATE * round_number), self._n_waypoints - 1)
         here, count = trajectory[first], self._n_waypoints - first
         tails = np.zeros((len(self._goals), count), dtype=bool)

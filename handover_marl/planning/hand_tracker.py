@@ -80,7 +80,7 @@ def hand_capsules_from_observation(observation: Observation) -> Capsules | None:
 
 
 def _link_rotations(dof: Array) -> list[Rotation]:
-    """Return the world orientation of the link behind each of the 15 finger joints."""
+    """Return the world orientations of the links behind 15 finger joints for the hand's joint positions (51,)."""
     base = Rotation.from_euler("XYZ", dof[3:6])
     rotations: list[Rotation] = []
     for joint, angles in enumerate(dof[6:].reshape(15, 3)):
@@ -126,10 +126,10 @@ class HandTracker:
         self.spheres = Spheres(np.concatenate([fingers, heel]), radii)
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
-        """Return the present world pose (7,) of a frame that is fixed to the person's hand.
+        """Return the world pose (7,), a time `ahead` (s) from now, of a frame that is fixed to the person's hand.
 
-        The pose follows from the frame's pose (7,) and `reference_points` (k, 3) at an earlier time, and the
-        hand's motion since then; its present velocity is extrapolated for the time `ahead` (s).
+        `pose` (7,) is the frame's pose at an earlier time, and `points` (k, 3) the `reference_points` at that time.
+        The frame moves as the hand since then and, ahead, at the hand's velocity; without a hand it stays at `pose`.
         """
         if points.shape != self.points.shape or not len(points):
             return pose

@@ -143,12 +143,15 @@ class HandoverPosePredictor:
         return np.concatenate([position, self._rotated(ahead * self.latest_angular_velocity)])
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s) of a point on the object in the middle of a period."""
+        """Predict the velocities, linear (3,) in m/s and angular (3,) in rad/s, of a world point (3,) on the object.
+
+        They are those in the middle of the coming period, which lasts `ahead` (s).
+        """
         since = 0.5 * (self._step + ahead) if np.isfinite(self._step) else 0.0
         velocity = self.latest_velocity + since * self.acceleration
         angular = self.latest_angular_velocity
         return velocity + np.cross(angular, point - self._pose[:3]), angular
 
     def _rotated(self, rotation: Array) -> Array:
-        """Return the present orientation, quaternion xyzw, after a world rotation vector."""
+        """Return the object's orientation, quaternion xyzw, after a rotation vector (3,) in the world frame (rad)."""
         return np.asarray((Rotation.from_rotvec(rotation) * Rotation.from_quat(self._pose[3:])).as_quat())

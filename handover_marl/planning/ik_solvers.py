@@ -66,11 +66,11 @@ def solve_ik(
     """Solve inverse kinematics of many hand poses in the arm's base frame by Newton's method from seeds (n, 7).
 
     Every iteration solves the linearized problem with the smallest joint motion and clamps the result to the joint
-    limits. Positions (n, 3) are in m; without rotations (n, 3, 3), any serves. The tolerance is the maximum error
-    of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
-    takes shorter steps that stay nearer to the seed. A search ends without solution where a step is below
-    `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and whether each
-    one reaches its pose (n,).
+    limits, (7,) each. Positions (n, 3) are in m; rotations (n, 3, 3) may be None for any. The tolerance is the maximum
+    error of each component of position (m) and rotation vector (rad), or two values for their norms. More damping (m^2)
+    takes shorter steps that stay nearer to the seed. A search ends without solution after `iterations` steps, or where
+    a step is below `min_step`; steps above `max_step` are scaled down (rad). Returns configurations (n, 7) in rad, and
+    whether each one reaches its pose (n,).
     """
     joints = np.clip(seeds, *limits)
     solved = np.zeros(len(joints), dtype=bool)
@@ -108,9 +108,10 @@ def _is_within(error: Array, tolerance: float | tuple[float, float]) -> npt.NDAr
 
 
 def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, rotations: Array) -> Array:
-    """Return the errors (6, n) of hand poses: translation (m), then rotation vector (rad).
+    """Return the differences (6, n) of wanted from present hand poses: translation (m), then rotation vector (rad).
 
-    Present positions (3, n) and rotations (3, 3, n) are those of `LinkFrames`; wanted rotations are (n, 3, 3).
+    `origins` (3, n) and `hand_rotations` (3, 3, n) are present ones, of `LinkFrames`; `positions` (3, n) and
+    `rotations` (n, 3, 3) are wanted.
     """
     difference = np.einsum("nij,kjn->ikn", rotations, hand_rotations)
     twice_sine = np.stack(
@@ -128,7 +129,7 @@ def compute_pose_error(origins: Array, hand_rotations: Array, positions: Array, 
 
 
 def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
-    """Return the joint changes (n, 7) of least norm that reduce errors (k, n), for Jacobians (k, 7, n)."""
+    """Return the joint changes (n, 7) of least norm that reduce pose errors (k, n), for Jacobians (k, 7, n)."""
     rows = np.ascontiguousarray(jacobian.transpose(2, 0, 1))
     gram = rows @ rows.transpose(0, 2, 1) + damping * np.eye(len(error))
     weights = np.linalg.solve(gram, error.T[..., None])
@@ -136,7 +137,7 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
 
 
 def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
-    """Create an inverse kinematics solver, PyBullet's where PyBullet is installed.
+    """Create an IK solver that iterates until it converges, for a Panda at its base pose; PyBullet's where installed.
 
     Raises:
         SimulationError: The model cannot be read.
@@ -145,7 +146,7 @@ def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
 
 
 def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create a solver of single queries, PyBullet's where PyBullet is installed.
+    """Create an IK solver of few iterations, which may not converge; PyBullet's where PyBullet is installed.
 
     Arguments and errors are the same as for `make_ik_solver`.
     """
@@ -193,7 +194,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -227,7 +228,7 @@ def _make_solver(urdf: Path, config: PandaConfig) -> IkSolver:
 
 
 class PandaIkSolver(IkSolver):
-    """Inverse kinematics of a Panda without PyBullet, whose solutions differ slightly.
+    """Inverse kinematics of a Panda without PyBullet, from whose solutions these differ slightly.
 
     Joint limits are ignored, as by `BulletIKSolver` and `BulletIKStep`. Solutions do not depend on
     earlier queries, nor on the others of a batch, to the last bit.
@@ -247,7 +248,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan where a search does not converge; see `IkSolver.solve_many`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):
@@ -260,9 +261,10 @@ class PandaIkSolver(IkSolver):
     def solve_step(
         self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: npt.ArrayLike | None = None
     ) -> Array:
-        """Return joints (9,) that bring the hand link to a world pose or closer to that pose.
+        """Return joints (9,), reached from `joints` (9,), that bring the hand link to a world pose or closer to it.
 
-        Seven arm joints (rad) are followed by two finger positions, which are zero.
+        The pose is a position (3,) in m and a quaternion (4,) xyzw, None for any orientation. Seven arm joints (rad)
+        are followed by two finger positions, which are zero.
         """
         query = as_row(joints), as_row(position), None if orientation is None else as_row(orientation)
         closest, _ = self._search(*query, _STEP_TOLERANCE, _STEP_ITERATIONS, 0.0)
@@ -285,7 +287,7 @@ class PandaIkSolver(IkSolver):
         iterations: int,
         min_step: float,
     ) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return the joints (n, 7) at which searches end, and whether each one reached its pose (n,)."""
+        """Return the joints (n, 7) at which `solve_ik` ends for world poses, and whether each one reaches its pose."""
         turns = np.broadcast_to(IDENTITY[3:], (len(positions), 4)) if orientations is None else orientations
         local = compose(self._base_from_world, np.concatenate([positions, turns], axis=1))
         rotations = None if orientations is None else Rotation.from_quat(local[:, 3:]).as_matrix()

@@ -122,7 +122,10 @@ class Planner:
         self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
-        """Compute a trajectory to one of the grasps (n, 7) in the base frame; None if none can be reached."""
+        """Compute a trajectory to one of the grasps, hand link poses (n, 7); return None if none can be reached.
+
+        Grasps, obstacles `objects` and the person's `hand`, None to ignore it, are in the robot's base frame.
+        """
         config = self.config
         person = make_hand_obstacle(hand) if hand is not None and config.avoids_hand else None
         robot = self.arm, self._body, self._gripper
@@ -165,7 +168,7 @@ def make_hand_obstacle(hand: Capsules) -> Obstacle:
 
 
 def make_initial_trajectory(start: Array, goal: Array, n_waypoints: int) -> Array:
-    """Return the waypoints (w, d) on a cubic between two configurations (d,) at rest."""
+    """Return `n_waypoints` waypoints (w, d) between two configurations (d,), on a cubic with rest at both ends."""
     spline = CubicSpline([0.0, 1.0], np.stack([start, goal]), bc_type="clamped")
     return np.asarray(spline(np.linspace(0.0, 1.0, n_waypoints + 2)[1:-1]))
 
@@ -200,7 +203,7 @@ class Chomp:
         return np.asarray(self._metric @ trajectory + self._start_gradient[:, None] * self._start)
 
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
-        """Return the trajectory (w, 7) after a gradient step, numbered from 1, that ends on an approach (t, 7)."""
+        """Return a trajectory (w, 7) after gradient step `number`, from 1; it ends on the approach `tail` (t, 7)."""
         smooth = self.compute_smoothness_gradient(trajectory)
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)

@@ -25,7 +25,7 @@ WAYPOINT_PERIOD = 0.1
 
 
 def sample_body_points(urdf: Path, link_names: tuple[str, ...], count: int) -> tuple[Array, ...]:
-    """Return `count` vertices (count, 3) in m of the visual mesh of each link, in its frame.
+    """Return `count` vertices (count, 3) in m of the visual mesh of each named link, in the frame of that link.
 
     Vertices are selected by farthest point sampling, so that finely meshed details do not attract
     most of the points as they do in random sampling.
@@ -54,8 +54,7 @@ class Obstacle:
         field: Signed distance field of the obstacle.
         base_from_field: (7,) pose of the field's frame in the robot's base frame.
         padding: Distance from the surface up to which the obstacle has a cost (m).
-        in_tail: Whether the obstacle has a cost in the final approach to a grasp too, unlike an
-            object that is to be grasped.
+        in_tail: Whether the obstacle has a cost in the final approach to a grasp, too, unlike an object to be grasped.
     """
 
     field: DistanceField
@@ -121,7 +120,7 @@ class ObstacleCost:
         """Return the obstacle costs (g,) of straight joint paths from one start (7,) to goals (g, 7).
 
         The cost of a path is the sum of proximity cost times workspace speed over all body points at `count`
-        points between start and goal; at those in the mask `tails` (g, count) objects have no cost.
+        points between start and goal; at those in the mask `tails` (g, count) only obstacles with `in_tail` count.
         """
         shares = np.arange(count + 1) / (count + 1)
         line = start + shares[:, None, None] * (goals - start)
@@ -133,7 +132,7 @@ class ObstacleCost:
     def count_collisions(self, trajectory: Array, distance: float) -> int:
         """Return the number of pairs of robot point and obstacle closer than `distance` (m).
 
-        Pairs are counted at every waypoint; at the last `n_tail` ones, objects are left out.
+        Pairs are counted at every waypoint; at the last `n_tail` ones, only obstacles with `in_tail` count.
         """
         points = self._points(trajectory)
         pairs = 0
@@ -164,7 +163,7 @@ class ObstacleCost:
         return self._joint_torques(frames, here, force)
 
     def _workspace_gradient(self, velocity: Array, acceleration: Array, costs: Floats, gradients: Floats) -> Array:
-        """Return the workspace gradients (3, l, w) of moving points."""
+        """Return the workspace gradients (3, l, w) of the costs of points that move on l links, at w waypoints."""
         squared = (velocity**2).sum(axis=0) + _EPSILON
 
         def project(vector: npt.NDArray[np.floating]) -> Array:
@@ -187,7 +186,7 @@ class ObstacleCost:
         return transform_body_points(self.arm.compute_link_frames(joints), self.body).astype(np.float32)
 
     def _costs(self, points: Floats, tails: npt.NDArray[np.bool_]) -> Floats:
-        """Return the costs of points (3, p, ...), without objects' where `tails` (...) is true."""
+        """Return the costs (p, ...) of points (3, p, ...); where `tails` (...), only obstacles with `in_tail` count."""
         total = np.zeros(points.shape[1:], dtype=np.float32)
         flat = points.reshape(3, -1)
         for obstacle in self.obstacles:
@@ -196,7 +195,7 @@ class ObstacleCost:
         return total
 
     def _costs_and_gradients(self, points: Floats) -> tuple[Floats, Floats]:
-        """Return the costs and gradients of points (3, p, w) of one trajectory."""
+        """Return the costs (p, w), and their gradients (3, p, w), of points (3, p, w) along one trajectory."""
         total, gradients = np.zeros(points.shape[1:], dtype=np.float32), np.zeros(points.shape, dtype=np.float32)
         counts = np.ones(points.shape[2], dtype=np.float32)
         counts[-self.n_tail :] = 0.0

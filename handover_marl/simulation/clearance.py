@@ -20,7 +20,7 @@ class DistanceQuery(ABC):
 
     @abstractmethod
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link; key -1 is the base link."""
+        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
 
     @abstractmethod
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
@@ -67,7 +67,7 @@ class ClearanceMonitor:
         hand_frames: tuple[Array, Array],
         required: Array | None = None,
     ) -> float:
-        """Compute the smallest distance of robot and hand, minus a required distance, over n times (m).
+        """Compute the smallest distance between robot and human hand, minus a required one, over n times (m).
 
         The distance is 0 if robot and hand overlap; the result is at most 3 m.
 
@@ -76,7 +76,7 @@ class ClearanceMonitor:
             robot: Joint positions (n, 9) of the Panda (rad, m).
             hand: Joint positions (n, 51) of the hand (m, rad).
             robot_frames: Link frames of the Panda at these joint positions, from `compute_link_trajectory`.
-            hand_frames: Link frames of the hand at these joint positions.
+            hand_frames: Link frames of the human hand at these joint positions, from `compute_link_trajectory`.
             required: Required distances (n,) in m, at least 0; None for zeros.
         """
         needed = np.zeros(len(robot)) if required is None else required
@@ -104,7 +104,7 @@ class ClearanceMonitor:
 
 
 class _MovingSpheres:
-    """Bounding spheres of the moving links of a robot or hand at n times.
+    """Bounding spheres of all links of a robot or a human hand at n times.
 
     Attributes:
         centers: Centers (n, b, 3) of the b spheres in the world frame (m).
@@ -127,7 +127,7 @@ class _MovingSpheres:
             self._rotations = np.concatenate([self._rotations, np.zeros((count, 1, 9))], axis=1)
 
     def bound_motion(self, time: int, others: npt.NDArray[np.int_]) -> Array:
-        """Return upper bounds (k,) on the motion of all points from a time to k others (m)."""
+        """Return upper bounds (k,) in m on the motion of any point of the links from one time to k others, by index."""
         shifts = np.linalg.norm(self.centers[others] - self.centers[time], axis=-1)
         # A rotation by an angle moves a point at distance r by 2 r sin(angle / 2).
         swings = np.linalg.norm(self._rotations[others] - self._rotations[time], axis=-1) / np.sqrt(2.0)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from handover_marl.simulation.mujoco.grasp_validation import GraspValidator
 
 EXACT, FAST, MUJOCO = "exact", "fast", "mujoco"
-#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the
-#: bodies that cannot touch anything; "mujoco" is MuJoCo.
+#: "exact" equals HandoverSim's PyBullet simulation bit for bit; "fast" is PyBullet without the bodies that cannot touch
+#: anything; "mujoco" is MuJoCo.
 PHYSICS = (EXACT, FAST, MUJOCO)
 
 THREADS, WARP = "threads", "warp"
@@ -117,7 +117,7 @@ def check_backend(backend: BatchBackend) -> None:
 
 
 def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays: ArrayFactory) -> Worlds:
-    """Create worlds of MuJoCo or MuJoCo Warp without scenes, which are simulated together.
+    """Create `count` worlds of MuJoCo or MuJoCo Warp, still without scenes, which are simulated together.
 
     Args:
         config: Constants of the worlds.
@@ -170,7 +170,7 @@ def make_grasp_validator(
     Args:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
         config: Conditions of a valid grasp; None for the defaults.
-        panda_urdf: Panda that the hand is taken from.
+        panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
 
     Raises:
         OptionError: MuJoCo is not installed.

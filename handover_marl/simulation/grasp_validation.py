@@ -11,12 +11,11 @@ class GraspValidationConfig:
         close_time: Time for which the fingers close (s), as in HandoverSim's baselines.
         shake_time: Duration of each of six pushes (s).
         acceleration: Acceleration of each push (m/s^2), 1.5 times gravity.
-        max_translation: Largest displacement of the gripped point relative to the fingers (m) while
-            they close, and again while the object is shaken.
-        max_rotation: Largest rotation of the object (rad) while the fingers close, and again while
-            the object is shaken.
-        standoff_distances: Distances from the grasp, back along the approach direction, at which the
-            open hand must not touch the object either (m).
+        max_translation: Largest displacement of the object's point between the finger pads, relative to the fingers
+            (m), while they close, and again while the object is shaken.
+        max_rotation: Largest rotation of the object (rad) while the fingers close, and again while it is shaken.
+        standoff_distances: Distances from the grasp, back along the approach direction, at which the open Panda hand
+            must not touch the object (m); 0 is the grasp.
     """
 
     close_time: float = 0.5

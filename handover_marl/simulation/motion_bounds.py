@@ -19,10 +19,9 @@ _MARGIN = 0.03
 class RobotMotionBounds:
     """Bounds on the motion of a Panda's links, from spheres around their collision shapes.
 
-    A joint moves straight to its target, by a fixed ratio of its error in every step. It first
-    continues to move while its motor is too weak to reverse the joint. So no point of the arm moves
-    farther than the sum of both distances over all joints, each times the reach of the links that
-    the joint carries.
+    A joint moves straight to its target, by a fixed ratio of its error in every step. While its motor is too weak to
+    reverse it, it may also move on at its speed. So no point of the arm moves farther than the sum of both
+    distances over all joints, each times the reach of the links that the joint carries.
 
     Args:
         tree: Kinematic tree of the robot.
@@ -67,8 +66,7 @@ class RobotMotionBounds:
             joints: Current positions (..., 9) and velocities (..., 9) of the robot (rad, m).
             link_poses: Current world poses (..., L, 7) of `links`.
             robot_target: Joint targets (..., 9) of all n coming steps (rad, m).
-            centers: Centers (..., n, m, 3) of spheres around the bodies after each step (m); inf
-                for absent bodies.
+            centers: Centers (..., n, m, 3) of spheres around the bodies after each step (m); inf for absent bodies.
             radii: Radii (..., m) of the spheres around the bodies (m).
 
         Returns:
@@ -104,11 +102,10 @@ class RobotMotionBounds:
         return np.concatenate([links, base], axis=-2)
 
     def is_near(self, robot_centers: Array, centers: Array, radii: Array) -> npt.NDArray[np.bool_]:
-        """Return for each world of a batch (...) whether any of m bodies is near the robot.
+        """Return a mask (...) of the worlds of a batch in which any of m bodies is within 3 cm of the robot's spheres.
 
         Args:
-            robot_centers: Centers (..., b, 3) of the robot's spheres (m), from
-                `compute_sphere_centers`.
+            robot_centers: Centers (..., b, 3) of the robot's spheres (m), from `compute_sphere_centers`.
             centers: Centers (..., m, 3) of spheres around the bodies (m); inf for absent bodies.
             radii: Radii (..., m) of the spheres around the bodies (m).
         """
@@ -116,7 +113,7 @@ class RobotMotionBounds:
         return np.asarray((distances - radii < _MARGIN).any(axis=-1))
 
     def _distances(self, points: Array, robot_centers: Array) -> Array:
-        """Return distances (..., n, m) of points (..., n, m, 3) to the nearest robot sphere (m)."""
+        """Return distances (..., n, m) in m from points (..., n, m, 3) to the surface of the nearest robot sphere."""
         gaps = _norm(points[..., None, :] - robot_centers[..., None, None, :, :]) - self._radii
         distances: Array = gaps.min(axis=-1)
         return distances

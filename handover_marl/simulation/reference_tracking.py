@@ -14,9 +14,9 @@ from handover_marl.geometry.arrays import AnyArray
 
 Array = npt.NDArray[np.float64]
 
-#: Number of joints that carry the whole hand: three prismatic, three revolute.
+#: Number of joints that carry the whole human hand: three prismatic, three revolute.
 BASE_JOINTS = 6
-#: Number of the hand's link at the wrist.
+#: Number of the human hand's link at the wrist.
 WRIST_LINK = 6
 
 
@@ -36,7 +36,7 @@ class ReferenceMotion:
     hand_present: AnyArray
 
     def select_rows(self, rows: AnyArray) -> "ReferenceMotion":
-        """Return the joint targets of some of r worlds; `rows` are their indices."""
+        """Return the joint targets of some of r worlds; `rows` are the indices of these worlds."""
         return ReferenceMotion(self.objects[rows], self.hand[rows], self.hand_present[rows])
 
     def select(self, number: int, n_objects: int) -> "ReferenceMotion":
@@ -62,9 +62,7 @@ def list_object_motors(config: ObjectConfig) -> list[MotorConfig]:
 
 
 def select_keypoint_links(joints: Sequence[int]) -> list[int]:
-    """Return the numbers of the links whose origins are the hand's 16 keypoints.
-
-    The keypoints are the wrist and 15 finger joints.
+    """Return the numbers of the links whose origins are the 16 keypoints of a human hand: wrist and 15 finger joints.
 
     Args:
         joints: Numbers of the child links of the 51 moving joints. Every third finger joint is the
@@ -109,11 +107,11 @@ class BodyTrajectory:
         return np.where(self.present[row + 2 :, None], self.joints[row + 2 :, :3], np.inf)
 
     def is_present_after(self, row: int) -> bool:
-        """Return whether the body is in the scene after step `row`, from -2 on."""
+        """Return whether the body is in the scene after step `row`, -2 or more, of the current reference motion."""
         return bool(self.present[row + 2])
 
     def get_joints(self, row: int) -> Array:
-        """Return the joints (d,) after step `row`, from -2 on (m, rad)."""
+        """Return the joint positions (d,) after step `row`, -2 or more, of the current reference motion (m, rad)."""
         joints: Array = self.joints[row + 2]
         return joints
 
@@ -123,7 +121,7 @@ TrackedReference = tuple[BodyTrajectory, npt.NDArray[np.float32], npt.NDArray[np
 
 
 def track_references(references: Sequence[TrackedReference]) -> None:
-    """Compute the trajectories of bodies under new reference motions, which follow their current ones.
+    """Replace the trajectories of bodies by those under new reference motions, which follow their current ones.
 
     The trajectories do not depend on how steps are divided into calls, nor on the other bodies.
     """

@@ -41,20 +41,15 @@ class Contacts(NamedTuple):
     Attributes:
         robot_touches_hand: Whether the Panda touches the human hand.
         robot_touches_object: Whether the Panda touches the target object.
-        finger_points: Contact points (n, 3) of the left and of the right finger with the target
-            object, in the link frame of that finger (m), float32.
-        object_supported: Whether the target object touches the table or another object. Valid after
-            the release only.
-        object_height: World z of the target object's origin (m). Valid after the release, and while
-            the robot touches the object.
-        gripper_position: World position of the Panda's hand link (m). Valid after the release, and
-            while the robot touches the object.
-        robot_object_force: Sum of the normal forces between Panda and target object (N). The rules
-            of the task do not use it.
-        robot_hand_force: Sum of the normal forces between Panda and human hand (N). The rules of the
-            task do not use it.
-        robot_touches_others: Whether the Panda touches an object besides the target. The rules of
-            the task do not use it.
+        finger_points: Contact points (n, 3) of the left and of the right finger with the target object, in the link
+            frame of that finger (m), float32.
+        object_supported: Whether the target object touches the table or another object. Valid after the release only.
+        object_height: World z of the target object's origin (m). Valid after the release, and while the robot touches
+            the object.
+        gripper_position: World position of the Panda's hand link (m). Valid as `object_height` is.
+        robot_object_force: Sum of the normal forces between Panda and target object (N), not used by the task's rules.
+        robot_hand_force: Sum of the normal forces between Panda and human hand (N), not used by the task's rules.
+        robot_touches_others: Whether the Panda touches an object besides the target, not used by the task's rules.
     """
 
     robot_touches_hand: bool = False
@@ -81,8 +76,7 @@ class RolloutContacts(NamedTuple):
         robot_touches_hand: Whether the Panda touches the human hand, (k, n).
         robot_touches_object: Whether the Panda touches the target object, (k, n).
         fingers_touch: Whether the left and the right finger touch the target object, (k, n, 2).
-        in_grasp_region: Whether the left and the right finger touch the target object inside their
-            grasp regions, (k, n, 2).
+        in_grasp_region: Whether each of these fingers touches the target object inside its grasp region, (k, n, 2).
         object_supported: Whether the target object touches the table or another object, (k, n).
         object_height: World z of the target object's origin (m), (k, n).
         gripper_position: World position of the Panda's hand link (m), (k, n, 3).
@@ -98,7 +92,7 @@ class RolloutContacts(NamedTuple):
 
     @classmethod
     def without_contacts(cls, steps: int, worlds: int) -> "RolloutContacts":
-        """Return the contacts of k steps of n worlds without any contact."""
+        """Return the contacts of n = `worlds` worlds in k = `steps` physics steps in which nothing touches."""
         shape, default = (steps, worlds), Contacts()
         flags, fingers = np.zeros(shape, dtype=bool), np.zeros((*shape, 2), dtype=bool)
         height, position = np.full(shape, default.object_height), np.full((*shape, 3), default.gripper_position)
@@ -119,12 +113,13 @@ class RolloutEnd(NamedTuple):
     ended: AnyArray
 
 
-#: Function that applies the rules to the contacts (k, n) of k steps of the worlds with n indices in a rollout.
+#: Function that applies the task's rules: from the indices (n,) of worlds in a rollout and their contacts in k steps to
+#: the part of these steps that counts.
 JudgeFunction = Callable[[AnyIndices, RolloutContacts], RolloutEnd]
 
 
 def find_points_in_grasp_region(points: AnyArray, config: ProtocolConfig) -> AnyArray:
-    """Return whether points (..., 3) in a finger's frame (m) are in its grasp region."""
+    """Return a mask (...) of the points (..., 3), in a finger's frame (m), that are in the grasp region of `config`."""
     lower, upper = (make_constant(bound, points) for bound in (config.region_lower, config.region_upper))
     return get_namespace(points).all((points > lower) & (points < upper), axis=-1)
 
@@ -161,7 +156,11 @@ class WorldState(NamedTuple):
         hand_joints: npt.NDArray[np.float32] | None,
         hand_keypoints: npt.NDArray[np.float32] | None,
     ) -> "WorldState":
-        """Return the state of one world: positions and velocities of the robot, poses (m, 7) of m objects, a hand."""
+        """Return the state of one world from the readings of its bodies; see the attributes for shapes and frames.
+
+        `robot_joints` are positions and velocities, `object_poses` (m, 7) those of m objects. `hand_joints` and
+        `hand_keypoints` are None without a human hand.
+        """
         poses = np.zeros((MAX_OBJECTS, 7), dtype=np.float32)
         poses[: len(object_poses)] = object_poses
         return cls(
@@ -175,7 +174,7 @@ class WorldState(NamedTuple):
 
     @classmethod
     def from_zeros(cls, count: int, arrays: ArrayFactory) -> "WorldState":
-        """Return a state of n worlds with zeros."""
+        """Return a state of `count` worlds in which all values are zero, with arrays made by a factory."""
         shapes = ((PANDA_DOF,), (PANDA_DOF,), (7,), (MAX_OBJECTS, 7), (1,), (HAND_DOF,), (N_KEYPOINTS, 3))
         return cls(*(arrays.zeros((count, *shape), "float32") for shape in shapes))
 
@@ -206,7 +205,7 @@ class World(ABC):
 
     @abstractmethod
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start.
+        """Load a scene, and set robot, objects and hand to their start positions.
 
         Args:
             scene: Scene to load.
@@ -216,7 +215,7 @@ class World(ABC):
 
     @abstractmethod
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
 
     @abstractmethod
     def step(self, robot_target: list[float]) -> None:
@@ -233,8 +232,7 @@ class World(ABC):
         """Return the contacts of robot, hand and objects in the last physics step.
 
         Args:
-            released: Whether the human has released the object; contacts with supports are read
-                only then.
+            released: Whether the human has released the object; contacts with supports are read only then.
         """
 
     @abstractmethod
@@ -243,11 +241,11 @@ class World(ABC):
 
     @abstractmethod
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand."""
+        """Return the current state of robot, objects and human hand; see `WorldState`."""
 
     @abstractmethod
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand."""
+        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
 
     @abstractmethod
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
@@ -255,10 +253,10 @@ class World(ABC):
 
     @abstractmethod
     def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
 
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot, hand and objects."""
+        """Return the current joint positions of robot, human hand and objects; see `JointSnapshot`."""
         return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
@@ -313,13 +311,13 @@ class RolloutWorld(World):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for some steps, or to their ends. Results do not depend on the other worlds.
+        """Simulate n worlds together for some steps, or to their ends; results do not depend on the other worlds.
 
         Args:
             worlds: Worlds of running episodes in one engine, with the reference motions of these steps set.
             robot_targets: Nine joint targets of each Panda (rad, m), float32 values.
             steps: Number of physics steps, at most the rows left in each reference motion.
-            judge: Function that applies the rules.
+            judge: Function that applies the rules of release and end to the contacts of some of the worlds.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:

@@ -13,11 +13,14 @@ from handover_marl.simulation.world import Contacts, JudgeFunction, RolloutWorld
 
 
 class Worlds(ABC):
-    """Interface of n worlds of one engine. The argument `rows` (r,) of methods has the numbers of the worlds."""
+    """Interface of n worlds of one engine that are simulated together.
+
+    The argument `rows` (r,) of methods has the indices of r of the worlds; other arrays have one row for each of them.
+    """
 
     @abstractmethod
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start; see `World.reset`."""
+        """Load a scene into world `row` and set robot, objects and hand to their start positions; see `World.reset`."""
 
     @abstractmethod
     def rollout(
@@ -28,13 +31,13 @@ class Worlds(ABC):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate worlds for the steps of their reference motion, or to their ends.
+        """Simulate r worlds for all steps of a reference motion, or to their ends.
 
         Args:
-            rows: Numbers (r,) of worlds of running episodes.
-            reference: Joint targets of hands and objects in k steps.
+            rows: Indices (r,) of worlds of running episodes.
+            reference: Joint targets of hands and objects of these worlds in k steps.
             robot_targets: Joint targets (r, 9) of the Pandas (rad, m).
-            judge: Function that applies the rules of release and end to some of the r worlds.
+            judge: Function that applies the rules of release and end to the contacts of some of the r worlds.
             rules: Bounds of the grasp region of the fingers.
 
         Returns:
@@ -46,19 +49,19 @@ class Worlds(ABC):
 
     @abstractmethod
     def release_targets(self, rows: AnyIndices) -> None:
-        """Release the target objects from the hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
 
     @abstractmethod
     def read_state(self, rows: AnyIndices) -> WorldState:
-        """Return the state of r worlds."""
+        """Return the states (r, ...) of the worlds `rows` (r,)."""
 
     @abstractmethod
     def are_grasped(self, rows: AnyIndices, rules: ProtocolConfig) -> AnyArray:
-        """Return whether both fingers touched the target object in the last physics step, (r,)."""
+        """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
 
     @abstractmethod
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last physics step; see `World.read_contacts`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -77,7 +80,7 @@ class HostWorlds(Worlds):
         self._n_objects = [0] * len(worlds)
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start; see `World.reset`."""
+        """Load a scene into world `row` and set robot, objects and hand to their start positions; see `World.reset`."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 
@@ -89,30 +92,30 @@ class HostWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate worlds for the steps of their reference motion, or to their ends; see `Worlds.rollout`."""
+        """Simulate r worlds for all steps of a reference motion, or to their ends; see `Worlds.rollout`."""
         worlds = [self._worlds[row] for row in rows.tolist()]
         for number, row in enumerate(rows.tolist()):
             worlds[number].set_reference(reference.select(number, self._n_objects[row]))
         return type(worlds[0]).rollout(worlds, robot_targets.tolist(), reference.hand.shape[1], judge, rules)
 
     def release_targets(self, rows: Indices) -> None:
-        """Release the target objects from the hands, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
         for row in rows.tolist():
             self._worlds[row].release_target()
 
     def read_state(self, rows: Indices) -> WorldState:
-        """Return the state of r worlds."""
+        """Return the states (r, ...) of the worlds `rows` (r,)."""
         states = [self._worlds[row].read_state() for row in rows.tolist()]
         return WorldState(*map(np.stack, zip(*states, strict=True)))
 
     def are_grasped(self, rows: Indices, rules: ProtocolConfig) -> AnyArray:
-        """Return whether both fingers touched the target object in the last physics step, (r,)."""
+        """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
         return np.array(
             [self._worlds[row].read_contacts(False).both_fingers_touch for row in rows.tolist()], dtype=bool
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last physics step; see `World.read_contacts`."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

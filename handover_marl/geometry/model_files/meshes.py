@@ -54,7 +54,7 @@ def select_extreme_points(points: Array, limit: int) -> Array:
 
 
 def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
-    """Compute the convex hull of points (n, 3): its vertices (v, 3) and outward triangles (f, 3).
+    """Compute the convex hull of points (n, 3): its vertices (v, 3), and vertex numbers (f, 3) of outward triangles.
 
     Raises:
         scipy.spatial.QhullError: All points are in one plane.
@@ -70,10 +70,10 @@ def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
 
 
 def decompose_convex(vertices: Array, faces: Faces, concavity: float = 0.05) -> list[Array]:
-    """Return the corners (n, 3) of the convex parts of a mesh by CoACD (Wei et al., SIGGRAPH 2022).
+    """Return the corners (n, 3) in m of each convex part of a mesh, by CoACD (Wei et al., SIGGRAPH 2022).
 
     Needs CoACD (extra `import`). A part has at most 64 corners, as in HandoverSim's files; CoACD's own reduction of
-    corners cuts off millimetres. The largest concavity of a part is 0.01 (many parts) to 1; the default is CoACD's.
+    corners cuts off millimetres. `concavity`, the largest of a part, is 0.01 (many parts) to 1; the default is CoACD's.
     """
     import coacd  # type: ignore[import-untyped]
 
@@ -114,7 +114,7 @@ def _check_collision_meshes(urdf: Path, mtimes: tuple[int, ...]) -> None:
 
 
 def check_model(urdf: Path, n_joints: int) -> None:
-    """Check all that simulations read of a URDF model: a number of moving joints, links, shapes and meshes.
+    """Check all that simulations read of a URDF model: links, shapes, meshes, and that it has `n_joints` moving joints.
 
     Raises:
         DataFormatError, SimulationError: A file cannot be read or is damaged.
@@ -135,7 +135,7 @@ def list_mesh_files(urdf: Path, purpose: str) -> list[Path]:
 
 
 def read_link_vertices(urdf: Path, purpose: str, names: list[str]) -> list[Array]:
-    """Read the vertices (m, 3) of the "collision" or "visual" meshes of some links, each in its link's frame (m).
+    """Read the vertices (m, 3) of the "collision" or "visual" shapes of each named link, in the frame of that link (m).
 
     Raises:
         DataFormatError: A link has no shape, or a file cannot be read.
@@ -167,7 +167,7 @@ def read_collision_mesh(urdf: Path) -> tuple[Array, Faces]:
 
 
 def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> list[VisualMesh]:
-    """Read the visual meshes of a URDF model, one for every link with visual shapes, without some links.
+    """Read the visual meshes of a URDF model, one for every link with visual shapes but the links named in `without`.
 
     Raises:
         SimulationError: A shape cannot be read from the model.
@@ -181,7 +181,7 @@ def read_visual_meshes(urdf: Path, tree: KinematicTree, without: Collection[str]
 
 
 def group_visual_shapes(urdf: Path, tree: KinematicTree, without: Collection[str] = ()) -> dict[int, list[UrdfShape]]:
-    """Return the visual shapes of a URDF model by link number; see `read_visual_meshes`.
+    """Return the visual shapes of a URDF model by link number, except for the links named in `without`.
 
     Raises:
         SimulationError: A shape cannot be read from the model.
@@ -204,7 +204,7 @@ def concatenate_meshes(parts: Sequence[tuple[Array, Faces]]) -> tuple[Array, Fac
 
 
 def read_shape_mesh(shape: UrdfShape, urdf: Path) -> tuple[Array, Faces]:
-    """Read a URDF shape as a mesh: vertices (v, 3) in the link's frame (m) and faces (f, 3).
+    """Read a shape of a URDF file as a mesh: vertices (v, 3) in the link's frame (m) and faces (f, 3).
 
     Raises:
         DataFormatError: The mesh file cannot be read.

@@ -58,7 +58,7 @@ def read_obj(path: Path) -> ObjMesh:
 
 
 def split_obj_lines(content: bytes) -> Iterator[list[str]]:
-    """Return the words of the lines of an OBJ file that are neither empty nor comments; a backslash joins lines."""
+    """Return the words of each line of an OBJ file that is neither empty nor a comment; a backslash joins lines."""
     text = content.decode("utf-8-sig", errors="replace")
     if "\\" in text:
         text = _CONTINUATION.sub(" ", text)
@@ -96,9 +96,10 @@ def _parse_obj(path: Path, lines: Iterator[list[str]]) -> ObjMesh:
 
 
 def split_polygon(words: Sequence[str], part: int, count: int) -> list[tuple[int, int, int]]:
-    """Return the triangles of a face: numbers of vertices (part 0 of the words) or texture coordinates (part 1).
+    """Split a face into triangles of numbers, counted from 0, of vertices (part 0) or texture coordinates (part 1).
 
-    They count from 1, or backwards from the last of the `count` before the face; a missing number is -1.
+    `words` are the corners in the file, e.g. "7/3", whose numbers count from 1, or backwards from the last of the
+    `count` before the face. A missing number becomes -1.
     """
     numbers = [int((word.split("/")[part : part + 1] or [""])[0] or 0) for word in words]
     first, *others = [n - 1 if n > 0 else count + n if n < 0 else -1 for n in numbers]
@@ -106,14 +107,14 @@ def split_polygon(words: Sequence[str], part: int, count: int) -> list[tuple[int
 
 
 def format_obj(vertices: Array, faces: Faces, first: int = 1) -> str:
-    """Return a mesh as OBJ text with 6 decimals, as in HandoverSim's files; vertices count from `first`."""
+    """Return a mesh as OBJ text with 6 decimals, as in HandoverSim's files; the text numbers vertices from `first`."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (faces + first).tolist()]
     return "".join(lines)
 
 
 def format_convex_parts(parts: Iterable[tuple[Array, Faces]]) -> str:
-    """Return convex meshes (vertices and faces) as the objects of one OBJ file; PyBullet makes a hull of each."""
+    """Return the OBJ text of convex meshes (vertices, faces), one object each; PyBullet makes a hull of each object."""
     texts, first = [], 1
     for number, (vertices, faces) in enumerate(parts):
         texts.append(f"o convex_{number}\n{format_obj(vertices, faces, first)}")

@@ -42,7 +42,7 @@ class Surface:
     texels: Texture
 
     def sample(self, faces: npt.NDArray[np.integer], weights: Array) -> Texture:
-        """Return the colours (n, 3) of points of n triangles with weights (n, 2) of their second and third corners."""
+        """Return the colours (n, 3) of a point on each triangle `faces` (n,), by the weights (n, 2) of corners 2, 3."""
         first, *size = self.textures[faces].T
         corners = self.corners[faces]
         place = corners[:, 0] + np.einsum("nk,nkj->nj", weights, corners[:, 1:] - corners[:, :1])
@@ -126,7 +126,7 @@ def _load_first_texture(folder: Path, lines: list[list[str]]) -> Texture | None:
 
 
 def _read_texture_names(path: Path) -> dict[str, str]:
-    """Return the file names of the textures in a material file, by material."""
+    """Return the file names of the textures in a material file, by material name."""
     names, material = {}, ""
     for words in map(str.split, read_plain_file(path, _MAX_MATERIAL_BYTES).decode(errors="replace").splitlines()):
         if words[:1] == ["newmtl"]:

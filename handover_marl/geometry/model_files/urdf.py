@@ -215,7 +215,7 @@ def _read_color(material: ET.Element) -> Color | None:
 
 
 def render_urdf(package: str, template: str, **content: Any) -> str:
-    """Render a Jinja template in the folder `templates/` of a package to the text of a URDF."""
+    """Render a Jinja template, a file in `templates/` of a package, to the text of a URDF, with variables `content`."""
     # Imported here: simulations read URDF files, but write none.
     from jinja2 import Environment, PackageLoader, StrictUndefined
 

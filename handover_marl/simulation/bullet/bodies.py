@@ -51,10 +51,9 @@ def reset_base(client: BulletClient, body_id: int, world_from_base: npt.ArrayLik
 class ArticulatedBody:
     """PyBullet body from a URDF file, with a fixed base and a position motor in each moving joint.
 
-    The order of loading is HandoverSim's: base pose, joint states, collision masks, contact
-    parameters. A change of masks adds a body to the broad phase with its current bounding box;
-    another order would shift the step at which colliding pairs are found, and with it all later
-    states by 1e-7.
+    The order of loading is HandoverSim's: base pose, joint states, collision masks, contact parameters. A change of
+    masks adds a body to the broad phase with its current bounding box; another order would shift the step at which
+    colliding pairs are found, which changes all later states by 1e-7 (m, rad).
 
     Args:
         client: Physics client.
@@ -73,8 +72,7 @@ class ArticulatedBody:
         joints: PyBullet joint numbers of the moving joints.
 
     Raises:
-        SimulationError: The model cannot be loaded, or does not have one moving joint for each
-            motor.
+        SimulationError: The model cannot be loaded, or does not have one moving joint for each motor.
     """
 
     def __init__(
@@ -125,9 +123,9 @@ class ArticulatedBody:
             self.client.resetJointState(self.id, joint, position, velocity)
 
     def reset_joints_at_rest(self, positions: Sequence[float]) -> None:
-        """Set positions (m, rad) of the moving joints, at rest, to measure distances.
+        """Set positions (m, rad) of the moving joints, at rest; faster than `reset_joints`.
 
-        Later simulated states differ in the last bits from those after `reset_joints`.
+        Later simulated states differ in the last bits from those after `reset_joints`, so it is for distances only.
         """
         self.client.resetJointStatesMultiDof(self.id, self.joints, [[position] for position in positions])
 
@@ -168,7 +166,7 @@ class ArticulatedBody:
         )
 
     def read_link_poses(self, links: Sequence[int]) -> npt.NDArray[np.float32]:
-        """Return the world poses (n, 7) of the URDF frames of n links by number, float32."""
+        """Return the world poses (n, 7), quaternions xyzw, of the URDF frames of n links by number, float32."""
         states = self.client.getLinkStates(self.id, links, computeForwardKinematics=1)
         return np.array([state[4] + state[5] for state in states], dtype=np.float32)
 
@@ -328,7 +326,7 @@ class PandaBody(ArticulatedBody):
         self.set_collision_mask(0)
 
     def reset_to_start(self, joints: Sequence[float]) -> None:
-        """Set the robot to nine joint positions (rad, m), at rest and without cached contacts."""
+        """Set the robot to nine joint positions (rad, m), at rest, with collisions and without cached contacts."""
         self._target = None
         self.reset_joints(to_float32_list(joints))
         # A change of masks removes all contact pairs with their cached impulses, which would otherwise change the last
@@ -350,9 +348,9 @@ class Workcell:
 
 
 def load_workcell(client: BulletClient, assets: SceneAssets, config: PhysicsConfig) -> Workcell:
-    """Clear a physics client and load ground, table and Panda.
+    """Clear a physics client and load ground, table and Panda, at the positions in `config`.
 
-    Bullet is deterministic for equal sequences of calls only, so the order is fixed.
+    Bullet is deterministic for equal sequences of calls only, so the order of loading is fixed.
     """
     client.resetSimulation()
     client.setGravity(0.0, 0.0, config.gravity)

@@ -75,7 +75,8 @@ def _use_decimal_point() -> Iterator[None]:
 class BulletClient:
     """PyBullet's functions and constants, bound to one physics server.
 
-    The client disconnects when it is garbage collected. It must not be copied: both copies would close the server.
+    `mode` is PyBullet's DIRECT, or GUI for a window; a SimulationError says why the server did not start. The client
+    disconnects when it is garbage collected. It must not be copied: both copies would close the server.
     """
 
     _server = -1

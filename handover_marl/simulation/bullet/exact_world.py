@@ -38,7 +38,7 @@ class ExactWorld(BulletWorld):
         self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
+        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
         with self._start_scene(scene):
             panda = replace(self._config.panda, start_joints=tuple(robot_joints))
             self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
@@ -51,7 +51,7 @@ class ExactWorld(BulletWorld):
             self._update_hand(start.list_hand_targets()[0])
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
         self._reference = iter(zip(motion.objects.tolist(), motion.list_hand_targets(), strict=True))
 
     def step(self, robot_target: list[float]) -> None:
@@ -71,17 +71,17 @@ class ExactWorld(BulletWorld):
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of the last step.
 
-        Contacts of the target object with table and other objects are read only if `released`.
+        Contacts of the target object with table and other objects are read only after its release (`released`).
         """
         hand = () if self._hand is None else (self._hand.id,)
         return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
         return np.stack([body.read_joint_positions() for body in self._objects])
 
     def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
-        """Render an image of the wrist camera, at the current or an earlier state of the scene."""
+        """Render an image of the wrist camera for a snapshot, None for the current state; `color` adds colours."""
         if snapshot is not None:
             return super().render_wrist_camera(snapshot, color)
         return render_wrist_camera(self._client, self._loaded_workcell, self._objects, self._hand, color)

@@ -53,7 +53,7 @@ class FastWorld(BulletWorld):
         self._free_until, self._free_target = 0, list[float]()
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start, see `World.reset`."""
+        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
         assets = scene.assets
         files = (assets.table, assets.panda)
         with self._start_scene(scene):
@@ -85,7 +85,7 @@ class FastWorld(BulletWorld):
             panda.reset_to_start(robot_joints)
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
         self._row, self._n_rows, self._free_until = -1, len(motion.hand), 0
         asleep = []
         for number, item in enumerate(self._objects):
@@ -111,7 +111,7 @@ class FastWorld(BulletWorld):
     def read_contacts(self, released: bool) -> Contacts:
         """Return the contacts of the last step.
 
-        Contacts of the target object with table and other objects are read only if `released`.
+        Contacts of the target object with table and other objects are read only after its release (`released`).
         """
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
@@ -120,15 +120,14 @@ class FastWorld(BulletWorld):
         return self._read_contacts(hand, target, awake, released)
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
         return np.stack([item.read_joints(self._row) for item in self._objects])
 
     def _reset_broad_phase(self, panda: PandaBody) -> None:
         """Reset Bullet's broad phase to the state of a new client, independent of earlier episodes.
 
-        The broad phase removes old pairs a few at a time, and sorts resting bodies in alternating steps; both states
-        would change the last bits of later steps. Without pairs and after an even number of steps
-        they are as in a new client.
+        The broad phase removes old pairs a few at a time, and sorts resting bodies in alternating steps; both would
+        change the last bits of later steps. Without pairs, after an even number of steps, it is as in a new client.
         """
         panda.park()
         for _ in range(2 + self._n_steps % 2):
@@ -136,7 +135,7 @@ class FastWorld(BulletWorld):
         self._n_steps = 0
 
     def _wake_reachable_bodies(self, robot_target: list[float]) -> None:
-        """Wake the bodies that the Panda may reach soon; count the contact-free steps of the others."""
+        """Wake the sleeping bodies that the Panda may reach soon; count the steps before it can reach the others."""
         row, panda = self._row, self._loaded_workcell.panda
         self._free_target, self._free_until = robot_target, self._n_rows
         bodies: list[KinematicHand | SleepableObject] = [self._loaded_hand, *self._objects]

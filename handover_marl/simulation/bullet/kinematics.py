@@ -53,12 +53,12 @@ class BulletIKStep:
         self._base_from_world = self._client.invertTransform(*self._base)
 
     def solve_step(self, joints: npt.ArrayLike, position: npt.ArrayLike, orientation: Array | None = None) -> Array:
-        """Return joint positions that move the hand link to a world pose, or nearer to it.
+        """Return joint positions that move the hand link to a world pose, or nearer to that pose.
 
         Args:
             joints: Nine joint positions to start from (rad, m), preferably unrounded.
             position: (3,) world position of the hand link (m).
-            orientation: (4,) world orientation; None leaves it free.
+            orientation: (4,) world orientation, quaternion xyzw; None leaves it free.
 
         Returns:
             (9,) joint positions (rad, m); finger positions are meaningless.
@@ -111,7 +111,7 @@ class BulletIKSolver(IkSolver):
         Args:
             starts: (n, 9) joint positions to start from (rad, m); finger positions are ignored.
             positions: (n, 3) world positions of the hand link (m).
-            orientations: (n, 4) world orientations; None leaves them free.
+            orientations: (n, 4) world orientations, quaternions xyzw; None leaves them free.
         """
         found, targets = np.full((len(starts), ARM_DOF), np.nan), positions.astype(np.float64)
         # The iteration would not converge either, but take minutes for an object that stays out of reach.
@@ -165,7 +165,7 @@ class BulletDistanceQuery(DistanceQuery):
         return read_bounding_spheres(urdf)
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance between robot and human hand (m); see `DistanceQuery`."""
+        """Measure the smallest distance between robot and human hand (m); see `DistanceQuery.measure`."""
         self._panda.reset_joints_at_rest(robot)
         if hand_urdf not in self._hands:
             self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, _HAND_CONFIG)

@@ -114,7 +114,7 @@ class SceneRenderer:
         self._hand: HandBody | None = None
 
     def render_overview(self, snapshot: JointSnapshot, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render an RGB image (height, width, 3) of the scene at given joint positions."""
+        """Render an overview camera's RGB image (height, width, 3), uint8, of the scene at given joint positions."""
         self.set_joints(snapshot)
         view = self._client.computeViewMatrix(camera.position, camera.target, (0.0, 0.0, 1.0))
         projection = self._client.computeProjectionMatrixFOV(
@@ -140,7 +140,7 @@ class SceneRenderer:
         return render_wrist_camera(self._client, self._workcell, self._objects, self._hand, color)
 
     def set_joints(self, snapshot: JointSnapshot) -> None:
-        """Set the joint positions of all bodies."""
+        """Set all bodies to the joint positions of a snapshot; remove the human hand if the snapshot has none."""
         self._workcell.panda.reset_joints(snapshot.robot.tolist())
         for body, dof in zip(self._objects, snapshot.objects.tolist(), strict=True):
             body.reset_joints(dof)

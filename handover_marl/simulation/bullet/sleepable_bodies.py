@@ -71,7 +71,7 @@ class SleepableObject(BodyTrajectory):
         client: Physics client.
         urdf: Model file.
         mask: Collision group and mask before the release, see `compute_object_masks`.
-        start: (6,) initial joint positions: xyz (m) and Euler angles (rad).
+        start: (6,) initial joint positions: xyz (m) and intrinsic XYZ Euler angles (rad).
         config: Motors of the six joints.
 
     Attributes:
@@ -140,7 +140,7 @@ def create_collision_shape(client: BulletClient, shape: UrdfShape) -> int:
 
 
 class KinematicHand(BodyTrajectory):
-    """Kinematic human hand, whose collision shapes are loaded once for many scenes.
+    """Human hand that follows its reference kinematically; its collision shapes are loaded once for many scenes.
 
     An awake hand has one static body in the PyBullet simulation for each collision shape.
 
@@ -172,7 +172,7 @@ class KinematicHand(BodyTrajectory):
         super().__init__(list_hand_motors(config), None)
 
     def reset(self, start: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand to its start (51,) in a scene, asleep; None for a hand that is absent at first."""
+        """Set the hand to its joints (51,) (m, rad) at the start of a scene, asleep; None if it is absent at first."""
         super().reset(start)
         self.remove()
         self.is_awake = False
@@ -182,7 +182,7 @@ class KinematicHand(BodyTrajectory):
         self.is_awake = True
 
     def move_bodies(self, row: int) -> None:
-        """Move the hand's bodies to their poses after step `row`, before that step is simulated."""
+        """Move the hand's PyBullet bodies to their poses after step `row`; call it before that step is simulated."""
         if not self.is_awake:
             return
         if not self.is_present_after(row):

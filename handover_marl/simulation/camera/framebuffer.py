@@ -97,7 +97,7 @@ class Framebuffer:
         return np.concatenate(drawn)
 
     def remove_occluded_by(self, body: RayBody, joints: Array, pixels: Pixels) -> Pixels:
-        """Clear the pixels that a body at joint positions (d,) occludes, and return the numbers of the others."""
+        """Clear those of the given pixels that a body at joint positions (d,) occludes; return the other pixels."""
         rotations, origins = self._compute_mesh_frames(body, joints)
         columns, rows, _ = _bound_boxes(body, rotations, origins)
         for link, frame in enumerate(zip(rotations, origins, strict=True)):
@@ -111,7 +111,7 @@ class Framebuffer:
         return pixels
 
     def remove_below_ground(self, pixels: Pixels) -> Pixels:
-        """Clear the pixels with points below the ground plane z = 0; return the others."""
+        """Clear those of the given pixels whose points are below the ground, world z = 0; return the other pixels."""
         heights = self._position[2] + self._depth[pixels] * (_RAYS[pixels] @ self._rotation[2])
         is_below = heights < 0.0
         self._clear(pixels[is_below])
@@ -133,9 +133,9 @@ class Framebuffer:
     def _is_box_hit(
         self, pixels: Pixels, frame: tuple[Array, Array], lowest: Array, highest: Array
     ) -> npt.NDArray[np.bool_]:
-        """Return for n pixels whether their rays hit a box nearer than the point drawn so far.
+        """Return a mask (n,) of the pixels (n,) whose rays hit a box nearer than the point drawn so far.
 
-        The box is given in a link's frame.
+        `lowest` and `highest` (3,) are the box's corners in the frame of a link, which `frame` has in the camera's.
         """
         rotation, origin = frame
         start, directions = -(origin @ rotation), _RAYS[pixels] @ rotation
@@ -149,7 +149,7 @@ class Framebuffer:
         return is_hit
 
     def _draw_link(self, body: RayBody, link: int, frame: tuple[Array, Array], pixels: Pixels) -> Pixels:
-        """Draw a link where it is nearest to the camera, and return the changed pixels."""
+        """Draw a link on those of the given pixels where it is nearest to the camera; return the changed pixels."""
         if not len(pixels):
             return _NO_PIXELS
         mesh, (rotation, origin) = body.meshes[link], frame
@@ -188,7 +188,7 @@ def _bound_boxes(
 
 
 def _shade(colors: npt.NDArray[np.integer], normals: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    """Return colours (n, 3) in the light that falls on faces with normals (n, 3) or (3,) in the world."""
+    """Return RGB colours (n, 3), uint8, in the light that falls on faces with normals (n, 3) or (3,) in the world."""
     unit = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     cosine = unit @ np.array(LIGHT)
     height = 2.0 * cosine * unit[..., 2] - LIGHT[2]

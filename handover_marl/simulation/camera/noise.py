@@ -22,12 +22,10 @@ class CameraNoise(CheckedConfig):
             for Intel RealSense depth camera D400 series" (Intel). A D435 with images 848 pixels wide has a focal length
             of 450 pixels and a baseline of 0.05 m; an assumed subpixel error of 0.08 gives 0.0036 m.
         edge_threshold: Depth difference of neighbouring pixels that counts as an edge (m).
-        edge_dropout: Share of the pixels beside depth edges that lose their depth, because only one
-            of a stereo camera's two imagers sees the surface there. The share depends on the scene;
-            0.5 is an assumption.
+        edge_dropout: Share of the pixels beside depth edges that lose their depth, because only one of a stereo
+            camera's two imagers sees the surface there. The share depends on the scene; 0.5 is an assumption.
         latency: Age of an image when it arrives (s); the assumed 0.05 s are 1.5 frames at 30 Hz.
-        pixel_stride: Step between the rows and columns that have depth: 2 simulates a camera of
-            112 x 112 pixels.
+        pixel_stride: Step between the rows and columns that have depth: 2 simulates a camera of 112 x 112 pixels.
 
     Raises:
         OptionError: A value is out of range.
@@ -45,7 +43,7 @@ CAMERA_NOISE_MODELS = {"realsense": CameraNoise()}
 
 
 def resolve_camera_noise(camera_noise: str | CameraNoise | None) -> CameraNoise | None:
-    """Return the camera noise of a name; a `CameraNoise` or None (no noise) is returned unchanged.
+    """Return the camera noise with a name, e.g. "realsense"; a `CameraNoise` or None (no noise) is returned unchanged.
 
     Raises:
         UnknownNameError: There is no noise model of that name.
@@ -87,9 +85,9 @@ def apply_camera_noise(image: CameraImage, noise: CameraNoise, rng: np.random.Ge
 
 
 def _find_edges(depth: npt.NDArray[np.float32], threshold: float) -> npt.NDArray[np.bool_]:
-    """Return a mask of the pixels at depth edges.
+    """Return a mask, of the image's shape, of the pixels at depth edges.
 
-    The depth differs from that of one of four neighbours by more than a threshold (m).
+    There the depth differs from that of one of the four neighbours by more than a threshold (m).
     """
     cross = generate_binary_structure(2, 1)
     highest, lowest = maximum_filter(depth, footprint=cross), minimum_filter(depth, footprint=cross)

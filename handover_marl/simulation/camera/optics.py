@@ -109,7 +109,7 @@ def compute_points(pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOV
 
 
 def depth_from_buffer(buffer: Array) -> Array:
-    """Convert an OpenGL depth buffer to depth along the viewing axis (m).
+    """Convert an OpenGL depth buffer to depth along the viewing axis (m), and buffer values of 1 to 0.
 
     The float32 operations are HandoverSim's.
     """

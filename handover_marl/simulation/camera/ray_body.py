@@ -121,16 +121,16 @@ class RayBody:
 
     @functools.cached_property
     def surfaces(self) -> list[Surface]:
-        """Colours of the meshes, which are read when an image with colours is rendered first."""
+        """Colours of `meshes`, in the same order; read when an image with colours is rendered for the first time."""
         return read_surfaces(self._urdf, self._tree, self._without)
 
     def compute_mesh_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (n, 3, 3) and origins (n, 3) of the links with meshes at joint positions (d,)."""
+        """Return world rotations (n, 3, 3) and origins (n, 3) in m of the links with meshes at joint positions (d,)."""
         rotations, origins = self.compute_link_frames(joints)
         return rotations[self._links], origins[self._links]
 
     def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links and the base at joints (d,)."""
+        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links, then the base, at joints (d,) (m)."""
         # Table, resting objects and hand often have the same joints in two successive images.
         if self._last_frames is None or not np.array_equal(joints, self._last_frames[0]):
             origins, rotations = self._tree.compute_link_frames(joints[None])

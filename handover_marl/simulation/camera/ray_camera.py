@@ -56,7 +56,7 @@ class RayCamera:
         return buffer.to_image()
 
     def render_targets(self, snapshot: JointSnapshot, with_others: bool = False) -> CameraImage:
-        """Render the visible pixels of target object and human hand; all others are background.
+        """Render the visible pixels of target object and human hand; all other pixels are background.
 
         Args:
             snapshot: Joint positions of all bodies.

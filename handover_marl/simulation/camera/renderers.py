@@ -11,7 +11,7 @@ _RAY_MODULES = ("embreex", "trimesh")
 
 
 def resolve_renderer(name: str, physics: str) -> str:
-    """Return the renderer of the wrist camera for an option, "bullet" or "rays", whose packages are installed.
+    """Return the wrist camera's renderer of a name, "bullet" or "rays", after a check that it is installed.
 
     Args:
         name: Name of the renderer or "auto", one of `RENDERERS`.

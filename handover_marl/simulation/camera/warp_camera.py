@@ -42,7 +42,7 @@ DeviceMesh = tuple[int, int]
 class MeshBank:
     """Visual meshes on Warp's current device; a model whose files have not changed is copied once.
 
-    Mesh 0 is none: its identifier is 0.
+    Mesh 0 stands for no mesh: its identifier is 0.
 
     Args:
         arrays: Creator of tensors on the device.
@@ -71,7 +71,7 @@ class MeshBank:
     def add_model(
         self, urdf: Path, base: tuple[float, ...] = tuple(IDENTITY.tolist()), without: tuple[str, ...] = ()
     ) -> list[DeviceMesh]:
-        """Copy the meshes of a model to the device, unless they are there, and return them.
+        """Copy the meshes of a model to the device, unless they are there, and return their numbers and links.
 
         Args:
             urdf: Model file.
@@ -151,7 +151,7 @@ class ImageBatch(NamedTuple):
 class WarpCamera:
     """Wrist cameras of n worlds with visual meshes of their own.
 
-    The argument `rows` (r,) of methods has the numbers of the worlds to which a method applies.
+    The argument `rows` (r,) of methods has the numbers of r of the worlds; other arrays have one row for each of them.
 
     Args:
         config: Poses of robot and table.
@@ -226,7 +226,7 @@ class WarpCamera:
         return self._render(rows, states, tuple(SegmentationLabel), color)
 
     def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
-        """Render the visible pixels of target objects and human hands; all others are background.
+        """Render the visible pixels of target objects and human hands; all other pixels are background.
 
         Args:
             rows: Numbers (r,) of the worlds.
@@ -329,7 +329,7 @@ class WarpCamera:
         return warp.from_torch(own.contiguous(), dtype)
 
     def _compute_frames(self, rows: AnyArray, states: WorldState) -> tuple[AnyArray, AnyArray]:
-        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of all frames that mesh slots refer to."""
+        """Return world origins (r, f, 3) and rotations (r, f, 3, 3) of the f frames that mesh slots refer to."""
         xp = self._arrays.xp
         origins, rotations = self._robots.compute_link_frames(
             self._robot[rows], widen(states.robot_joint_position)[:, None]

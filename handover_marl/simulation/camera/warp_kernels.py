@@ -34,7 +34,7 @@ _BACKGROUND = warp.constant(int(SegmentationLabel.BACKGROUND))
 
 @warp.func
 def compute_ray(pixel: int) -> warp.vec3:
-    """Return the direction of a pixel's ray, with z = 1."""
+    """Return the direction of the ray of a pixel, by number, in the camera's frame, with z = 1."""
     column, row = pixel % _IMAGE_SIZE, pixel // _IMAGE_SIZE
     right = float(column) + _OFFSET_RIGHT - _HALF_SIZE
     down = float(row) + _OFFSET_DOWN - _HALF_SIZE
@@ -43,7 +43,7 @@ def compute_ray(pixel: int) -> warp.vec3:
 
 @warp.func
 def is_near_sphere(ray: warp.vec3, sphere: warp.vec4, far: float) -> bool:
-    """Return whether a ray from the near plane to depth `far` may hit a sphere, given by center and radius."""
+    """Return whether a ray from the near plane to depth `far` (m) may hit a sphere, given by center and radius (m)."""
     center, radius = warp.vec3(sphere[0], sphere[1], sphere[2]), sphere[3]
     if center[2] + radius < _NEAR or center[2] - radius > far:
         return False
@@ -69,7 +69,10 @@ class FaceHit:
 
 @warp.func
 def cast_ray(mesh: warp.uint64, rotation: warp.mat33, origin: warp.vec3, ray: warp.vec3, far: float) -> FaceHit:
-    """Return the first front face of a mesh, posed in the camera's frame, that a ray hits before depth `far`."""
+    """Return the first front face of a mesh that a ray from the camera hits before depth `far` (m), -1 if none.
+
+    `rotation` and `origin` are the pose of the mesh in the camera's frame, in which `ray` is a direction with z = 1.
+    """
     mesh_from_camera = warp.transpose(rotation)
     start, direction = -(mesh_from_camera * origin), mesh_from_camera * ray
     hit = FaceHit()
@@ -113,7 +116,7 @@ def sample_texture(
 
 @warp.func
 def shade(color: warp.vec3, normal: warp.vec3) -> warp.vec3:
-    """Return a colour in the light that falls on a face with a unit normal in the world."""
+    """Return a colour, 0 to 255, in the light that falls on a face with a unit normal in the world."""
     cosine = warp.dot(normal, _LIGHT)
     height = warp.max(2.0 * cosine * normal[2] - _LIGHT[2], 0.0)
     return (_AMBIENT + _DIFFUSE * warp.max(cosine, 0.0) + _SPECULAR * height * height) * color

@@ -1,8 +1,7 @@
 """Contact sensors of MuJoCo models, and conversion of their data to contacts.
 
-The length of MuJoCo's list of contacts changes from step to step and differs between worlds. Sensors
-inside the engine collect the data that the rules need in arrays of fixed shape. The data of one world
-and of many worlds are therefore read in the same way.
+The length of MuJoCo's list of contacts changes from step to step and differs between worlds. Sensors inside the engine
+collect the data that the rules need in arrays of fixed shape. One world and many are therefore read in the same way.
 """
 
 import copy
@@ -108,7 +107,7 @@ class ContactSensors:
         self._margin, self._height_index = margin, height_index
 
     def move_to(self, arrays: ArrayFactory) -> "ContactSensors":
-        """Return this layout for sensor data in the namespace and on the device of a factory."""
+        """Return a copy of this layout for sensor data in the namespace and on the device of an array factory."""
         moved = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):

@@ -20,7 +20,8 @@ ABSENT = (0.0, 0.0, -10.0)
 def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.NDArray[np.float32]) -> Array:
     """Compute the controls (w, n, c) of w worlds with equally many objects, actuators and mocap bodies in n steps.
 
-    The positions of the hand's bodies are undefined; see `place_hand`.
+    Controls are actuator targets, then mocap positions and mocap quaternions wxyz. The positions of the human hand's
+    bodies are undefined until `place_hand` writes them.
 
     Args:
         worlds: States of the worlds.
@@ -45,7 +46,7 @@ def compute_controls(worlds: Sequence[WorldData], targets: Array, objects: npt.N
 def count_hand_free_steps(
     worlds: Sequence[WorldData], robots: Sequence[RobotOnlySimulation], targets: Array, wrists: Array
 ) -> npt.NDArray[np.int_]:
-    """Return the numbers (w,) of coming steps in which each hand cannot touch its robot.
+    """Return the number (w,) of steps, from the coming one on, in which the hand of each world cannot touch the robot.
 
     Args:
         worlds: States of the worlds.
@@ -69,7 +70,7 @@ def count_hand_free_steps(
 def place_hand(
     hand: BodyTrajectory, row: int, kinematics: HandKinematics, free_steps: int, positions: Array, quaternions: Array
 ) -> int:
-    """Compute the mocap poses of the hand's bodies in the remaining steps of a world.
+    """Write the mocap poses of the human hand's bodies in the n remaining steps of a world to arrays.
 
     The hand is moved far away in steps in which it cannot collide.
 

@@ -13,10 +13,9 @@ from handover_marl.geometry.rotations import euler_from_quaternions
 
 
 def configure_engine() -> None:
-    """Disable MuJoCo's warning output in this process.
+    """Disable MuJoCo's warning output in this process, unless the program handles it.
 
-    MuJoCo writes warnings to the console and to a log in the working folder; `check_warnings` reports them
-    instead.
+    MuJoCo writes warnings to the console and to a log in the working folder; `check_warnings` reports them instead.
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda message: None)
@@ -53,18 +52,17 @@ def wxyz_from_euler(angles: AnyArray) -> AnyArray:
 
 
 def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:
-    """Convert quaternions (..., 4) from wxyz to xyzw, with the sign that Bullet returns."""
+    """Convert quaternions (..., 4) from wxyz to xyzw, with the signs (q or -q) that Bullet would return."""
     xp, xyzw = get_namespace(wxyz), wxyz[..., XYZW]
     w, others = xyzw[..., 3:], xyzw[..., :3]
-    # Bullet reads quaternions off a matrix: w is positive if the trace is, else the largest other
-    # component.
+    # Bullet reads quaternions off a matrix: w is positive if the trace is, else the largest other component.
     place = xp.argmax(xp.abs(others), axis=-1)[..., None]
     largest = xp.take_along_dim(others, place, -1) if is_tensor(others) else np.take_along_axis(others, place, axis=-1)
     return xp.where(xp.where(xp.abs(w) > 0.5, w, largest) < 0.0, -xyzw, xyzw)
 
 
 def chain_joints_from_poses(poses: Array, reference: npt.NDArray[np.floating]) -> Array:
-    """Convert world poses of m objects to joint positions (m, 6): xyz and XYZ Euler angles.
+    """Convert world poses of m objects to joint positions (m, 6): xyz (m) and intrinsic XYZ Euler angles (rad).
 
     Args:
         poses: Object positions (m) and quaternions wxyz, (m, 7).

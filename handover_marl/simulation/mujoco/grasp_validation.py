@@ -93,8 +93,8 @@ class GraspValidator:
 
     Args:
         object_urdf: Model of the object, on HandoverSim's chain of six joints.
-        config: Conditions that a valid grasp must satisfy.
-        panda_urdf: Panda that the hand is taken from.
+        config: Conditions that a valid grasp must satisfy; None for the defaults.
+        panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
 
     Raises:
         SimulationError, DataFormatError: A model or a mesh cannot be read.
@@ -121,10 +121,10 @@ class GraspValidator:
         self._pairs = list(itertools.product(hand.tolist(), np.flatnonzero(model.geom_bodyid == self._body).tolist()))
 
     def is_collision_free(self, object_from_gripper: npt.ArrayLike) -> bool:
-        """Return whether the open hand reaches a grasp pose in a straight line without contact.
+        """Return whether the open Panda hand touches the object at none of the configured distances from a grasp pose.
 
         Args:
-            object_from_gripper: Grasp (4, 4).
+            object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
         """
         grasp = np.asarray(object_from_gripper, dtype=np.float64)
         self._reset(grasp)
@@ -138,7 +138,7 @@ class GraspValidator:
         """Return whether the Panda hand holds the object at a grasp pose while shaking it.
 
         Args:
-            object_from_gripper: Grasp (4, 4).
+            object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
         """
         grasp = np.asarray(object_from_gripper, dtype=np.float64)
         self._reset(grasp)
@@ -161,7 +161,7 @@ class GraspValidator:
         object that only the edge of a finger touches slips away then.
 
         Args:
-            object_from_gripper: Grasp (4, 4).
+            object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
             held_time: Time for which the object is held while the fingers close (s).
             free_time: Time after the release (s).
 
@@ -189,7 +189,7 @@ class GraspValidator:
         self._set_hand_before(grasp, 0.0)
 
     def _set_hand_before(self, grasp: Array, distance: float) -> None:
-        """Set the hand to a grasp pose, or to the pose at a distance (m) back along the approach direction."""
+        """Set the Panda hand to a grasp pose (4, 4), moved back by a distance (m) along the approach direction."""
         self._data.mocap_pos[self._hand] = grasp[:3, 3] - distance * grasp[:3, 2]
         self._data.mocap_quat[self._hand] = wxyz_from_xyzw(quaternion_from_matrix(grasp[:3, :3] @ _GRIPPER_FROM_HAND))
 
@@ -223,12 +223,10 @@ class GraspValidator:
         return all(find_points_in_grasp_region(own, ProtocolConfig()).any() for own in points)
 
     def _read_gripped_pose(self, grasp: Array) -> Array:
-        """Return the pose (7,) of the gripped object point relative to the fingers.
+        """Return the pose (7,) of the object's gripped point relative to the fingers, quaternion xyzw.
 
-        At the start that point is in the middle between the finger pads.
-
-        The finger motors are independent, as in HandoverSim: closed fingers may drift sideways
-        together and take the object along, which is no slip.
+        At the start that point is in the middle between the finger pads. The finger motors are independent, as in
+        HandoverSim: closed fingers may drift sideways together and take the object along, which is no slip.
         """
         free = self._data.qpos[self._free_qpos : self._free_qpos + 7]
         pose = np.concatenate([free[:3], free[3:][XYZW]])

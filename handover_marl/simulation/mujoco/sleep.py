@@ -39,10 +39,8 @@ class RobotTrajectory:
     Attributes:
         joints: Joint positions (n + 1, 9) (rad, m).
         velocities: Joint velocities (n + 1, 9) (rad/s, m/s).
-        warm_start: Joint accelerations (n + 1, 9) with which the constraint solver starts the next
-            step.
-        sphere_centers: Centers (n, b, 3) of the bounding spheres of the robot's links before each
-            step (m).
+        warm_start: Joint accelerations (n + 1, 9) with which the constraint solver starts the next step.
+        sphere_centers: World centers (n, b, 3) of the bounding spheres of the robot's links before each step (m).
     """
 
     joints: Array
@@ -157,7 +155,7 @@ class SleepState:
         self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Start to count rows from the next reference motion, which follows the current one.
+        """Count rows from the start of the next reference motion on, which follows the simulated rows.
 
         Args:
             rows: Number of simulated rows of the current reference motion.
@@ -171,7 +169,7 @@ class SleepState:
         targets: Sequence[list[float]],
         hands: Sequence[BodyTrajectory],
     ) -> None:
-        """Simulate the robots of worlds alone from a step on, and store the first step with a body near each.
+        """Simulate the robots of worlds alone from a step on; store the first step with a body near, for each robot.
 
         A body is near if the spheres around it and around the robot's links may touch.
 
@@ -206,7 +204,7 @@ class SleepState:
         return self._free - (row - self._first)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:
-        """Write the state after step `row`, but for the velocities of the objects, to the arrays of a world."""
+        """Write positions of robot and objects, and velocities of the robot, after step `row` to arrays of a world."""
         scene, done = self._scene, row + 1 - self._first
         qpos[scene.robot_qpos], qvel[scene.robot_qvel] = self._robot.joints[done], self._robot.velocities[done]
         qpos[scene.object_qpos] = self._compute_object_poses(row).ravel()

@@ -94,7 +94,7 @@ class MujocoWorld(RolloutWorld):
         return self._data
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start; see `World.reset`."""
+        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
         model, urdf, simulation = load_scene_model(scene.assets, self._config), scene.assets.hand, self._simulation
         data = simulation.load_scene(model)
         hand_motors, hand_joints = list_hand_motors(self._config.hand), start.hand[0] if start.hand_present[0] else None
@@ -112,7 +112,7 @@ class MujocoWorld(RolloutWorld):
         self._data, self._scene = data, scene
 
     def set_reference(self, motion: ReferenceMotion) -> None:
-        """Set the joint targets of hand and objects for the coming steps, one row per step."""
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
         # Trajectories continue from the end of the last reference.
         track_worlds([self])
         self._set_state()
@@ -203,8 +203,8 @@ class MujocoWorld(RolloutWorld):
         """Simulate several steps of worlds with the same `rollout_key`, at most the `remaining_steps` of any.
 
         Returns:
-            The contacts, and a function `truncate(number, steps)` that sets the world with index `number` back to its
-            state after `steps` of these steps (1 or more).
+            The contacts in these steps, and a function `truncate(number, steps)` that sets the world with index
+            `number` back to its state after `steps` of them (1 or more).
         """
         cls.prepare(worlds, robot_targets)
         first = worlds[0]
@@ -276,7 +276,7 @@ class MujocoWorld(RolloutWorld):
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand."""
+        """Return the current state of robot, objects and human hand; see `WorldState`."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
@@ -295,7 +295,7 @@ class MujocoWorld(RolloutWorld):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand."""
+        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
         robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 
@@ -306,7 +306,7 @@ class MujocoWorld(RolloutWorld):
         return joints
 
     def read_object_joints(self) -> npt.NDArray[np.float32]:
-        """Return the joint positions (n, 6) of n objects: xyz (m), Euler angles (rad), float32."""
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
         self._set_state()
         poses = self.data.qpos[self.data.scene.object_qpos].reshape(-1, 7)
         self._object_joints = chain_joints_from_poses(poses, self._object_joints)
@@ -323,7 +323,7 @@ class MujocoWorld(RolloutWorld):
         self.row, self._is_state_set = row, self.sleep is None
 
     def _set_state(self) -> None:
-        """Write the state of a sleeping world to its data, which is updated only on demand."""
+        """Write the joint state of a sleeping world to `data`, which its steps do not update."""
         if self.sleep is not None and not self._is_state_set:
             self.sleep.write_state(self.row, self.data.qpos, self.data.qvel)
             self._is_state_set = True
@@ -334,7 +334,7 @@ class MujocoWorld(RolloutWorld):
         return self.hand.get_joints(self.row) if self.hand.is_present_after(self.row) else None
 
     def _get_coming_controls(self, steps: int) -> Array:
-        """Return the computed controls (steps, c) of the coming steps."""
+        """Return the part (steps, c) of the computed controls for a number of coming steps."""
         first = self.row + 1 - self.controls_row
         return self.controls[first : first + steps]
 
@@ -344,12 +344,12 @@ class MujocoWorld(RolloutWorld):
 
 
 def _split(numbers: list[int]) -> list[list[int]]:
-    """Split the numbers of worlds into those of single rollouts."""
+    """Split the numbers of worlds into lists of at most 32, the most that one call simulates."""
     return [numbers[first : first + MAX_WORLDS] for first in range(0, len(numbers), MAX_WORLDS)]
 
 
 def track_worlds(worlds: Sequence[MujocoWorld]) -> None:
-    """Compute the trajectories of hands and sleeping objects under new reference motions."""
+    """Compute the trajectories of hands and sleeping objects in the worlds that have a new reference motion."""
     behind = [world for world in worlds if not world.is_tracked]
     hands = [(one.hand, one.reference.hand, one.reference.hand_present) for one in behind]
     objects = [

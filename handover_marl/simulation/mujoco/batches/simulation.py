@@ -29,7 +29,7 @@ _MAX_BATCHES = 64
 
 
 class WorldData:
-    """Model and state of a world during one episode, in the initial state of the model.
+    """Model and state of a world during one episode, which starts in the initial state of the model.
 
     Args:
         scene: Model of the scene.
@@ -65,7 +65,7 @@ class WorldData:
         self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
-        """Return the variant of the scene model for the coming steps.
+        """Return the variant of the scene model for the coming steps, which depends on `released`, too.
 
         Args:
             hand_collides: Whether the hand can collide in these steps.
@@ -86,7 +86,7 @@ class WorldData:
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
 
     def simulate(self, hand_collides: bool, controls: Array, sensordata: Array, step_states: Array) -> None:
-        """Simulate k physics steps from this state, which is not changed; see `set_step`.
+        """Simulate k physics steps and write their results, without changing this state; `set_step` changes it.
 
         Args:
             hand_collides: Whether the hand can collide in these steps.
@@ -106,7 +106,7 @@ class WorldData:
         check_warnings(batch)
 
     def set_step(self, controls: Array, sensordata: Array, step_state: Array) -> None:
-        """Set the state to that after a simulated step.
+        """Set the state to that after a step that `simulate` has simulated.
 
         Args:
             controls: Controls (c,) of the step.
@@ -230,8 +230,7 @@ class BatchSimulation:
         Args:
             worlds: The worlds, which are set to their states after the last step.
             hands_collide: Whether the hand can collide in these steps, for each world.
-            controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap
-                quaternions wxyz.
+            controls: Controls (k, c) of each world: actuator targets, mocap positions, mocap quaternions wxyz.
 
         Raises:
             SimulationError: The engine failed; the states of these worlds are invalid.
@@ -245,14 +244,14 @@ class BatchSimulation:
         return MujocoRollout(stacked, sensordata, step_states)
 
     def get_robot(self, model: RobotOnlyModel) -> RobotOnlySimulation:
-        """Return the simulation of the robot without hand and objects, shared by all worlds."""
+        """Return the simulation of a model of the robot without human hand and objects, shared by all worlds."""
         if model not in self._robots:
             self._robots[model] = RobotOnlySimulation(model)
         return self._robots[model]
 
 
 def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
-    """Return the array sizes of a model that models of one layout share."""
+    """Return the array sizes of a model that are equal in all models that may share a batch."""
     return model.nq, model.nv, model.nu, model.nbody, model.ngeom, model.nbvh, model.nmocap, model.nsensordata
 
 

@@ -53,7 +53,7 @@ class StepControls(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WarpRollout:
-    """Worlds that are advanced together, step by step. Its tensors are updated in place.
+    """Rollout of r worlds that are advanced together, step by step; its tensors are updated in place.
 
     Attributes:
         rows: Numbers (r,) of the worlds.
@@ -73,7 +73,7 @@ class WarpRollout:
 
 
 class WarpGroup:
-    """Worlds whose models have one layout; rows are numbers of worlds, whether they are in this group or not.
+    """Worlds whose models have one layout; its tensors have a row for each of n worlds, in this group or not.
 
     Args:
         scene: Padded scene model with the layout of the group.
@@ -133,7 +133,7 @@ class WarpGroup:
         self._target_mass[row] = float(model.body_mass[scene.objects[0]])
 
     def compute_body_poses(self, rows: AnyArray, bodies: list[int]) -> tuple[AnyArray, AnyArray]:
-        """Compute the world positions (r, b, 3) and quaternions wxyz (r, b, 4) of some bodies of the robot."""
+        """Compute world positions (r, b, 3) in m and quaternions wxyz (r, b, 4) of b bodies of the robot by number."""
         count = len(rows)
         with self._device.use():
             self._data.nworld = count
@@ -185,25 +185,25 @@ class WarpGroup:
             return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Store the current states of the running worlds (r,) of a rollout; the others have their last states."""
+        """Store the current states of those worlds of a rollout that are `running` (r,); others keep earlier ones."""
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.states.items():
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)
         rollout.overflow[:] |= xp.where(running, self._views["overflow"][:count], 0)
 
     def release_targets(self, rollout: WarpRollout, released: AnyArray) -> None:
-        """Release the target objects of some worlds (r,) of a rollout, from the next step on."""
+        """Release the target objects of the worlds of a rollout in a mask `released` (r,), from the next step on."""
         rollout.released[:] = rollout.released | released[rollout.places]
         with self._device.use():
             self._model.select_released(rollout.scenes, rollout.released)
             self._set_weights(rollout)
 
     def finish(self, rollout: WarpRollout) -> str | None:
-        """Set the worlds of a rollout to their last states.
+        """Set the worlds of a rollout to the states that `store_states` has stored last.
 
         Returns:
-            Why the states are invalid: memory of the device was too small, or a state is not finite; None if they are
-            valid.
+            Reason, as a sentence, that the states are invalid: memory of the device was too small, or a state is not
+            finite; None if they are valid.
         """
         count, xp = len(rollout.rows), self._arrays.xp
         for name, kept in rollout.states.items():
@@ -217,11 +217,11 @@ class WarpGroup:
         return None if is_finite else "Nan, Inf or huge value in the state."
 
     def get_mocap_poses(self, rows: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Return positions (r, m, 3) and quaternions wxyz (r, m, 4) of the mocap bodies at the start (m)."""
+        """Return positions (r, m, 3) in m and quaternions wxyz (r, m, 4) of mocap bodies at the episodes' starts."""
         return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
 
     def read_rollout_contacts(self, rows: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
-        """Return the contacts (1, r) of worlds in their last physics steps."""
+        """Return the contacts (1, r) of the worlds `rows` (r,) in their last physics steps; see `RolloutContacts`."""
         data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
         return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
@@ -231,7 +231,7 @@ class WarpGroup:
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
     def _set_weights(self, rollout: WarpRollout) -> None:
-        """Apply the weights of released target objects as forces."""
+        """Apply the weights of released target objects as external forces (N); others get none."""
         weights = self._config.gravity * self._target_mass[rollout.rows][rollout.places]
         body = int(self.scene.objects[0])
         self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released

@@ -236,7 +236,7 @@ class WarpModel:
         return number, True
 
     def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set the scenes of the worlds in the first rows.
+        """Set the scenes of the worlds in the first m rows of the model's arrays.
 
         Args:
             numbers: Numbers (m,) of the scenes.
@@ -248,13 +248,13 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the target objects of the worlds in the first rows are released; see `select_scenes`."""
+        """Set whether the target objects of the worlds in the first m rows are released; see `select_scenes`."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)
 
     def _compute_values(self, scene: SceneModel) -> dict[str, npt.NDArray[np.generic]]:
-        """Return the values of a scene by field."""
+        """Return a scene's values for the arrays in which worlds differ, by MuJoCo's names."""
         model, target = scene.model, scene.objects[0]
         values = {name: getattr(model, name) for name in _ROW_FIELDS}
         first, count = model.body_geomadr[target], model.body_geomnum[target]

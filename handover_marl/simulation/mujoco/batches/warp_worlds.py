@@ -29,7 +29,7 @@ class DeviceHands:
     """Hands of n worlds without contact; see `reference_tracking.BodyTrajectory` for one body.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
-    the worlds to which a method applies.
+    r of the worlds; other arrays have one row for each of them.
 
     Args:
         count: Number n of worlds.
@@ -49,7 +49,7 @@ class DeviceHands:
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
-        """Place a hand.
+        """Set the hand of a world to its start.
 
         Args:
             row: Index of the world.
@@ -99,7 +99,7 @@ class DeviceHands:
         self.present[rows] = xp.where(moved, present[places, last], self.present[rows])
 
     def compute_link_poses(self, rows: AnyArray, joints: AnyArray, links: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute positions (r, k, l, 3) (m) and quaternions xyzw (r, k, l, 4) of some links.
+        """Compute world positions (r, k, l, 3) (m) and quaternions xyzw (r, k, l, 4) of l links of the hands.
 
         Args:
             rows: Indices (r,) of the worlds.
@@ -110,7 +110,7 @@ class DeviceHands:
         return origins[..., links, :], quaternion_from_matrix(rotations[..., links, :, :])
 
     def compute_keypoints(self, rows: AnyArray) -> AnyArray:
-        """Compute the positions (r, 16, 3) of wrists and finger-joint origins (m)."""
+        """Compute the world positions (r, 16, 3) in m of the wrist and the finger joints of the hands `rows` (r,)."""
         origins, _ = self._trees.compute_link_frames(self._hands[rows], self.joints[rows][:, None])
         return origins[:, 0, self._keypoint_links]
 
@@ -139,7 +139,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene and set robot, objects and hand to its start; see `World.reset`.
+        """Load a scene into world `row`, and set robot, objects and hand to their start positions; see `World.reset`.
 
         Raises:
             OptionError: MuJoCo Warp cannot simulate the scene with the others.
@@ -155,7 +155,7 @@ class WarpWorlds(Worlds):
         self._hands.reset(row, scene.assets.hand, start.hand[0] if start.hand_present[0] else None)
 
     def release_targets(self, rows: AnyArray) -> None:
-        """Release the target objects of worlds, from the next step on."""
+        """Release the target objects of the worlds `rows` (r,) from the human hands, from the next step on."""
         for group in self._groups.values():
             group.released[rows] = True
 
@@ -167,7 +167,7 @@ class WarpWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyArray:
-        """Simulate worlds for the steps of their reference motion, or to their ends; see `Worlds.rollout`.
+        """Simulate r worlds for all steps of a reference motion, or to their ends; see `Worlds.rollout`.
 
         The function `judge` gets single steps; worlds that have ended keep their last state.
         """
@@ -196,7 +196,7 @@ class WarpWorlds(Worlds):
         return simulated
 
     def read_state(self, rows: AnyArray) -> WorldState:
-        """Return the state of r worlds."""
+        """Return the states (r, ...) of the worlds `rows` (r,)."""
         xp, batch = self._arrays.xp, WorldState.from_zeros(len(rows), self._arrays)
         for group, places in self._split(rows):
             index, scene = rows[places], group.scene
@@ -220,7 +220,7 @@ class WarpWorlds(Worlds):
         return batch
 
     def are_grasped(self, rows: AnyArray, rules: ProtocolConfig) -> AnyArray:
-        """Return whether both fingers touched the target object in the last physics step, (r,)."""
+        """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
         grasped = self._arrays.zeros(len(rows), "bool")
         for group, places in self._split(rows):
             contacts = group.read_rollout_contacts(rows[places], rules)

@@ -135,7 +135,7 @@ def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, Bound
 
 
 def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Array, Array]:
-    """Return lower and upper corner of the bounding box of parts in the link's frame (m).
+    """Return lower and upper corner, (3,) each, of the bounding box of parts in the link's frame (m).
 
     Args:
         parts: Parts of one link.
@@ -147,7 +147,7 @@ def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Arra
 
 @functools.lru_cache(maxsize=4096)
 def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Array]:
-    """Return lower and upper corner of the box around a part's rotated box, as Bullet does."""
+    """Return lower and upper corner (m) of the box, in the link's frame, around a part's box, as Bullet does."""
     points = part.list_extreme_points()
     padding = 0.0
     if part.kind == "hull":
@@ -161,7 +161,7 @@ def _compute_part_bounds(part: ConvexPart, has_offset: bool) -> tuple[Array, Arr
 
 
 def add_collision_geom(spec: "mujoco.MjSpec", body: "mujoco.MjsBody", part: ConvexPart) -> "mujoco.MjsGeom":
-    """Add a convex part to a MuJoCo body as a geom without mass.
+    """Add a convex part to a MuJoCo body as a geom without mass, and return the geom.
 
     `set_inertia` sets the mass of the body.
     """

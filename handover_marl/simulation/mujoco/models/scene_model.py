@@ -70,10 +70,8 @@ class SceneModel:
         robot_ctrl: Indices of the robot's nine actuators in `ctrl`.
         gripper: Body number of the robot's hand link.
         objects: Body numbers (m,) of the objects.
-        object_qpos: Indices in `qpos` of the objects' positions and quaternions wxyz, object by
-            object.
-        object_qvel: Indices in `qvel` of the objects' velocities, linear in the world frame and
-            angular in the object's frame.
+        object_qpos: Indices in `qpos` of the objects' positions and quaternions wxyz, object by object.
+        object_qvel: Indices in `qvel` of the objects' velocities, linear in the world frame, angular in the object's.
         object_ctrl: Indices in `ctrl` of the six actuators of each object: world xyz, then the
             rotation relative to the reference.
         rotation_references: Mocap numbers of the m bodies with the objects' target orientations.
@@ -222,7 +220,7 @@ def _load_robot_only(
 
 @functools.lru_cache(maxsize=512)
 def _compute_reach(urdf: Path, mtimes: _Mtimes, link: int) -> float:
-    """Return the largest distance of a model's points from the origin of a link (m)."""
+    """Return the largest distance (m) from a link's origin to the shapes that it carries; see `compute_reach`."""
     tree = read_tree(urdf)
     return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))
 

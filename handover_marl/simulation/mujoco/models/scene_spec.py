@@ -99,7 +99,7 @@ def format_rotation_reference_name(number: int) -> str:
 
 
 def format_hand_name(number: int) -> str:
-    """Return the MuJoCo body name of a part of the human hand by number."""
+    """Return the MuJoCo body name of one of the human hand's links, by its place in `hand_links`."""
     return f"hand{number}"
 
 
@@ -132,8 +132,7 @@ class SceneModelBuilder:
         self.spec = _make_empty_spec() if spec is None else spec
         self.hand_links: list[int] = []
         self._config, self._padding = config, padding
-        # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is
-        # multiplied in beforehand.
+        # Bullet multiplies both frictions of a contact, MuJoCo takes one: the object's is multiplied in beforehand.
         self._object_friction = object_friction
 
     def add_workcell(self, table: Path, panda: Path) -> None:
@@ -260,7 +259,7 @@ class SceneModelBuilder:
             actuator.gear = np.eye(OBJECT_DOF)[axis]
 
     def _add_actuator(self, name: str, motor: MotorConfig, damping: float) -> "mujoco.MjsActuator":
-        """Add an actuator that reduces a joint's position error by a fixed ratio per step."""
+        """Add an actuator that reduces a position error by a fixed ratio per step; the caller sets its transmission."""
         stiffness = damping * motor.position_gain / TIME_STEP
         actuator = self.spec.add_actuator(name=name)
         actuator.gaintype, actuator.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
