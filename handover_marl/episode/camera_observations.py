@@ -50,7 +50,7 @@ _NOISE_STREAM = 2
 
 
 class _ImageContent(IntEnum):
-    """Content of a rendered image, from object and hand alone to all bodies in colour; each includes the last one."""
+    """Content of a rendered image, from object and hand alone to all bodies in colour; each includes the previous."""
 
     TARGETS = 0
     OBJECTS = 1

@@ -75,7 +75,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode with a new run seed for the partner; return observation and info by agent.
 
-        The result is that of `HandoverEnv.reset` without the entries of the partner.
+        Arguments and result are those of `HandoverEnv.reset`, without the entries of the partner.
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)
