@@ -227,7 +227,7 @@ class TiredGiver(ArrayGiver):
         self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the present displacements of the hands."""
+        """Return the actions (r, 8) with the displacements by which the hands now tremble and have sunk."""
         xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
@@ -323,7 +323,7 @@ class RecordingSpreadGiver(ArrayGiver):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the table of standard deviations."""
+        """Hash of the file with the standard deviations, which determine the behaviour like weights."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:
@@ -347,6 +347,6 @@ class RecordingSpreadGiver(ArrayGiver):
 
 @functools.cache
 def _read_spread() -> dict[str, dict[str, Any]]:
-    """Return the standard deviations between recordings by class name of the object."""
+    """Return the standard deviations between recordings by class name of the object and component of the deviation."""
     spread: dict[str, dict[str, Any]] = json.loads(_SPREAD_FILE.read_text())["objects"]
     return spread

@@ -53,7 +53,7 @@ class PopulationBatch(PolicyBatch):
         self._batches[number].reset(row, member_seed, object_names)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
         arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
         found = []
