@@ -91,7 +91,7 @@ class ArrayGiver(Giver):
         return action
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":
-        """Return a giver with the same options for n episodes, whose arrays are made by `arrays`."""
+        """Return a giver with the same options for `count` episodes, with its state in arrays that `arrays` creates."""
         giver = copy.copy(self)
         giver.allocate(count, arrays)
         return giver

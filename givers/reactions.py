@@ -172,7 +172,7 @@ class CooperativeGiver(ArrayGiver):
         self.state["displacement"][rows], self.state["rotation"][rows] = target - moved - wrist, rotation
 
     def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
-        """Return rotation vectors (r, 3) that turn `arms` (r, 3) to `directions` (r, 3), up to the largest rotation."""
+        """Return rotation vectors (r, 3) that turn `arms` (r, 3) to `directions` (r, 3), by at most `max_rotation`."""
         xp = self.arrays.xp
         axes = xp.linalg.cross(arms, directions)
         size = compute_lengths(axes)
@@ -181,7 +181,7 @@ class CooperativeGiver(ArrayGiver):
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
     def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
-        """Return (r,) whether the robot's fingers have rested on the object for `grasp_time`, for `held` objects."""
+        """Return (r,) whether the robot's fingers have rested for `grasp_time` on an object that the person `held`."""
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
         resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near

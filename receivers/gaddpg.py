@@ -99,7 +99,7 @@ class PointCloudMemory:
     def update(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:
         """Replace the cloud by a random part of the object's points in a view; a view without points changes nothing.
 
-        Points (n, 3) float32 are in the hand link's frame (m), with the pose (4, 4) in the robot's base frame.
+        Points (n, 3) float32 are in the hand link's frame (m), whose pose (4, 4) in the base frame is `base_from_hand`.
         """
         if len(points) == 0:
             return
@@ -284,7 +284,7 @@ class GaddpgReceiver(PhasedReceiver):
 
 
 def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
-    """Return the network's function, the label of results, and the weights' number of decisions or None."""
+    """Return the function of a network or of weights, the label of results, and the weights' `max_steps` or None."""
     if network is not None and weights is not None:
         raise OptionError("receiver 'gaddpg' takes either a network or weights, not both")
     if network is not None:
@@ -334,7 +334,7 @@ def _rotation_matrix(quaternion: Array) -> Array:
 
 
 def _transform(a_from_b: npt.NDArray[np.floating], points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Return points (3, n) of frame b in frame a, in their own precision.
+    """Return points (3, n) of frame b in frame a, by a transform (4, 4), in the precision of the points.
 
     Exactly three points stay in double precision, as in the original scripts.
     """

@@ -169,7 +169,7 @@ class OmgReceiver(PhasedReceiver):
         ]
 
     def _find_human_hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
-        """Return the person's hand in the robot's base frame, or None if it is ignored or absent."""
+        """Return capsules of the person's hand in the robot's base frame, or None if it is ignored or absent."""
         hand = hand_capsules_from_observation(observation) if self.config.avoids_hand else None
         if hand is None:
             return None
@@ -198,7 +198,7 @@ class OmgHandAwareReceiver(OmgReceiver):
 
 
 class OmgUncheckedLastReceiver(OmgReceiver):
-    """OMG receiver with the indexing error of the authors' code, which determines most of the grasps it goes to."""
+    """OMG receiver with the indexing error of the authors' code, which determines most of the selected grasps."""
 
     name = "omg_unchecked_last"
     default_config = PlannerConfig(unchecked_last=True)

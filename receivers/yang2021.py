@@ -127,7 +127,7 @@ class Yang2021Receiver(Receiver):
         self._allocate(1)
 
     def copy_for(self, count: int) -> "Yang2021Receiver":
-        """Return a receiver with the same options for n episodes."""
+        """Return a receiver with the same options for `count` episodes."""
         receiver = copy.copy(self)
         receiver._allocate(count)
         return receiver

@@ -144,7 +144,7 @@ class WristCameraConfig:
         return resolve_camera_noise(self.camera_noise)
 
     def describe(self, obs_mode: str, physics: str) -> str:
-        """Return a text on renderer, camera model and noise for result files; empty for a mode without camera data."""
+        """Return a text on renderer (in this physics), camera model and noise for results; "" without camera data."""
         if not has_camera(obs_mode):
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
@@ -219,7 +219,7 @@ class WristCamera:
         self._images.clear()
 
     def record_snapshot(self, world: World) -> None:
-        """Record the current joint positions, from which an image is rendered after the latency."""
+        """Record the current joint positions of `world`, from which an image is rendered after the latency."""
         self._history.append(world.read_joint_snapshot())
 
     def capture(self, world: World, steps: int) -> CameraCapture:
@@ -312,7 +312,7 @@ class WristCamera:
         return _pad_cloud(cloud, N_POINTS)
 
     def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
-        """Return a generator that differs between images or clouds, so that a run's seed suffices for all scenes."""
+        """Return a generator that also depends on the image or cloud `content`, so that scenes differ with one seed."""
         digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 

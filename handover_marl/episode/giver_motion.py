@@ -46,10 +46,10 @@ class RecordedFrames(Protocol):
         """Choose the scene that the giver with index `row` plays."""
 
     def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
-        """Return copies (r, k, ...) of the joint positions in the frames `frames` (r, k) of the givers `rows` (r,)."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
 
     def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return poses (r, k, 2, 7) of wrist and target object in frames (r, k); see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
 
 
 class HostFrames:
@@ -70,7 +70,7 @@ class HostFrames:
         self._poses[row] = compute_recorded_poses(scene)
 
     def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
-        """Return copies (r, k, ...) of the joint positions in the frames `frames` (r, k) of the givers `rows` (r,)."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
         shape = frames.shape
         hand, present = np.empty((*shape, HAND_DOF), dtype=np.float32), np.empty(shape, dtype=bool)
         objects = np.zeros((*shape, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -83,7 +83,7 @@ class HostFrames:
         return ReferenceMotion(objects, hand, present)
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
-        """Return poses (r, k, 2, 7) of wrist and target object in frames (r, k); see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
         poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
         for index, row in enumerate(rows.tolist()):
             poses[index] = self._poses[row][frames[index]]
@@ -118,12 +118,12 @@ class DeviceFrames:
         self._firsts[row] = self._first_by_scene[key]
 
     def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceMotion:
-        """Return copies (r, k, ...) of the joint positions in the frames `frames` (r, k) of the givers `rows` (r,)."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
         places = self._firsts[rows][:, None] + frames
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
     def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
-        """Return poses (r, k, 2, 7) of wrist and target object in frames (r, k); see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
         return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 

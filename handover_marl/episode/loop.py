@@ -88,7 +88,7 @@ class ActionRecorder(EpisodeCallback):
         self._decisions.append((episode.steps, decision))
 
     def on_end(self, episode: Episode) -> None:
-        """Build the arrays of the episode, in which held actions are repeated in every step."""
+        """Set `actions` and `times` of the episode; held actions are repeated in every step."""
         self.actions = np.zeros((episode.steps, PANDA_DOF), dtype=np.float32)
         self.times = np.zeros(episode.steps)
         ends = [step for step, _ in self._decisions[1:]] + [episode.steps]

@@ -108,7 +108,7 @@ def _is_installed(name: str) -> bool:
 
 
 def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
-    """Yield the bytes to hash of a value and of those that it refers to (in `depth` steps); each object counts once."""
+    """Yield the bytes to hash of a value at a nesting depth and of what it refers to; `seen` objects are left out."""
     if isinstance(value, _PLAIN) and not arrays_only:
         yield repr(value).encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:

@@ -283,7 +283,7 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
 
 
 def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
-    """Check that the constructor of an agent's policy class has parameters with the names `options`.
+    """Check that a policy class has constructor parameters called `options`; agent and name are for errors.
 
     Raises:
         OptionError: The constructor has no such parameter, or the library fills it in.

@@ -267,7 +267,7 @@ class PopulationPolicy(Policy):
         return self._references[number].make_from_context(self._given_context)
 
     def draw_member(self, seed: int | None) -> tuple[int, int]:
-        """Draw the member of an episode with its seed; return the member's index and a seed for the member."""
+        """Draw a member with the seed of an episode; return the member's index and a seed for the member."""
         rng = np.random.default_rng(seed)
         return int(rng.integers(len(self.members))), int(rng.integers(2**32))
 

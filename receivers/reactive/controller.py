@@ -26,8 +26,8 @@ Array = npt.NDArray[np.float64]
 # Times after the start of closing: until the person must have released the object, and from which empty fingers are
 # noticed (s).
 _CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
-# Gain with which the gripper follows the hand while the fingers close (1/s), and maximum joint acceleration (rad/s^2),
-# high enough that the gripper stops before the fingers push the object.
+# Gain with which the gripper follows the person's hand while the fingers close (1/s), and maximum joint acceleration
+# (rad/s^2), high enough that the gripper stops before the fingers push the object.
 _CLOSE_GAIN, _CLOSE_ACCELERATION = 10.0, 100.0
 # Backing out after a missed grasp: distance (m), speed (m/s), maximum time, and time for which the fingers open (s).
 _BACKOUT_DISTANCE, _BACKOUT_SPEED, _BACKOUT_TIMEOUT, _OPENING_TIME = 0.1, 0.3, 1.0, 0.1

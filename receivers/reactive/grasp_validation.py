@@ -155,7 +155,7 @@ def _simulate_grasps(
 
 
 def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return at how many poses, the grasp and `lateral_offsets` from it, the shaken object is held; 0 if not at it."""
+    """Return at how many poses, a grasp and its `lateral_offsets`, a shaken object is held; 0 if not at the grasp."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -172,7 +172,7 @@ def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return at how many poses, the grasp and `release_offsets` from it, a released object stays; 0 if not at it."""
+    """Return at how many poses, a grasp and its `release_offsets`, a released object stays; 0 if not at the grasp."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0

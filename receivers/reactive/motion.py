@@ -197,12 +197,15 @@ class ApproachController:
         return self._approach_straight(goal, self._compute_next_depth(axial, lateral, rotation))
 
     def is_catchable(self, goal: GraspGoal) -> bool:
-        """Return whether the object of a grasp is still between the fingers, so that they may catch it."""
+        """Return whether the object is still between the fingers near a grasp, so that they may catch it."""
         error = self._selector.compute_grasp_error(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s): relative to the gripper if it is held in the air, else in the world."""
+        """Return the object's speed (m/s): relative to the gripper if it is held in the air, else in the world.
+
+        The gripper is now at `position` (3,) in the grasp's frame (m).
+        """
         scene, before = self._scene, self._last_position
         since = scene.time - self._last_position_at
         self._last_position, self._last_position_at = position, scene.time
@@ -211,7 +214,7 @@ class ApproachController:
         return scene.motion.speed
 
     def _select_goal(self) -> GraspGoal | None:
-        """Return the grasp to approach: the previous one while the fingers are close to it."""
+        """Return the grasp to approach, the previous one while the fingers are close to it; None if there is none."""
         scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
             error = self._selector.compute_grasp_error(chosen, scene.object_pose, scene.gripper_pose)

@@ -76,7 +76,7 @@ class SceneEstimate(ABC):
 
     @abstractmethod
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person has released the object; the fingers close since the time `closing_since` (s).
+        """Return whether the person has released the object; the fingers began to close at `closing_since` (s).
 
         The receiver calls this method once in every decision while the fingers close.
         """
@@ -207,7 +207,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the twist of a point as the base class does; that of the hand if the gripper pushes the object."""
+        """Predict the twist as the base class does; that of the person's hand if the gripper pushes the object."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:

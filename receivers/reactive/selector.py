@@ -134,7 +134,8 @@ class GraspSelector:
         """Replace the candidates by poses (n, 7) of the hand link in the object's frame.
 
         The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
-        that failed. `chosen` is the new index of the grasp that was selected last; None forgets the selection.
+        that failed. `surface` approximates the object, in its frame. `chosen` is the new index of the grasp that was
+        selected last; None forgets the selection.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -342,7 +343,7 @@ class GraspSelector:
         return best
 
     def _find_via_point(self, standoff: Array, joints: Array, obstacles: PathObstacles) -> Array | None:
-        """Return a via point (7,) to a standoff where the straight path is blocked, or None."""
+        """Return a via point (7,) to a standoff; None if the straight path is clear, or if no via point is found."""
         if is_path_clear(self._arm, joints, standoff, obstacles):
             return None
         previous = None if self.chosen is None else self.chosen.via_joints

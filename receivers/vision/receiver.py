@@ -70,7 +70,7 @@ class VisionReceiver(ControllerReceiver):
         return self._weights_hash
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode."""
+        """Start an episode; `seed` determines the random points that the network gets."""
         tracker = GraspTracker(self._predictor, seed)
         self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker)
         self.start_episode(self._scene)
@@ -90,7 +90,7 @@ class VisionReceiver(ControllerReceiver):
         return controller.step()
 
     def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
-        """Pass selected and failed grasps of the last decision to the tracker."""
+        """Pass selected and failed grasps of the last decision to the tracker, and whether it must offer all grasps."""
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)

@@ -332,7 +332,7 @@ class EnvBatch:
             self._lock.release()
 
     def _spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Derive one seed for each environment from a seed or a sequence of seeds."""
+        """Return a seed for each environment: `seed` + k for number k, its element of a sequence, or None."""
         count = self.num_envs
         if seed is None:
             return [None] * count

@@ -99,7 +99,7 @@ class EpisodeTrace:
         return None if self.release_step is None else self.release_step * TIME_STEP
 
     def count_samples_until(self, step: int) -> int:
-        """Return the number of samples up to a physics step, both ends included."""
+        """Return the number of samples from the start to a physics step, both included."""
         return min(step // self.sample_steps + 1, len(self.gripper))
 
 
@@ -226,7 +226,7 @@ def compute_rms_jerk(positions: Array, period: float) -> float | None:
 
 @functools.cache
 def _compute_jerk_weights() -> Array:
-    """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
+    """Compute weights (13,) with which the sum of samples at a distance of 1 is the third derivative in the middle."""
     offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
     weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
     return weights
