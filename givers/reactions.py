@@ -121,12 +121,12 @@ class CooperativeGiver(ArrayGiver):
         self._pose_variation = HandoverPoseVariation(count, arrays)
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without deviation from the recording."""
+        """Start the episode with index `row` without deviation from the recording; nothing is drawn with `seed`."""
         super().start(row, seed)
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
+        """Return the actions (r, 8) in the episodes `rows`: offers towards the gripper, withdrawal after a release."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0
@@ -220,7 +220,7 @@ class StopWhenNearGiver(ArrayGiver):
     config: StopWhenNearConfig = StopWhenNearConfig()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        """Return the actions (r, 8) in the episodes `rows`: pause while the gripper is near the object, else replay."""
         return self.make_pauses(rows, compute_gripper_object_distances(observation) < self.config.distance)
 
 
@@ -249,7 +249,7 @@ class WithdrawingGiver(ArrayGiver):
     initial_state: ClassVar = {"last_distance": math.nan, "until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        """Return the actions (r, 8) in the episodes `rows`: withdraw for a while after a fast approach, else replay."""
         xp, config, state, now = self.arrays.xp, self.config, self.state, widen(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = widen(compute_lengths(away))
@@ -292,12 +292,12 @@ class EarlyReleaseGiver(ArrayGiver):
     initial_state: ClassVar = {"delay": 0.0, "near_since": math.nan}
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with a random delay."""
+        """Start the episode with index `row` and draw its delay with `seed`."""
         super().start(row, seed)
         self.state["delay"][row] = self.config.max_delay * self.rngs[row].random()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
+        """Return the actions (r, 8) in the episodes `rows`: replay, and release the object after the delay."""
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
         distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])

@@ -353,7 +353,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
 
 def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
-    """Draw the seed of the noise on the robot's initial joint positions; return 0 without a draw if there is none."""
+    """Draw the seed of the noise on the robot's initial joints from `rng`; without noise return 0, draw nothing."""
     return int(rng.integers(2**32)) if config.initial_joint_noise else 0
 
 

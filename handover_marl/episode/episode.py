@@ -261,7 +261,7 @@ class Episode:
         return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current state of the simulation, seen by `camera`, as an RGB image (height, width, 3) uint8."""
+        """Return an RGB image (height, width, 3) uint8 of the current state of the simulation, seen by `camera`."""
         return self.world.render(camera)
 
     @property

@@ -92,6 +92,9 @@ class RefereeState(NamedTuple):
 class Referee:
     """Referee of one episode: applies the rules of release and status after each physics step.
 
+    Args:
+        config: Thresholds of the protocol's rules.
+
     Attributes:
         status: Status after the last step; any status but RUNNING ends the episode.
         steps: Number of physics steps since the start of the episode.

@@ -242,7 +242,7 @@ class PolicyBundle:
 
     @classmethod
     def pack(cls, reference: PolicyReference) -> "PolicyBundle":
-        """Pack a policy reference with the contents of the files that its options name.
+        """Return a bundle of a policy reference and the contents of its policy file and of files that its options name.
 
         Raises:
             DataNotFoundError: A file cannot be read.

@@ -46,7 +46,7 @@ class GroupedEnvs:
         return self._groups[0].check_actions(actions)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         return self._map(rows, lambda group, own_rows, places: group.step(own_rows, select_rows(actions, places)))
 
     def render(self) -> list[Any] | None:
@@ -112,7 +112,7 @@ class ProcessEnvs:
         return checked
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         result: EnvResult = self._call("step", rows, actions)
         return result
 
@@ -134,7 +134,7 @@ class ProcessEnvs:
         self._pipe.close()
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Call a method of the environments in the process.
+        """Return what a method of the environments in the process returns for these arguments.
 
         Raises:
             WorkerError: The process has died.

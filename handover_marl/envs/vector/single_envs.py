@@ -48,7 +48,7 @@ class SingleEnvs:
         return actions
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.Envs.step`."""
         steps = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})
             for number, row in enumerate(rows.tolist())

@@ -113,9 +113,9 @@ class FluencyMetrics:
         human_idle: Share of the episode (0 to 1) in which the person does not move or is absent.
         robot_idle: Share of the episode (0 to 1) in which the robot does not move.
         concurrent: Share of the episode (0 to 1) in which person and robot both move.
-        functional_delay: Time from the end of the person's last activity before the release to the
-            start of the robot's last activity before the release, as share of the episode; negative
-            if the robot starts earlier, None without a release.
+        functional_delay: Time from the end of the person's last activity before the release to the start of the robot's
+            last activity before the release, as share of the episode; negative if the robot starts earlier, None
+            without a release or without such activities.
         max_robot_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
         min_distance: Smallest distance between the surfaces of robot and human hand (m), sampled every 20 ms; 0
             after contact, None without a hand.
