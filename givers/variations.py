@@ -293,9 +293,9 @@ class RecordingSpreadConfig(CheckedConfig):
     """Configuration of `RecordingSpreadGiver`: factors of the standard deviations between recordings.
 
     Attributes:
-        displacement: Factor of the displacement of the handover pose.
-        rotation: Factor of the rotation of the handover pose.
-        pace: Factor of the logarithm of the playback speed.
+        displacement: Factor on the standard deviation of the displacement of the handover pose.
+        rotation: Factor on the standard deviation of the rotation of the handover pose.
+        pace: Factor on the standard deviation of the logarithm of the playback speed.
     """
 
     displacement: float = bounded(1.0, 0.0, 3.0)

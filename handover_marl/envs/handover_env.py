@@ -282,7 +282,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.capture_wrist_camera()
 
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
-        """Let a policy act for an agent until the next reset, at its own control period and with seeds as in `pair`.
+        """Let a policy act for an agent until the next reset, at its own control period and seeded as in evaluations.
 
         Actions that `step` gets for this agent are not used.
 

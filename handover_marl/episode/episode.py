@@ -40,13 +40,13 @@ class SceneConfig:
         setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects; or a
             setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
-        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports say if they are partial.
+        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports mention it if scenes are left out.
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
             or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast (hand and objects are simulated only while the robot is near
             them), or mujoco (another engine).
-        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on its hand, which collides too.
+        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on the gripper, which collides too.
         renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the wrist camera's point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.

@@ -52,10 +52,10 @@ def track_set_points(
 
     Args:
         values: Displacements (m) and rotation vectors (rad) before the first step, (d, 2, 3).
-        velocities: Velocities before the first step (d, 2, 3).
+        velocities: Velocities (m/s, rad/s) before the first step, (d, 2, 3).
         set_points: Values to reach, (d, 2, 3).
         steps: Number k of physics steps.
-        limits: Largest speeds and largest accelerations, (2, 2): of displacements, of rotations.
+        limits: Largest speeds (m/s, rad/s) and accelerations (m/s^2, rad/s^2), (2, 2): of displacements, of rotations.
 
     Returns:
         Values and velocities (d, k, 2, 3) after each step.

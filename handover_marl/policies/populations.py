@@ -42,7 +42,7 @@ _MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
 
 @dataclass(frozen=True)
 class Partner:
-    """Partner in a population.
+    """Giver or receiver in a population of partners.
 
     Attributes:
         name: Unique name in the population.
@@ -61,7 +61,7 @@ class Partner:
 
 @dataclass(frozen=True)
 class Population:
-    """Population of partners.
+    """Population of givers and receivers, with which policies are trained and evaluated.
 
     Attributes:
         name: Name of the population.
@@ -207,7 +207,8 @@ def _read_policy_files(population: Population, agent: str, partner: Partner) -> 
 class PopulationPolicy(Policy):
     """Base class of policies that act as a randomly drawn member of a population in each episode.
 
-    The seed of the episode determines the member, and all members are equally likely.
+    The seed of the episode determines the member, and all members are equally likely. Members that need the wrist
+    camera are left out, since all members have the observations of this policy.
 
     Args:
         context: Robot and task, for the members.
@@ -217,8 +218,6 @@ class PopulationPolicy(Policy):
 
     Attributes:
         members: Policies of the members.
-
-    Members that need the wrist camera are left out, since all members have the observations of this policy.
 
     Raises:
         OptionError: No member of the split acts on the state.

@@ -290,7 +290,7 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
 
 
 def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-    """Compute the protective distances (n + 1,) at n samples and at the last step, which has the last sample's speeds.
+    """Compute the protective distances (n + 1,) in m at n samples and the last step, with the last sample's speeds.
 
     Args:
         wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN without a hand.
