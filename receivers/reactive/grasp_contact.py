@@ -60,7 +60,7 @@ def load_graspable_object(
 ) -> GraspableObject:
     """Load the surface of an object class and its known grasps, of which there may be none; cached.
 
-    With `validated`, grasps are validated and improved in simulation, which takes minutes the first time.
+    If `validated`, grasps are validated and improved in simulation, for minutes the first time, else unchanged.
 
     Raises:
         SimulationError: A model cannot be loaded.
