@@ -26,10 +26,11 @@ class NoConfig(CheckedConfig):
 
 
 class ArrayGiver(Giver):
-    """Base class of givers whose state is in arrays (n, ...), one row for each episode; a giver by itself has one.
+    """Base class of givers whose state is in arrays (n, ...), one row for each of n episodes; alone, a giver has one.
 
     Subclasses define `decide`, `initial_state` if they keep a state, and `start` if they draw a part of it. Actions do
-    not depend on the other episodes that act at the same time. Arrays are NumPy arrays or PyTorch tensors.
+    not depend on the other episodes. Arrays are NumPy arrays or PyTorch tensors. The argument `rows` (r,) of methods
+    has the indices of the episodes to which a method applies; observations and actions have one row for each of them.
 
     Args:
         context: Robot and task.
@@ -60,37 +61,37 @@ class ArrayGiver(Giver):
         self.allocate(1, NUMPY_ARRAYS)
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of n episodes."""
+        """Create the state of `count` episodes, in arrays that `arrays` creates."""
         self.arrays, self.rngs = arrays, [np.random.default_rng(0)] * count
         self.state: dict[str, AnyArray] = {}
         for name, value in self.initial_state.items():
             self.state[name] = arrays.asarray(np.full((count, *np.shape(value)), value))
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode of a row with a seed of its random numbers."""
+        """Start the episode with index `row`, whose random numbers `seed` determines."""
         self.rngs[row] = np.random.default_rng(seed)
         for name, value in self.initial_state.items():
             self.state[name][row] = self.arrays.asarray(value)
 
     @abstractmethod
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes of rows (r,), from their observations (r, ...)."""
+        """Return the giver's actions (r, 8) in the episodes `rows`, from its observations (r, ...) in them."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int:
-        """Return the number of physics steps for which actions are held."""
+        """Return the number of physics steps for which actions are held, the same in all episodes."""
         return steps_from_hold_time(self.hold_time)
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode; the seed determines its random numbers."""
+        """Start an episode of a giver by itself; the seed determines its random numbers."""
         self.start(0, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action (8,) of a giver by itself."""
+        """Return the action (8,) of a giver by itself, which acts in one episode."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
     def copy_for(self, count: int, arrays: ArrayFactory) -> "ArrayGiver":
-        """Return a giver with the same options for n episodes, whose arrays are made by `arrays`."""
+        """Return a giver with the same options for `count` episodes, with its state in arrays that `arrays` creates."""
         giver = copy.copy(self)
         giver.allocate(count, arrays)
         return giver
@@ -103,14 +104,14 @@ class ArrayGiver(Giver):
         rotation: float | AnyArray = 0.0,
         release: float | AnyArray = 0.0,
     ) -> Actions:
-        """Make actions (r, 8) of their components; see `handover_marl.policies.batch.make_giver_actions`."""
+        """Make actions (r, 8) from components, (r, ...) or one for all; see `policies.batch.make_giver_actions`."""
         return make_giver_actions(len(rows), rate, displacement, rotation, release, self.arrays)
 
     def make_pauses(self, rows: AnyIndices, is_paused: AnyArray) -> Actions:
-        """Make actions (r, 8) that pause the recording where a flag (r,) is set, and follow it elsewhere."""
+        """Make actions (r, 8) that pause the recording where `is_paused` (r,) is true, and replay it elsewhere."""
         return self.make_actions(rows, rate=self.arrays.xp.where(is_paused, _PAUSE, 0.0))
 
 
 def compute_gripper_object_distances(observation: Observation) -> AnyArray:
-    """Return the distances (r,) of the grippers from the objects' origins (m), float64."""
+    """Return the distances (r,) from the Panda's hand link to the target object's origin (m), float64."""
     return widen(compute_lengths(observation["gripper_pose"][:, :3] - observation["object_poses"][:, 0, :3]))

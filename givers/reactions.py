@@ -45,12 +45,12 @@ class HandoverPoseVariation:
         self._since = arrays.full(count, math.nan)
 
     def reset(self, row: int) -> None:
-        """Start an episode."""
+        """Start the episode with index `row`, with the first of `scales`."""
         self.scale[row], self._timeouts[row] = self.scales[0], 0
         self._min_distance[row], self._since[row] = math.inf, math.nan
 
     def update(self, rows: AnyIndices, observation: Observation) -> None:
-        """Update `scale` of the episodes `rows`, whose hands are at their handover poses."""
+        """Update `scale` of the episodes `rows` (r,), in which the hand is at the handover pose, from observations."""
         xp, now, distance = self._xp, widen(observation["time"][:, 0]), compute_gripper_object_distances(observation)
         since, closest = self._since[rows], self._min_distance[rows]
         nearer = xp.isnan(since) | (distance < closest - self.min_approach)
@@ -116,17 +116,17 @@ class CooperativeGiver(ArrayGiver):
     }
 
     def allocate(self, count: int, arrays: ArrayFactory) -> None:
-        """Create the state of n episodes."""
+        """Create the state of `count` episodes, in arrays that `arrays` creates."""
         super().allocate(count, arrays)
         self._pose_variation = HandoverPoseVariation(count, arrays)
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode without deviation from the recording."""
+        """Start the episode with index `row` without deviation from the recording; nothing is drawn with `seed`."""
         super().start(row, seed)
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8): deviations towards the grippers, or withdrawals after a release."""
+        """Return the actions (r, 8) in the episodes `rows`: offers towards the gripper, withdrawal after a release."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0
@@ -150,13 +150,13 @@ class CooperativeGiver(ArrayGiver):
         )
 
     def _has_arrived(self, observation: Observation) -> Flags:
-        """Return whether each recorded hand has stopped at its handover pose."""
+        """Return (r,) whether the recorded hand holds the object and moves little in the next half second."""
         xp, wrist = self.arrays.xp, observation["replay_wrist_poses"][..., :3]
         moves = widen(xp.max(xp.abs(wrist - wrist[:, :1]), axis=(1, 2)))
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
-        """Choose the deviations from the recorded poses half a second ahead."""
+        """Set the deviations of the episodes `rows` from the recorded poses half a second ahead."""
         xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
@@ -172,7 +172,7 @@ class CooperativeGiver(ArrayGiver):
         self.state["displacement"][rows], self.state["rotation"][rows] = target - moved - wrist, rotation
 
     def _rotate_towards(self, arms: AnyArray, directions: AnyArray) -> AnyArray:
-        """Return the limited rotation vectors (r, 3) that turn directions `arms` towards others."""
+        """Return rotation vectors (r, 3) that turn `arms` (r, 3) to `directions` (r, 3), by at most `max_rotation`."""
         xp = self.arrays.xp
         axes = xp.linalg.cross(arms, directions)
         size = compute_lengths(axes)
@@ -181,7 +181,7 @@ class CooperativeGiver(ArrayGiver):
         return xp.where(is_turned[:, None], axes / xp.where(is_turned, size, 1.0)[:, None] * angle[:, None], 0.0)
 
     def _are_grasped(self, rows: AnyIndices, held: Flags, near: Flags, observation: Observation) -> Flags:
-        """Return whether fingers have rested on each object for long enough."""
+        """Return (r,) whether the robot's fingers have rested for `grasp_time` on an object that the person `held`."""
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingers, speeds = (widen(observation[f"robot_joint_{key}"][:, 7:]) for key in ("position", "velocity"))
         resting = xp.all((xp.abs(speeds) < 2e-3) & (fingers > 1e-3) & (fingers < 0.0385), axis=1) & near
@@ -191,7 +191,7 @@ class CooperativeGiver(ArrayGiver):
         return resting & (now - since >= self.grasp_time)
 
     def _withdraw(self, rows: AnyIndices, begins: Flags, shift: AnyArray, observation: Observation) -> None:
-        """Set the displacement of the hands that begin to withdraw."""
+        """Set the final displacement of the hands that begin to withdraw: from `shift` (r, 3) away from the gripper."""
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         withdrawal = shift + self.config.withdrawal * away / compute_lengths(away).clip(1e-6)[:, None]
         withdrawn = self.state["withdrawal"]
@@ -220,7 +220,7 @@ class StopWhenNearGiver(ArrayGiver):
     config: StopWhenNearConfig = StopWhenNearConfig()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        """Return the actions (r, 8) in the episodes `rows`: pause while the gripper is near the object, else replay."""
         return self.make_pauses(rows, compute_gripper_object_distances(observation) < self.config.distance)
 
 
@@ -249,7 +249,7 @@ class WithdrawingGiver(ArrayGiver):
     initial_state: ClassVar = {"last_distance": math.nan, "until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        """Return the actions (r, 8) in the episodes `rows`: withdraw for a while after a fast approach, else replay."""
         xp, config, state, now = self.arrays.xp, self.config, self.state, widen(observation["time"][:, 0])
         away = observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         distance = widen(compute_lengths(away))
@@ -292,12 +292,12 @@ class EarlyReleaseGiver(ArrayGiver):
     initial_state: ClassVar = {"delay": 0.0, "near_since": math.nan}
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with a random delay."""
+        """Start the episode with index `row` and draw its delay with `seed`."""
         super().start(row, seed)
         self.state["delay"][row] = self.config.max_delay * self.rngs[row].random()
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that follow the recordings and, after the delay, release the objects."""
+        """Return the actions (r, 8) in the episodes `rows`: replay, and release the object after the delay."""
         xp, now = self.arrays.xp, widen(observation["time"][:, 0])
         fingertips = transform_points(observation["gripper_pose"], np.array(FINGERTIPS))
         distance = compute_lengths(fingertips - observation["object_poses"][:, 0, :3])

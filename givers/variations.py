@@ -39,7 +39,7 @@ class ReplayGiver(ArrayGiver):
         return math.inf
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that follow the recordings without deviation."""
+        """Return the actions (r, 8) in the episodes `rows` that replay the recordings without deviation: zeros."""
         return self.make_actions(rows)
 
 
@@ -68,7 +68,7 @@ class HesitantGiver(ArrayGiver):
     initial_state: ClassVar = {"until": -1.0}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that pause, or replay at the recorded speed."""
+        """Return the actions (r, 8) in the episodes `rows`: pause at random times, else replay."""
         config, until = self.config, to_numpy(self.state["until"][rows])
         now = to_numpy(observation["time"][:, 0]).astype(np.float64)
         for place, row in enumerate(rows.tolist()):
@@ -102,12 +102,12 @@ class HurriedGiver(ArrayGiver):
     initial_state: ClassVar = {"rate": 0.0}
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with a random playback speed."""
+        """Start the episode with index `row` and draw its playback speed with `seed`."""
         super().start(row, seed)
         self.state["rate"][row] = self.rngs[row].uniform(self.config.min_rate, self.config.max_rate)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that replay at the speeds drawn for these episodes."""
+        """Return the actions (r, 8) in the episodes `rows` that replay at the speeds drawn for these episodes."""
         return self.make_actions(rows, rate=self.state["rate"][rows])
 
 
@@ -136,7 +136,7 @@ class DisplacedGiver(ArrayGiver):
     initial_state: ClassVar = {"displacement": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0)}
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with a random deviation."""
+        """Start the episode with index `row` and draw its deviation with `seed`."""
         super().start(row, seed)
         rng = self.rngs[row]
         radius = self.config.distance * rng.random() ** (1.0 / 3.0)
@@ -144,7 +144,7 @@ class DisplacedGiver(ArrayGiver):
         self.state["rotation"][row] = self.arrays.asarray(self.config.angle * rng.random() * _draw_direction(rng))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the displacements and rotations that were drawn for these episodes."""
+        """Return the actions (r, 8) in the episodes `rows` with the displacements and rotations drawn for these."""
         return self.make_actions(rows, **{name: values[rows] for name, values in self.state.items()})
 
 
@@ -181,7 +181,7 @@ class NoisyGiver(ArrayGiver):
     initial_state: ClassVar = {"deviation": (0.0,) * 7}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the next random deviations from the recordings."""
+        """Return the actions (r, 8) in the episodes `rows` with the next random deviations from the recordings."""
         config, deviations = self.config, self.state["deviation"]
         scale = np.array([config.rate, *[config.displacement] * 3, *[config.rotation] * 3])
         decay = float(np.exp(-self.control_period / config.time_constant))
@@ -222,12 +222,12 @@ class TiredGiver(ArrayGiver):
     initial_state: ClassVar = {"phases": (0.0, 0.0, 0.0), "holding_since": math.nan}
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode with random phases of the tremor."""
+        """Start the episode with index `row` and draw the phases of its tremor with `seed`."""
         super().start(row, seed)
         self.state["phases"][row] = self.arrays.asarray(self.rngs[row].uniform(0.0, 2.0 * np.pi, 3))
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) with the present displacements of the hands."""
+        """Return the actions (r, 8) in the episodes `rows` with the displacements by present tremor and sinking."""
         xp, config, now = self.arrays.xp, self.config, widen(observation["time"][:, 0])
         since, holds = self.state["holding_since"][rows], observation["holding"][:, 0] != 0.0
         since = self.state["holding_since"][rows] = xp.where(xp.isnan(since) & holds, now, since)
@@ -270,7 +270,7 @@ class InterruptingGiver(ArrayGiver):
     initial_state: ClassVar = {"until": -1.0, "displacement": (0.0, 0.0, 0.0)}
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) that withdraw the hands, or follow the recordings."""
+        """Return the actions (r, 8) in the episodes `rows`: withdraw during interruptions, else replay."""
         config, until = self.config, to_numpy(self.state["until"][rows])
         now, holding, released = (to_numpy(observation[key][:, 0]) for key in ("time", "holding", "released"))
         offsets = widen(observation["object_poses"][:, 0, :3] - observation["gripper_pose"][:, :3])
@@ -293,9 +293,9 @@ class RecordingSpreadConfig(CheckedConfig):
     """Configuration of `RecordingSpreadGiver`: factors of the standard deviations between recordings.
 
     Attributes:
-        displacement: Factor of the displacement of the handover pose.
-        rotation: Factor of the rotation of the handover pose.
-        pace: Factor of the logarithm of the playback speed.
+        displacement: Factor on the standard deviation of the displacement of the handover pose.
+        rotation: Factor on the standard deviation of the rotation of the handover pose.
+        pace: Factor on the standard deviation of the logarithm of the playback speed.
     """
 
     displacement: float = bounded(1.0, 0.0, 3.0)
@@ -323,11 +323,11 @@ class RecordingSpreadGiver(ArrayGiver):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the table of standard deviations."""
+        """Hash of the file with the standard deviations, which determine the behaviour like weights."""
         return hashlib.sha256(_SPREAD_FILE.read_bytes()).hexdigest()
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start an episode, and draw seven standard normal numbers: displacement, rotation and pace."""
+        """Start the episode `row`, and draw seven standard normal numbers with `seed`: displacement, rotation, pace."""
         super().start(row, seed)
         self.state["draws"][row] = self.arrays.asarray(self.rngs[row].standard_normal(7))
 
@@ -347,6 +347,6 @@ class RecordingSpreadGiver(ArrayGiver):
 
 @functools.cache
 def _read_spread() -> dict[str, dict[str, Any]]:
-    """Return the standard deviations between recordings by class name of the object."""
+    """Return the standard deviations between recordings by class name of the object and component of the deviation."""
     spread: dict[str, dict[str, Any]] = json.loads(_SPREAD_FILE.read_text())["objects"]
     return spread

@@ -21,7 +21,7 @@ class HoldReceiver(Receiver):
         """Do nothing; the receiver has no state."""
 
     def act(self, observation: Observation) -> Action:
-        """Return the action that keeps the arm at the start configuration."""
+        """Return the start configuration with open fingers as target, whatever the observation."""
         return np.array(self.context.panda.start_joints, dtype=np.float32)
 
 
@@ -39,6 +39,6 @@ class RandomReceiver(Receiver):
         self._rng = np.random.default_rng(seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return nine random target joint positions."""
+        """Return nine random target joint positions (rad, m), whatever the observation."""
         space = receiver_action_space()
         return self._rng.uniform(space.low, space.high).astype(np.float32)

@@ -1,9 +1,9 @@
 """GA-DDPG (Wang et al., CoRL 2021) as in HandoverSim: a learned policy on point clouds.
 
-The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the
-hand, from the object's point cloud in the wrist camera and the number of remaining decisions. When
-no decision remains or enough points are between the fingers, it closes them at the present pose and
-carries the object to the goal in a straight line. It uses neither the person's hand nor true poses.
+The receiver waits at the start configuration and then decides every 0.15 s on the next pose of the Panda's hand link,
+from the object's point cloud in the wrist camera and the number of remaining decisions. When no decision remains or
+enough points are between the fingers, it closes them at the present pose and carries the object to the goal in a
+straight line. It uses neither the person's hand nor true poses.
 
 Details of the authors' scripts that determine the results:
 
@@ -16,11 +16,11 @@ Details of the authors' scripts that determine the results:
 - Before the first view the start configuration is commanded and no decision is counted.
 - Each decision makes one inverse kinematics query from the present joints, converged or not.
 - The end of the approach is checked in the last millisecond of each decision: more than 50 of 1,024
-  points between the fingers end it, repetitions included, whatever the angle and the hand's pose.
+  points between the fingers end it, repetitions included, whatever the pose of the hand link.
 - An image is rendered at that time too, and discarded: rendering changes the broad phase of
   Bullet's collision detection, and without it the last bits of the arm's motion differ.
 - Waypoints to the goal are 0.03 m apart, the last one may be behind the goal, and IK is solved for
-  all from the joints at the start of the retreat, with free rotation of the hand.
+  all from the joints at the start of the retreat, with free rotation of the hand link.
 """
 
 import math
@@ -97,9 +97,9 @@ class PointCloudMemory:
         self._rng = np.random.RandomState(self._seed)
 
     def update(self, points: npt.NDArray[np.float32], base_from_hand: Array) -> None:
-        """Replace the cloud by the object's points (n, 3) float32 in the hand's frame; none change nothing.
+        """Replace the cloud by a random part of the object's points in a view; a view without points changes nothing.
 
-        `base_from_hand` is the pose (4, 4) of the hand link in the robot's base frame.
+        Points (n, 3) float32 are in the hand link's frame (m), whose pose (4, 4) in the base frame is `base_from_hand`.
         """
         if len(points) == 0:
             return
@@ -113,10 +113,10 @@ class PointCloudMemory:
         self._mean = mean
 
     def make_network_input(self, base_from_hand: Array) -> Array:
-        """Return the network's input: points of gripper and object in the hand link's frame.
+        """Return the network's input: points of gripper and object in the hand link's frame at its pose (4, 4).
 
         Returns:
-            (4, 6 + n_points) float64 positions (m), and a row that is 1 for gripper points.
+            (4, 1030) float64: three rows of positions (m), and a row that is 1 for the six gripper points, else 0.
         """
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)
         points = np.zeros((4, GRIPPER_POINTS.shape[1] + _N_POINTS))
@@ -125,7 +125,7 @@ class PointCloudMemory:
         return points
 
     def is_object_caged(self, base_from_hand: Array) -> bool:
-        """Return whether enough object points, drawn at random, are between the fingers."""
+        """Return whether over 50 of 1024 (repeated) object points are between the fingers at a hand link pose."""
         if self.cloud.shape[1] == 0:
             return False
         hand = _transform(_invert_rounded(base_from_hand), self.cloud)
@@ -134,7 +134,7 @@ class PointCloudMemory:
         return bool(self._fill_up(inside).sum() > _CAGE_POINTS)
 
     def _fill_up(self, columns: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return (m, n_points) columns: all of the given ones, then random repetitions."""
+        """Return (m, 1024) columns: all of the given columns (m, n), then random repetitions of them."""
         count = columns.shape[1]
         missing = _N_POINTS - count
         if missing == 0:
@@ -143,7 +143,7 @@ class PointCloudMemory:
 
 
 class GaddpgReceiver(PhasedReceiver):
-    """Receiver whose hand poses are decided by a network from point clouds (GA-DDPG).
+    """Receiver whose network decides on the next pose of the hand link from point clouds (GA-DDPG).
 
     The receiver is intended for `robot="panda_camera"`, the Panda with the camera's body. If `act` is called before the
     next decision is due, it repeats the last action; if it is called later, it decides then. A receiver with another
@@ -151,10 +151,10 @@ class GaddpgReceiver(PhasedReceiver):
 
     Args:
         context: The robot and the task.
-        network: Function that decides on the next hand pose; must not be given with `weights`.
+        network: Function that decides on the next hand link pose; must not be given with `weights`.
         weights: File or folder of the original authors' checkpoint, or an .npz file that
             `experiments/training/train_gaddpg.py` wrote; needs PyTorch. Default: the library's own weights, with which
-            the hand moves to the grasp that the network predicts. Result labels of .npz weights contain "own weights".
+            the hand link moves to the predicted grasp. Result labels of .npz weights contain "own weights".
         wait: Time at the start configuration (s): 3 for the published variant "hold", 0 for "w/o hold".
         max_steps: Maximum number of decisions of an approach, RL_MAX_STEP in the configuration of
             the trained model. Default: the value in the library's own weights (30), or else 20.
@@ -213,7 +213,7 @@ class GaddpgReceiver(PhasedReceiver):
         self._start_approach()
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
+        """Return the next nine target joint positions (rad, m)."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
@@ -235,7 +235,7 @@ class GaddpgReceiver(PhasedReceiver):
         return self._carry(observation, closed_ms)
 
     def _check_end(self, observation: Observation) -> None:
-        """Check whether the last decision ends the approach, once since the check draws points."""
+        """Check whether the last decision ends the approach; only once for a decision, since the check draws points."""
         if self._is_checked:
             return
         self._is_checked = True
@@ -243,7 +243,7 @@ class GaddpgReceiver(PhasedReceiver):
             self._close_ms = self._wait_ms + (self._decided + 1) * self.step_ms
 
     def _decide(self, observation: Observation) -> Array:
-        """Return the joints (9,) that the network's decision leads to."""
+        """Return the target joints (9,) (rad, m) that the network's next decision leads to."""
         points = observation["wrist_object_cloud"][: int(observation["wrist_point_counts"][0])]
         pose = self._base_from_hand(observation)
         self.memory.update(points, pose)
@@ -259,7 +259,7 @@ class GaddpgReceiver(PhasedReceiver):
         return solver.solve_step(observation["robot_joint_position_exact"], target[:3], target[3:])
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
-        """Return joints on the straight path to the goal, computed in float32."""
+        """Return joints (9,) at waypoints on the straight path to the goal, whose positions are computed in float32."""
         position = observation["gripper_pose"][:3].copy()
         offset = np.array(self.context.protocol.goal_center) - position
         length = np.linalg.norm(offset)
@@ -276,7 +276,7 @@ class GaddpgReceiver(PhasedReceiver):
         return stepper
 
     def _base_from_hand(self, observation: Observation) -> Array:
-        """Return the pose (4, 4) of the hand link in the base frame."""
+        """Return the pose (4, 4) of the hand link in the robot's base frame."""
         pose = self._solver.to_base_frame(observation["gripper_pose"])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = _rotation_matrix(pose[3:]), pose[:3]
@@ -284,7 +284,7 @@ class GaddpgReceiver(PhasedReceiver):
 
 
 def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[GaddpgFunction, str, int | None]:
-    """Return the deciding function, the label of results, and the number of decisions if known."""
+    """Return the function of a network or of weights, the label of results, and the weights' `max_steps` or None."""
     if network is not None and weights is not None:
         raise OptionError("receiver 'gaddpg' takes either a network or weights, not both")
     if network is not None:
@@ -302,7 +302,7 @@ def _load_network(network: GaddpgFunction | None, weights: str | None) -> tuple[
 
 
 def _matrix_from_step(step: Array) -> Array:
-    """Return the transform (4, 4) of a translation (m) and Euler angles (rad, static x, y, z)."""
+    """Return the transform (4, 4) of a step (6,): translation (m) and Euler angles (rad, static axes x, y, z)."""
     (sa, sb, sc), (ca, cb, cc) = ([function(angle) for angle in step[3:]] for function in (math.sin, math.cos))
     return np.array(
         [
@@ -334,7 +334,7 @@ def _rotation_matrix(quaternion: Array) -> Array:
 
 
 def _transform(a_from_b: npt.NDArray[np.floating], points: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Return points (3, n) of frame b in frame a, in their own precision.
+    """Return points (3, n) of frame b in frame a, by a transform (4, 4), in the precision of the points.
 
     Exactly three points stay in double precision, as in the original scripts.
     """

@@ -18,16 +18,16 @@ Array = npt.NDArray[np.float64]
 
 @functools.lru_cache(maxsize=1024)
 def load_gripper_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return the gripper poses (n, 7) in the frame of an object class, or None without any; cached.
+    """Return the known gripper poses (n, 7) in the frame of an object class, or None without any; cached.
 
-    The function `grasps` is that of `PolicyContext`.
+    The function `grasps` is that of `PolicyContext`; its poses are those of the gripper, as grasp files define it.
     """
     matrices = grasps(object_name)
     return None if matrices is None or not len(matrices) else poses_from_matrices(matrices)
 
 
 def load_hand_poses(grasps: Callable[[str], Array | None], object_name: str) -> Array | None:
-    """Return poses (n, 7) of the hand link at an object class's grasps, or None; see `load_gripper_poses`."""
+    """Return the hand link's poses (n, 7) at the known grasps of an object class, or None; see `load_gripper_poses`."""
     grippers = load_gripper_poses(grasps, object_name)
     return None if grippers is None else compose(grippers, np.array(GRIPPER_FROM_HAND))
 
@@ -41,7 +41,7 @@ class GraspTable:
         arrays: Creator of the arrays.
 
     Attributes:
-        arrays: Array (c, g, ...) for each array of `load`, padded with zeros.
+        arrays: Array (c, g, ...) for each array of `load`, padded with zeros; c is the number of classes found so far.
         is_grasp: Whether there is a grasp at each place of the arrays, (c, g).
     """
 
@@ -54,7 +54,7 @@ class GraspTable:
         self.is_grasp = arrays.zeros((0, 0), "bool")
 
     def find(self, classes: AnyArray) -> AnyArray:
-        """Return the index (r,) of each class number in the arrays, -1 for a class without grasps."""
+        """Return the index in `arrays` of each class number (r,), -1 for a class without grasps; load new classes."""
         numbers, n_before = to_numpy(classes).astype(int).tolist(), len(self._known)
         for number in sorted(set(numbers) - self._index.keys()):
             known = self._load(number)

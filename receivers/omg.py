@@ -39,7 +39,7 @@ _log = logging.getLogger(__name__)
 
 
 def round_poses(poses: Array) -> Array:
-    """Round poses (n, 7) to 1e-5, and make the largest quaternion component positive.
+    """Round poses (n, 7), xyz (m) and quaternion xyzw, to 1e-5; make the largest quaternion component positive.
 
     The selection among goals of equal cost, and with it the whole plan, depends on the last bits of
     a pose, in which physics engines differ.
@@ -97,7 +97,7 @@ class OmgReceiver(PhasedReceiver):
 
     @property
     def planned_goal(self) -> Array | None:
-        """(w, 7) world poses of the hand link at all waypoints, None once the fingers close."""
+        """(w, 7) world poses of the hand link at all waypoints of the plan; None without a plan and in the retreat."""
         if self.plan is None or self._retreat:
             return None
         chain = self.arm.compute_chain_frames(self.plan.trajectory)
@@ -115,7 +115,7 @@ class OmgReceiver(PhasedReceiver):
         self.has_planned, self.plan = False, None
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
+        """Return the next nine target joint positions (rad, m)."""
         self._now_ms = round(1000.0 * float(observation["time"][0]))
         elapsed = self._now_ms - self._wait_ms
         if elapsed < 0:
@@ -159,7 +159,7 @@ class OmgReceiver(PhasedReceiver):
         return plan
 
     def _make_obstacles(self, observation: Observation, base_from_objects: Array) -> list[Obstacle]:
-        """Return the objects of the scene as obstacles in the base frame."""
+        """Return the objects of the scene as obstacles, given their poses (5, 7) in the robot's base frame."""
         present = np.flatnonzero(observation["object_mask"])
         names = [self.context.object_names[int(observation["object_classes"][number])] for number in present]
         urdfs = [self.context.object_urdf(name) for name in names]
@@ -169,7 +169,7 @@ class OmgReceiver(PhasedReceiver):
         ]
 
     def _find_human_hand(self, observation: Observation, base_from_world: Array) -> Capsules | None:
-        """Return the person's hand in the base frame, or None if it is ignored or absent."""
+        """Return capsules of the person's hand in the robot's base frame, or None if it is ignored or absent."""
         hand = hand_capsules_from_observation(observation) if self.config.avoids_hand else None
         if hand is None:
             return None
@@ -177,7 +177,7 @@ class OmgReceiver(PhasedReceiver):
         return replace(hand, starts=starts, ends=ends)
 
     def _plan_retreat(self, observation: Observation) -> list[Array]:
-        """Return arm joints (7,) along the straight line to the goal, with free hand rotation."""
+        """Return arm joints (7,) along the straight line to the goal, with free rotation of the hand link."""
         hand = observation["gripper_pose"][:3].astype(np.float64)
         goal = np.array(self.context.protocol.goal_center)
         count = max(1, math.ceil(float(np.linalg.norm(goal - hand)) / RETREAT_STEP))
@@ -198,7 +198,7 @@ class OmgHandAwareReceiver(OmgReceiver):
 
 
 class OmgUncheckedLastReceiver(OmgReceiver):
-    """OMG receiver with the authors' indexing error, which determines most of its goals."""
+    """OMG receiver with the indexing error of the authors' code, which determines most of the selected grasps."""
 
     name = "omg_unchecked_last"
     default_config = PlannerConfig(unchecked_last=True)

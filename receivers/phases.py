@@ -54,7 +54,7 @@ class PhasedReceiver(Receiver):
         return np.array([*arm[:ARM_DOF], fingers, fingers], dtype=np.float32)
 
     def _carry(self, observation: Observation, start_ms: int) -> Action:
-        """Return the action of the retreat that began at a time (ms)."""
+        """Return the present action of the retreat that began at `start_ms` (ms); the first call plans the path."""
         if not self._retreat:
             self._retreat = self._plan_retreat(observation)
         number, last = (self._now_ms - start_ms) // self.step_ms, len(self._retreat) - 1
@@ -63,4 +63,4 @@ class PhasedReceiver(Receiver):
 
     @abstractmethod
     def _plan_retreat(self, observation: Observation) -> list[npt.NDArray[np.float64]]:
-        """Return the configurations of the arm along the straight line to the goal."""
+        """Return configurations of the arm, one for each `step_ms`, along the straight line to the goal."""

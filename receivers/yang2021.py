@@ -55,11 +55,11 @@ class YangConfig(CheckedConfig):
         rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
         max_candidates: Maximum number of grasps that are checked for reachability.
         region_width: Half width, for a standoff at the grasp, of the region around the line from
-            standoff to grasp in which the hand moves straight to the grasp (m).
+            standoff to grasp in which the hand link moves straight to the grasp (m).
         region_slope: Growth of the region's width with the distance of the standoff from the grasp
             (1/m), relative to `region_width`.
         region_max_width: Maximum half width of the region around the line (m).
-        angle_tolerance: Maximum rotation error of the hand in the region and at the grasp (rad).
+        angle_tolerance: Maximum rotation error of the hand link in the region and at the grasp (rad).
         step_length: Length of a step from standoff to grasp (m).
         grasp_tolerance: Maximum distance from the grasp at which the fingers close (m).
     """
@@ -127,7 +127,7 @@ class Yang2021Receiver(Receiver):
         self._allocate(1)
 
     def copy_for(self, count: int) -> "Yang2021Receiver":
-        """Return a receiver with the same options for n episodes."""
+        """Return a receiver with the same options for `count` episodes."""
         receiver = copy.copy(self)
         receiver._allocate(count)
         return receiver
@@ -158,7 +158,7 @@ class Yang2021Receiver(Receiver):
 
     @property
     def planned_goal(self) -> npt.NDArray[np.float64] | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
         selected = self.selected[0]
         return selected if self.phase[0] == YangPhase.APPROACH and not np.isnan(selected).any() else None
 
@@ -168,12 +168,12 @@ class Yang2021Receiver(Receiver):
         return float(self.get_hold_times(ONLY_ROW)[0])
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
+        """Return the next nine target joint positions (rad, m)."""
         action: Action = self.decide(ONLY_ROW, add_episode_axis(observation))[0]
         return action
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode of a row; the receiver is deterministic."""
+        """Start the episode with index `row`; `seed` is ignored, since the receiver is deterministic."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
             self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
@@ -181,17 +181,17 @@ class Yang2021Receiver(Receiver):
         self.selected[row], self._references[row] = np.nan, np.nan
 
     def get_hold_times(self, rows: Indices) -> Array:
-        """Return the times (r,) until the next decisions (s), infinite during the retreat."""
+        """Return the times (r,) until the next decisions in the episodes `rows` (s), infinite during the retreat."""
         config = self.config
         times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
     def count_hold_steps(self, rows: Indices) -> AnyIntegers:
-        """Return the physics steps (r,) until the next decisions."""
+        """Return the numbers (r,) of physics steps until the next decisions in the episodes `rows`."""
         return np.array([steps_from_hold_time(time) for time in self.get_hold_times(rows).tolist()])
 
     def decide(self, rows: Indices, observation: Observation) -> Actions:
-        """Return the next target joint positions (r, 9) (rad, m)."""
+        """Return the next target joint positions (r, 9) (rad, m) in the episodes `rows`."""
         time, phase = np.round(observation["time"][:, 0].astype(np.float64), 3), self.phase[rows]
         waits = time < self.config.wait
         phase[~waits & (phase == YangPhase.WAIT)] = YangPhase.APPROACH
@@ -221,7 +221,7 @@ class Yang2021Receiver(Receiver):
         return np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32)
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return whether hands (r, 7) are in the region between standoff and grasp, and whether at the grasp, (r,)."""
+        """Return (r,) whether hand links at poses (r, 7) are between standoff and grasp, and whether at the grasp."""
         config = self.config
         in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
         some = np.flatnonzero(approaches & ~np.isnan(self.selected[rows, 0, 0]))
@@ -241,7 +241,7 @@ class Yang2021Receiver(Receiver):
         return in_region, at_grasp
 
     def _move_to_standoffs(self, rows: Indices, observation: Observation) -> Array:
-        """Select the cheapest reachable standoffs and return the arm joints (r, 7) there, nan without one."""
+        """Select the cheapest reachable standoffs, and return the arm joints (r, 7) there in rad, nan without one."""
         joints = observation["robot_joint_position"]
         arms = np.full((len(joints), ARM_DOF), np.nan)
         index = self._table.find(observation["object_classes"][:, 0])
@@ -273,14 +273,14 @@ class Yang2021Receiver(Receiver):
         return arms
 
     def _compute_costs(self, rows: Indices, standoffs: Array, hands: npt.NDArray[np.float32]) -> Array:
-        """Return the costs (r, n) of standoffs (r, n, 7)."""
+        """Return the costs (r, n) of standoffs (r, n, 7) of hand links that are at poses (r, 7) now."""
         references, weight = self._references[rows], self.config.rotation_weight
         references = np.where(np.isnan(references), hands, references)
         to_preferred = compute_pose_distances(self.config.preferred_pose, standoffs, weight)
         return compute_pose_distances(references, standoffs, weight) + to_preferred
 
     def _move_to_grasps(self, rows: Indices, observation: Observation) -> Array:
-        """Return the arm joints (r, 7) after one step towards the grasps, nan where they are not found."""
+        """Return the arm joints (r, 7) in rad after one step to the grasps, nan where there is no IK solution."""
         hands, grasps, length = observation["gripper_pose"][:, :3], self.selected[rows, 1], self.config.step_length
         offsets = grasps[:, :3] - hands
         distances = compute_lengths(offsets)[:, None]

@@ -29,7 +29,7 @@ def check_positive_integer(name: str, value: object) -> int:
     """Check that an argument is a positive integer, and return it as int.
 
     Args:
-        name: Name of the argument, for errors.
+        name: Name of the argument, for the error message.
         value: Value of the argument.
 
     Raises:
@@ -60,12 +60,12 @@ def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np
 
 
 def check_scene_option(options: Any, scene_ids: Sequence[int], split_name: str) -> int | None:
-    """Return the scene number that the options of `reset` choose, or None.
+    """Return the scene number that the options of `reset` choose, or None if they choose none.
 
     Args:
         options: Options of `reset`; unknown keys cause a warning.
         scene_ids: Scene numbers to choose from, ascending.
-        split_name: Name of these scenes, for errors.
+        split_name: Name of the set of these scenes, for the error message.
 
     Raises:
         OptionError: `options` is not a mapping.

@@ -34,7 +34,7 @@ class EnvConfig(SceneConfig):
             returns terms by agent; a combination (`combine_rewards`); or text `module:name` that names one of these.
         max_cycles: Control steps after which an episode is truncated; default: never.
         obs_mode: Observation mode of the receiver: parts joined by "+", such as "state" or "rgb+depth+pointcloud"; see
-            `handover_marl.episode.spaces.OBS_PARTS`. Both robots have a wrist camera.
+            `handover_marl.episode.spaces.OBS_PARTS`. Both robot models have a wrist camera.
 
     Raises:
         UnknownNameError: There is no such physics, observation mode, reward, renderer, camera or

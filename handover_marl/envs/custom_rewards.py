@@ -85,7 +85,7 @@ def combine_rewards(*parts: RewardLike | tuple[float, RewardLike]) -> CombinedRe
 
 
 def resolve_rewards(rewards: Any) -> Any:
-    """Return the weights, combination or function that a value of `rewards` refers to.
+    """Return the `TermWeights`, `CombinedRewards` or function of a transition that a value of `rewards` refers to.
 
     Raises:
         UnknownNameError: There is no reward of that name, or `module:name` cannot be imported.
@@ -105,7 +105,7 @@ def resolve_rewards(rewards: Any) -> Any:
 
 
 def set_discount(rewards: RewardLike, discount: float) -> Any:
-    """Return the rewards with a learner's discount factor in all shaping terms; functions stay unchanged."""
+    """Return rewards with a learner's discount factor in the shaping terms of all parts; functions stay unchanged."""
     found = resolve_rewards(rewards)
     if isinstance(found, TermWeights):
         return replace(found, gamma=discount)
@@ -125,7 +125,7 @@ def make_reward_source(
         rewards: Any value that `rewards` accepts.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Creator of the arrays of the terms' values.
     """
     found = resolve_rewards(rewards)
     if isinstance(found, CombinedRewards):
@@ -140,7 +140,7 @@ def make_reward_source(
 
 
 class SummedRewardSource(RewardSource):
-    """Weighted terms of several rewards; terms of one agent must have different names.
+    """Source of the weighted terms of several rewards; terms of one agent must have different names.
 
     Args:
         parts: Pairs of weight and source of terms.
@@ -176,7 +176,7 @@ class SummedRewardSource(RewardSource):
 
 
 class CustomRewardSource(RewardSource):
-    """Terms of a user-defined reward function; checks the names and values of the terms.
+    """Source of the terms of a user-defined reward function; checks the names and values of the terms.
 
     Args:
         functions: Function of a transition for each episode; its method `reset(transition)`, if it has one, is called
@@ -245,7 +245,7 @@ class CustomRewardSource(RewardSource):
             raise RewardError(f"reward {self._name!r} failed ({type(error).__name__}: {error})") from error
 
     def _check_agents(self, found: Any) -> None:
-        """Check that a user-defined reward returned or declared terms by agent and name."""
+        """Check that a user-defined reward returned terms by agent and name, or declared names of terms by agent."""
         is_by_agent = isinstance(found, Mapping) and not found.keys() - set(AGENTS)
         if not is_by_agent or any(isinstance(own, str) or not hasattr(own, "__iter__") for own in found.values()):
             raise RewardError(

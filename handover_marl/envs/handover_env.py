@@ -282,7 +282,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         return self._episode.capture_wrist_camera()
 
     def set_partner(self, agent: str, policy: EpisodePolicy, seed: int | None) -> None:
-        """Let a policy act for an agent until the next reset, at its own control period and with seeds as in `pair`.
+        """Let a policy act for an agent until the next reset, at its own control period and seeded as in evaluations.
 
         Actions that `step` gets for this agent are not used.
 
@@ -321,7 +321,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         self._observation = self._partner = None
 
     def _advance(self, actions: dict[str, Action]) -> None:
-        """Simulate one control period; the partner decides at its own control period."""
+        """Simulate one control period with actions by agent; a partner's policy decides at its own control period."""
         episode, partner, actions = self._episode, self._partner, dict(actions)
         end = episode.steps + self.config.control_steps
         while episode.steps < end and not episode.status:
@@ -353,7 +353,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
 
 
 def draw_robot_seed(rng: np.random.Generator, config: WorldConfig) -> int:
-    """Draw the seed of the robot's initial joint positions; without noise the generator keeps its state."""
+    """Draw the seed of the noise on the robot's initial joints from `rng`; without noise return 0, draw nothing."""
     return int(rng.integers(2**32)) if config.initial_joint_noise else 0
 
 
@@ -364,7 +364,7 @@ def spawn_camera_seed(rng: np.random.Generator) -> int:
 
 
 def _make_step_data(transition: Transition) -> StepData:
-    """Return the data of a control step of the only episode, for its rewards."""
+    """Return the data of one control step from which rewards are computed, as arrays of a single episode (1, ...)."""
 
     def read_state(needs_forces: bool) -> dict[str, npt.NDArray[Any]]:
         contacts = transition.contacts

@@ -78,7 +78,7 @@ class Steps:
 
     Attributes:
         states: Stored states (r, 4, 19) after the last four steps, the newest last; NaN before the start of an episode.
-        state: Whole state after the step, see `StepData`.
+        state: Whole state after the step, the arrays that `StepData.read_state` returns.
         status: Bits (r,) of `EpisodeStatus` after the step.
         goal: (3,) position to which the gripper must bring the object, world frame (m).
         gamma: Discount factor of the shaping terms.
@@ -98,53 +98,53 @@ class Steps:
 
 
 def compute_outcome(outcome: EpisodeStatus, steps: Steps) -> AnyArray:
-    """Return 1 where the status after a step has a bit, else 0."""
+    """Return (r,) 1 in episodes whose status after the step has the bit `outcome`, else 0."""
     return widen((steps.status & int(outcome)) != 0)
 
 
 def compute_distance_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return 1 minus the distance of fingertips and object (m), 1 while it is grasped, in states (r, 19)."""
+    """Return (r,) 1 minus the distance (m) from fingertips to object, 1 if grasped, in `states` (r, 19) of `Steps`."""
     fingertips = transform_points(states[:, _GRIPPER], make_constant(FINGERTIPS, states))
     is_grasped = states[:, _GRASPED]
     return 1.0 - (1.0 - is_grasped) * compute_lengths(fingertips - states[:, _OBJECT])
 
 
 def compute_grasp_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return 1 while both fingers touch the object, else 0, in states (r, 19)."""
+    """Return (r,) 1 where both fingers touch the object, else 0, in stored states (r, 19) of `Steps`."""
     return states[:, _GRASPED]
 
 
 def compute_goal_potential(steps: Steps, states: AnyArray) -> AnyArray:
-    """Return 1 minus the distance of hand link and goal (m) while the object is grasped, in states (r, 19)."""
+    """Return (r,) 1 minus the distance (m) from hand link to goal, 0 unless grasped, in `states` (r, 19) of `Steps`."""
     return states[:, _GRASPED] * (1.0 - compute_lengths(states[:, _HAND_LINK] - steps.goal))
 
 
 def compute_shaping(potential: Callable[[Steps, AnyArray], AnyArray], steps: Steps) -> AnyArray:
-    """Return the discounted potential after each step minus that before it."""
+    """Return (r,) gamma times the potential after each step, 0 once terminated, minus the potential before it."""
     # A timeout truncates an episode; only termination ends its potential.
     goes_on = widen((steps.status & ~int(EpisodeStatus.TIMEOUT)) == 0)
     return steps.gamma * goes_on * potential(steps, steps.states[:, -1]) - potential(steps, steps.states[:, -2])
 
 
 def compute_effort(steps: Steps) -> AnyArray:
-    """Return the squared speed of the wrist's displacement times the duration (m^2/s)."""
+    """Return (r,) the squared speed at which the wrist's displacement changes, times the duration (m^2/s)."""
     change = steps.states[:, -1, _DISPLACEMENT] - steps.states[:, -2, _DISPLACEMENT]
     return compute_lengths(change) ** 2 / steps.duration
 
 
 def compute_discomfort(steps: Steps) -> AnyArray:
-    """Return the wrist's offset from the recording (m, and rad / 3) times the duration."""
+    """Return (r,) the wrist's displacement (m) plus a third of its rotation (rad), times the duration (s)."""
     deviation = widen(steps.state["deviation"])
     return (compute_lengths(deviation[:, 1:4]) + compute_lengths(deviation[:, 4:]) / 3.0) * steps.duration
 
 
 def compute_path(position: slice, steps: Steps) -> AnyArray:
-    """Return the distance (m) of positions before and after each step; 0 without a hand."""
+    """Return (r,) the distance (m) between positions, in columns `position`, before and after each step; 0 for NaN."""
     return _replace_nan(compute_lengths(steps.states[:, -1, position] - steps.states[:, -2, position]))
 
 
 def compute_jerk(position: slice, steps: Steps) -> AnyArray:
-    """Return the norm of the third difference of the last four positions, divided by T^2 (m/s^2)."""
+    """Return (r,) the norm of the third difference of positions, in columns `position`, over T^2 (m/s^2)."""
     a, b, c, d = (steps.states[:, number, position] for number in range(_COUNT))
     jerk = compute_lengths(d - 3.0 * c + 3.0 * b - a) / steps.duration**2
     xp, durations = get_namespace(jerk), steps.states[:, 1:, _TIME] - steps.states[:, :-1, _TIME]
@@ -153,14 +153,14 @@ def compute_jerk(position: slice, steps: Steps) -> AnyArray:
 
 
 def compute_clearance(steps: Steps) -> AnyArray:
-    """Return min(d, 0.1) - 0.1 after each step, times its duration (m s); 0 without a hand."""
+    """Return (r,) min(d, 0.1) - 0.1 for the distance d (m) of gripper and hand, times T (m s); 0 without a hand."""
     distances, is_present = compute_hand_distances(steps.state), steps.state["hand_present"][:, 0] != 0.0
     missing = distances.clip(max=CLEARANCE_MARGIN) - CLEARANCE_MARGIN
     return widen(is_present) * missing * steps.duration
 
 
 def compute_hand_distances(state: Mapping[str, AnyArray]) -> AnyArray:
-    """Return the distances (r,) in m of the open grippers from the joint origins of the hands."""
+    """Return the distances (r,) in m between the boxes of the open gripper and the nearest joint of the human hand."""
     points = inverse_transform_points(state["gripper_pose"][:, None], state["hand_keypoints"])
     xp, points, centers, halves = as_arrays(points, GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES)
     outside = (xp.abs(points[:, :, None] - centers) - halves).clip(0.0)
@@ -197,7 +197,7 @@ _OUTCOMES, _FORCES = {"success", "contact", "drop"}, {"object_force", "hand_forc
 
 
 def is_finite_number(value: object) -> bool:
-    """Return whether a value is a finite number, which True and False are not."""
+    """Return whether a value is a finite int or float; True and False do not count as numbers."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -250,8 +250,8 @@ class StepData:
     Attributes:
         status: Bits (r,) of `EpisodeStatus`.
         read_state: Function from whether forces are needed to arrays (r, ...): the giver's observation, `grasped` (r,),
-            whether both fingers of the robot touch the object, and `object_force` and `hand_force` (r,), the forces of
-            the robot on both (N).
+            whether both fingers of the robot touch the object, and `object_force` and `hand_force` (r,), the normal
+            forces between robot and object, and between robot and human hand (N).
         read_transitions: Function that returns the r transitions.
     """
 
@@ -261,19 +261,19 @@ class StepData:
 
 
 class RewardSource(ABC):
-    """Reward terms of both agents in n episodes, as arrays with the episode as first axis."""
+    """Interface of sources of both agents' reward terms in n episodes; `rows` (r,) are indices of episodes."""
 
     @abstractmethod
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start episodes `rows` (r,), in whose transitions nothing moves; return the names of the terms."""
+        """Start the episodes `rows`, whose first states are in `step`; return the names of the terms by agent."""
 
     @abstractmethod
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values (r,) of the terms of a control step of episodes `rows` (r,), by agent and name."""
+        """Return the values (r,) of the reward terms in a control step of the episodes `rows`, by agent and name."""
 
 
 class WeightedRewardSource(RewardSource):
-    """Weighted terms of the library.
+    """Source of the weighted terms of the library, those of this module's table.
 
     Args:
         weights: Weights of the terms.
@@ -307,7 +307,7 @@ class WeightedRewardSource(RewardSource):
         return {agent: {name: own[name] * values[name] for name in own} for agent, own in self._weights.items()}
 
     def _summarize(self, state: Mapping[str, AnyArray]) -> AnyArray:
-        """Return the stored part (r, 19) of a state, float64."""
+        """Return the columns (r, 19) of a state that `Steps.states` stores, float64."""
         xp = self._xp
         columns = [
             state["time"],

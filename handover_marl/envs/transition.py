@@ -113,7 +113,7 @@ class TransitionRecorder:
 
 
 def copy_read_only(arrays: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Return read-only copies of arrays by key."""
+    """Return read-only copies of the arrays in a dictionary, by the same keys."""
     copies = {key: value.copy() for key, value in arrays.items()}
     for value in copies.values():
         value.setflags(write=False)

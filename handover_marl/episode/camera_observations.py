@@ -50,7 +50,7 @@ _NOISE_STREAM = 2
 
 
 class _ImageContent(IntEnum):
-    """Content of a rendered image; each contains the pixels of those before it."""
+    """Content of a rendered image, from object and hand alone to all bodies in colour; each includes the previous."""
 
     TARGETS = 0
     OBJECTS = 1
@@ -107,7 +107,7 @@ def camera_observation_space(obs_mode: str) -> dict[str, spaces.Space[Any]]:
 
 
 def count_clouds(obs_mode: str) -> int:
-    """Return the number of point clouds in an observation mode: those of object, hand and other objects."""
+    """Return the number of point clouds in an observation mode: 0, 2 (object, hand) or 3 (also other objects)."""
     parts = parse_obs_mode(obs_mode)
     return 3 if SCENE_POINTCLOUD in parts else 2 if parts & {POINTCLOUD, FULL_POINTCLOUD} else 0
 
@@ -144,7 +144,7 @@ class WristCameraConfig:
         return resolve_camera_noise(self.camera_noise)
 
     def describe(self, obs_mode: str, physics: str) -> str:
-        """Describe renderer, camera model and noise for result files; empty without camera data."""
+        """Return a text on renderer (in this physics), camera model and noise for results; "" without camera data."""
         if not has_camera(obs_mode):
             return ""
         parts = [f"renderer {resolve_renderer(self.renderer, physics)}", f"camera model {self.camera_model}"]
@@ -183,7 +183,7 @@ class WristCamera:
 
     Args:
         config: Configuration of the camera.
-        physics: Kind of physics.
+        physics: Kind of physics, "exact", "fast" or "mujoco".
         physics_config: Poses of robot and table.
 
     Attributes:
@@ -219,17 +219,17 @@ class WristCamera:
         self._images.clear()
 
     def record_snapshot(self, world: World) -> None:
-        """Record the current joint positions for images that arrive later (latency)."""
+        """Record the current joint positions of `world`, from which an image is rendered after the latency."""
         self._history.append(world.read_joint_snapshot())
 
     def capture(self, world: World, steps: int) -> CameraCapture:
-        """Return images and point clouds that are available after `steps` physics steps."""
+        """Return the images and point clouds of a world's episode that are available after `steps` physics steps."""
         image = self._get_image(world, steps, _ImageContent.COLORED)
         rgb = np.array(image.rgb, dtype=np.uint8)
         return CameraCapture(image.depth.copy(), image.segmentation.copy(), rgb, *self._compute_clouds(image, world, 2))
 
     def observe(self, obs_mode: str, world: World, steps: int) -> dict[str, npt.NDArray[Any]]:
-        """Return the camera data of an observation mode; see `camera_observation_space`."""
+        """Return the camera data of a mode, see `camera_observation_space`, after `steps` physics steps of a world."""
         parts, observation = parse_obs_mode(obs_mode), dict[str, npt.NDArray[Any]]()
         if not has_camera(obs_mode):
             return observation
@@ -255,7 +255,7 @@ class WristCamera:
         return observation
 
     def _compute_clouds(self, image: CameraImage, world: World, count: int) -> list[Cloud]:
-        """Compute the first `count` point clouds of `CLOUDS` in the robot's hand link frame."""
+        """Compute the first `count` point clouds (n, 3) of `CLOUDS` in the Panda's hand link frame (m)."""
         clouds = [
             deproject(image.depth, image.compute_mask(label), self._config.camera_model)
             for _, label, _ in CLOUDS[:count]
@@ -273,7 +273,7 @@ class WristCamera:
         return [((cloud @ old_rotation.T + old_origin - origin) @ rotation).astype(np.float32) for cloud in clouds]
 
     def _get_image(self, world: World, steps: int, content: _ImageContent) -> CameraImage:
-        """Return an image of this step with at least some content, rendered if necessary."""
+        """Return the image after `steps` physics steps with at least the given content, rendered if not yet known."""
         for kind in range(content, _ImageContent.COLORED + 1):
             known = self._images.get(kind)
             if known is not None and known[0] == steps:
@@ -305,20 +305,20 @@ class WristCamera:
         return self._ray_camera.render_targets(snapshot, with_others=content == _ImageContent.OBJECTS)
 
     def _subsample(self, cloud: Cloud, steps: int, stream: int) -> Cloud:
-        """Return `N_POINTS` points: a random subset in image order, or all points and zero rows."""
+        """Return `N_POINTS` points of a cloud (n, 3): a random subset in image order, or all of them and zeros."""
         if len(cloud) > N_POINTS:
             chosen = self._make_rng(cloud, steps, stream).choice(len(cloud), N_POINTS, replace=False)
             return cloud[np.sort(chosen)]
         return _pad_cloud(cloud, N_POINTS)
 
     def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
-        """Return a generator that differs between images, so that a run's seed suffices for all scenes."""
+        """Return a generator that also depends on the image or cloud `content`, so that scenes differ with one seed."""
         digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 
 
 def _select_content(parts: frozenset[str]) -> _ImageContent:
-    """Return the least content of an image that has the parts of an observation mode."""
+    """Return the smallest content of an image that suffices for the parts of an observation mode."""
     if RGB in parts:
         return _ImageContent.COLORED
     if parts & IMAGES:
@@ -327,7 +327,7 @@ def _select_content(parts: frozenset[str]) -> _ImageContent:
 
 
 def _pad_cloud(cloud: Cloud, rows: int) -> Cloud:
-    """Return a cloud (n, 3) with zeros appended, (rows, 3)."""
+    """Return a cloud (n, 3) with zeros appended, float32 (rows, 3)."""
     padded = np.zeros((rows, 3), dtype=np.float32)
     padded[: len(cloud)] = cloud
     return padded

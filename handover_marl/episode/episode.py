@@ -1,6 +1,6 @@
 """Episode of a handover: advances giver motion, simulated world, wrist camera and referee.
 
-Its scenes and simulation have a configuration that environments and evaluations share.
+`SceneConfig` configures scenes and simulation, for environments and for evaluations.
 """
 
 import os
@@ -40,13 +40,13 @@ class SceneConfig:
         setup: Official setup: s0 no unseen factor, s1 unseen subjects, s2 unseen handedness, s3 unseen objects; or a
             setup of other data. Default: the first of the dataset, s0 of the official ones.
         split: Split of the setup: train, val or test.
-        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports say if they are partial.
+        scenes: Scene numbers of the split, e.g. 209,214; default: all. Reports mention it if scenes are left out.
         dataset: Dataset: dexycb, synthetic, generated:n=1000,seed=7 (any number of scenes), own:FOLDER (custom scenes),
             or auto (dexycb if a data folder is found, else synthetic).
         data_dir: Data folder in HandoverSim's layout; default: the environment variable HANDOVER_MARL_DATA.
         physics: Physics: exact (official results), fast (hand and objects are simulated only while the robot is near
             them), or mujoco (another engine).
-        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on its hand, which collides too.
+        robot: Robot model: panda, or panda_camera with HandoverSim's depth camera on the gripper, which collides too.
         renderer: Renderer of the wrist camera: bullet, rays, or auto (bullet in exact physics, else rays).
         camera_model: Projection of the wrist camera's point clouds: handoversim (shifted by one pixel, as in the
             original) or pinhole.
@@ -82,14 +82,14 @@ class SceneConfig:
 
 
 class Episode:
-    """Simulator of handover episodes, the common base of environments and evaluations.
+    """Simulator of handover episodes, one after another; environments and evaluations are built on it.
 
     Args:
-        physics: "exact" is HandoverSim's simulation bit for bit, "fast" leaves out bodies that cannot be
-            touched, "mujoco" is another engine.
+        physics: "exact" is HandoverSim's simulation bit for bit, "fast" simulates hand and objects only while the
+            robot is near them, "mujoco" is another engine.
         config: Simulated world, protocol and limits of the giver.
         window: Whether to show PyBullet's window.
-        wrist_camera: Rendering of the wrist camera's images; they are rendered only when asked for.
+        wrist_camera: Configuration of the wrist camera, whose images are rendered only when they are observed.
 
     Attributes:
         config: Simulated world, protocol and limits of the giver.
@@ -154,7 +154,7 @@ class Episode:
             steps: Number of physics steps (1 ms).
             giver_action: (8,) float32 deviation from the recording; default: replay the
                 recording.
-            on_step: Functions that are called after every physics step.
+            on_step: Functions that are called with the episode after every physics step.
         """
         world, motion, referee = self.world, self._motion, self._referee
         n_objects = len(self.scene.info.object_ids)
@@ -178,7 +178,7 @@ class Episode:
             motion.commit(plan, np.array([simulated]))
 
     def _simulate_rollout(self, world: RolloutWorld, target: list[float], steps: int) -> int:
-        """Simulate up to `steps` physics steps at once; return their number."""
+        """Simulate up to `steps` physics steps in one call of `world`; return the number of simulated steps."""
         states = RefereeState(*(np.array([value]) for value in self._referee.get_state()))
         rules = self.config.protocol
         simulated = type(world).rollout([world], [target], steps, make_judge(states, rules), rules)
@@ -194,7 +194,7 @@ class Episode:
         camera: WristCamera | None,
         on_step: Sequence[Callable[["Episode"], None]],
     ) -> int:
-        """Simulate up to `steps` physics steps one after another; return their number."""
+        """Simulate up to `steps` physics steps one after another; return the number of simulated steps."""
         referee, simulated = self._referee, 0
         while simulated < steps and not referee.status:
             world.step(target)
@@ -211,7 +211,7 @@ class Episode:
         return simulated
 
     def observe(self) -> Observation:
-        """Return the full state of the simulation as an observation."""
+        """Return the full state of the simulation as an observation: arrays by the keys of `state_space`."""
         state, time = self.world.read_state(), self.steps * TIME_STEP
         return observe(state, self.scene.info.object_ids, self._referee.released, time)
 
@@ -231,7 +231,7 @@ class Episode:
         return select_receiver_observation(state, self.observe_camera(obs_mode), obs_mode)
 
     def observe_giver(self, state: Observation) -> Observation:
-        """Return the giver's observation: full state, preview of the recording, current deviation.
+        """Return the giver's observation, arrays by the keys of `giver_observation_space`.
 
         Args:
             state: The full state as `observe` returns it now.
@@ -240,17 +240,17 @@ class Episode:
         return {**state, **{key: values[0] for key, values in own.items()}}
 
     def seed_camera(self, seed: int) -> None:
-        """Seed the random draws of the wrist camera; they depend on this seed, the physics step and the image."""
+        """Seed the random draws of the wrist camera (noise and subsampling of point clouds)."""
         self._camera_seed = seed
         if self._wrist_camera is not None:
             self._wrist_camera.seed(seed)
 
     def capture_wrist_camera(self) -> CameraCapture:
-        """Return depth, segmentation, colours and point clouds of the wrist camera."""
+        """Return depth, segmentation, colours and point clouds of the wrist camera at the current step."""
         return self._get_wrist_camera().capture(self.world, self.steps)
 
     def observe_camera(self, obs_mode: str) -> Observation:
-        """Return the wrist camera data of an observation mode; see `camera_observation_space`.
+        """Return the wrist camera data of an observation mode by key, as `camera_observation_space` lists them.
 
         Raises:
             OptionError: A package is missing that the renderer needs.
@@ -261,7 +261,7 @@ class Episode:
         return self._get_wrist_camera().observe(obs_mode, self.world, self.steps)
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:
-        """Render the current state of the simulation as an RGB image (height, width, 3)."""
+        """Return an RGB image (height, width, 3) uint8 of the current state of the simulation, seen by `camera`."""
         return self.world.render(camera)
 
     @property
@@ -311,7 +311,7 @@ class Episode:
         return self._referee.release_step
 
     def close(self) -> None:
-        """Free the simulation."""
+        """Free the simulation; `reset` starts another one."""
         if self._world is not None:
             self._world.close()
         self._world = self._scene = None

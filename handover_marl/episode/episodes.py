@@ -29,7 +29,7 @@ class Episodes:
 
     Attributes:
         config: Simulated world, protocol and limits of the givers.
-        arrays: Creator of arrays.
+        arrays: Creator of NumPy arrays, or of tensors on the device of MuJoCo Warp.
         motion: Motion of the givers.
         referees: Referee states.
         state: Full state of all episodes after their last `observe`: arrays (n, ...) by the keys of
@@ -105,7 +105,7 @@ class Episodes:
             rows, robot_targets, giver_actions = rows[running], robot_targets[running], giver_actions[running]
 
     def observe(self, rows: AnyIndices) -> None:
-        """Read the full state of episodes from the simulation into `state`."""
+        """Read the full state of the episodes `rows` from the simulation into the attribute `state`."""
         for key, values in self._worlds.read_state(rows)._asdict().items():
             self.state[key][rows] = values
         xp = self.arrays.xp
@@ -114,25 +114,25 @@ class Episodes:
         self.state["time"][rows, 0] = xp.astype(times, xp.float32)
 
     def select_state(self, rows: AnyIndices) -> Observation:
-        """Return copies (r, ...) of the full state of episodes at their last `observe`."""
+        """Return copies (r, ...) of the full state of the episodes `rows`, as `observe` has last read it."""
         return {key: values[rows] for key, values in self.state.items()}
 
     def select_giver_observation(self, rows: AnyIndices) -> Observation:
-        """Return the givers' observations (r, ...): state, preview of the recording, deviation."""
+        """Return the givers' observations in the episodes `rows`: arrays (r, ...), see `giver_observation_space`."""
         return {**self.select_state(rows), **observe_giver_motion(self.motion, rows)}
 
     def are_grasped(self, rows: AnyIndices) -> AnyArray:
-        """Return whether both fingers touched the object in the last physics step, in each of r episodes."""
+        """Return (r,) whether both robot fingers touched the object in the last physics step of the episodes `rows`."""
         return self._worlds.are_grasped(rows, self.config.protocol) & (self.referees.steps[rows] > 0)
 
     def read_contacts(self, row: int) -> Contacts:
-        """Return the contacts of an episode in the last physics step."""
+        """Return the contacts in the last physics step of the episode `row`; no contacts before the first step."""
         if int(self.referees.steps[row]) == 0:
             return Contacts()
         return self._worlds.read_contacts(row, bool(self.released[row]))
 
     def make_infos(self, rows: AnyIndices) -> dict[str, AnyArray]:
-        """Return arrays (r,) of scene numbers, status bits, physics steps, and steps and reasons of release."""
+        """Return the infos of the episodes `rows` as `HandoverEnv` lists them, arrays (r,), without reward terms."""
         referees = self.referees
         return {
             "scene_id": self._scene_ids[rows],

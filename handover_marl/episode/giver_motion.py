@@ -40,16 +40,16 @@ _HALF = OBJECT_DOF // 2
 
 
 class RecordedFrames(Protocol):
-    """Interface of the recorded frames of n givers."""
+    """Interface of the recordings of n givers: `rows` (r,) are givers, `frames` (r, k) frame numbers of each."""
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that a giver plays."""
+        """Choose the scene that the giver with index `row` plays."""
 
     def read(self, rows: AnyIndices, frames: AnyArray) -> ReferenceMotion:
-        """Return copies of the recorded frames (r, k) of r givers."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
 
     def read_poses(self, rows: AnyIndices, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
 
 
 class HostFrames:
@@ -65,12 +65,12 @@ class HostFrames:
         self._poses: list[npt.NDArray[np.float32]] = [np.zeros((0, 2, 7), dtype=np.float32)] * count
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that a giver plays."""
+        """Choose the scene that the giver with index `row` plays."""
         self._scenes[row], self._hand_present[row] = scene, scene.is_hand_present(np.arange(scene.n_frames))
         self._poses[row] = compute_recorded_poses(scene)
 
     def read(self, rows: Indices, frames: Indices) -> ReferenceMotion:
-        """Return copies of the recorded frames (r, k) of r givers."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
         shape = frames.shape
         hand, present = np.empty((*shape, HAND_DOF), dtype=np.float32), np.empty(shape, dtype=bool)
         objects = np.zeros((*shape, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -83,7 +83,7 @@ class HostFrames:
         return ReferenceMotion(objects, hand, present)
 
     def read_poses(self, rows: Indices, frames: Indices) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
         poses = np.empty((*frames.shape, 2, 7), dtype=np.float32)
         for index, row in enumerate(rows.tolist()):
             poses[index] = self._poses[row][frames[index]]
@@ -106,7 +106,7 @@ class DeviceFrames:
         self._poses = RowBank(arrays, (2, 7), "float32")
 
     def set_scene(self, row: int, scene: Scene) -> None:
-        """Choose the scene that a giver plays, and copy it to the device unless it is there."""
+        """Choose the scene that the giver with index `row` plays, and copy it to the device unless it is there."""
         key = scene.info.scene_id
         if key not in self._first_by_scene:
             objects = np.zeros((scene.n_frames, MAX_OBJECTS, OBJECT_DOF), dtype=np.float32)
@@ -118,12 +118,12 @@ class DeviceFrames:
         self._firsts[row] = self._first_by_scene[key]
 
     def read(self, rows: AnyArray, frames: AnyArray) -> ReferenceMotion:
-        """Return copies of the recorded frames (r, k) of r givers."""
+        """Return copies (r, k, ...) of joint positions of hand and objects in frames (r, k) of the givers `rows`."""
         places = self._firsts[rows][:, None] + frames
         return ReferenceMotion(self._objects.rows[places], self._hand.rows[places], self._present.rows[places])
 
     def read_poses(self, rows: AnyArray, frames: AnyArray) -> AnyArray:
-        """Return the recorded poses (r, k, 2, 7) of wrists and target objects; see `compute_recorded_poses`."""
+        """Return the poses (r, k, 2, 7) that `compute_recorded_poses` defines in frames (r, k) of the givers `rows`."""
         return self._poses.rows[self._firsts[rows][:, None] + frames]
 
 
@@ -131,14 +131,14 @@ class GiverState(NamedTuple):
     """State of the playback of n givers (n, ...), or in each of k planned steps (n, k, ...).
 
     Attributes:
-        clock: Playback time (frames).
-        frame: Frame of the recording.
+        clock: Playback time in frames, which need not be a whole number.
+        frame: Number of the frame that is played: `clock`, rounded, and at most the last frame.
         rate: Playback rate minus 1.
-        opening_progress: Progress of the hand's opening, 0 to 1.
+        opening_progress: Progress of the hand's opening after a voluntary release, 0 to 1.
         offset: Displacement (m) and rotation vector (rad) of the wrist, (..., 2, 3).
-        velocity: Velocity of this offset (..., 2, 3).
+        velocity: Velocity of this offset (m/s, rad/s), (..., 2, 3).
         has_deviated: Whether the wrist has ever had an offset.
-        angles: Last Euler angles (..., 2, 3) of hand base and object, from which the next continue without a jump.
+        angles: Euler angles (rad, intrinsic XYZ) of hand base and object, from which the next continue without a jump.
     """
 
     clock: AnyArray
@@ -157,7 +157,7 @@ class PlannedMotion:
 
     Attributes:
         rows: Indices (r,) of the givers.
-        reference: Joint targets of hands and objects.
+        reference: Joint targets (r, k, ...) of hands and objects.
         states: States (r, k, ...) of the givers after each step.
     """
 
@@ -167,7 +167,7 @@ class PlannedMotion:
 
 
 class GiverMotion:
-    """Playback of one recorded scene for each of n givers, with their deviations; it stays at the last frame.
+    """Playback of a recorded scene and of the deviations from it for each of n givers; it stays at the last frame.
 
     `plan` returns the motion of the next physics steps, `commit` applies as many of them as were simulated. Hand and
     held object deviate together, rigidly about the wrist, and only after the object has been picked up, because until
@@ -229,7 +229,7 @@ class GiverMotion:
         return xp.astype(xp.concat([state.rate[:, None], state.offset.reshape(-1, 6)], axis=1), xp.float32)
 
     def read_previews(self, rows: AnyIndices) -> tuple[AnyArray, AnyArray]:
-        """Return the recorded poses of r givers at the k preview times ahead.
+        """Return the recorded poses of the givers `rows` (r,) at the k preview times, counted from now.
 
         Returns:
             (r, k, 7) poses of the wrists, zeros without a hand, and (r, k, 7) poses of the objects to be handed over:
@@ -242,12 +242,12 @@ class GiverMotion:
     def plan(
         self, rows: AnyIndices, steps: int, actions: AnyArray, released: AnyArray, is_opening: AnyArray
     ) -> PlannedMotion:
-        """Return the motion of r givers in the next physics steps, without advancing the playback.
+        """Return the motion of r of the givers in the next physics steps, without advancing the playback.
 
         Args:
             rows: Indices (r,) of the givers.
             steps: Number of physics steps k.
-            actions: (r, 8) actions.
+            actions: (r, 8) actions of these givers.
             released: Whether each object has been released, so that it does not follow the hand, (r,).
             is_opening: Whether each hand opens after a voluntary release, (r,).
         """
@@ -317,7 +317,7 @@ class GiverMotion:
         """Move the finger angles of opening hands towards zero, which is a flat hand in MANO.
 
         Args:
-            reference: Reference motion of r givers in k steps.
+            reference: Reference motion of r givers in k steps, which is changed in place.
             progress: Progress of the opening (r, k) before the first step.
             is_opening: Whether each hand opens, (r,).
 
@@ -339,8 +339,8 @@ class GiverMotion:
         Args:
             rows: Indices (r,) of the givers.
             moving: Indices (d,) in `rows` of the givers whose wrists have an offset.
-            reference: Reference motion of r givers.
-            offsets: Offsets (d, k, 2, 3) of the wrists.
+            reference: Reference motion of r givers, which is changed in place.
+            offsets: Displacements (m) and rotation vectors (rad) of these wrists, (d, k, 2, 3).
             released: Whether each object has been released, (r,).
         """
         xp, who = self._arrays.xp, rows[moving]
@@ -352,17 +352,17 @@ class GiverMotion:
 
 
 def _may_hold(flags: AnyArray) -> bool:
-    """Return whether one of the flags (r,) is set; for tensors always, as reading them would take longer."""
+    """Return whether one of the flags (r,) may be set: True for all tensors, which take long to read."""
     return is_tensor(flags) or bool(flags.any())
 
 
 def requests_release(giver_actions: AnyArray) -> AnyArray:
-    """Return whether actions (..., 8) of givers request the release of the object, (...)."""
+    """Return for each action (..., 8) of givers whether it requests the release of the object."""
     return giver_actions[..., 7] > 0.5
 
 
 def count_steps_until_pick_up(pick_up: AnyArray, now: AnyArray, frames: AnyArray) -> AnyArray:
-    """Return the number (r,) of the next k steps that start before each object is picked up.
+    """Return how many of the next k physics steps start before the object is picked up, (r,) for r givers.
 
     Args:
         pick_up: Frames (r,) in which the objects are picked up.
@@ -401,7 +401,7 @@ def compute_recorded_poses(scene: Scene) -> npt.NDArray[np.float32]:
 
 
 def find_wrist_in_base(scene: Scene) -> npt.NDArray[np.float64]:
-    """Return the (3,) position of the human wrist in the frame of the hand's base (m)."""
+    """Return the position (3,) of a scene's human wrist in the frame of the base of the hand's model (m)."""
     wrist_in_base: npt.NDArray[np.float64] = _compute_wrist_in_base(read_tree(scene.assets.hand)).copy()
     return wrist_in_base
 
@@ -414,6 +414,6 @@ def _compute_wrist_in_base(tree: KinematicTree) -> npt.NDArray[np.float64]:
 
 
 def find_pick_up_frame(scene: Scene, distance: float = 0.005) -> int:
-    """Return the first frame with the object farther than `distance` (m) from its start, or `NEVER`."""
+    """Return the first frame in which the target object is over `distance` (m) from its start, or `NEVER`."""
     moved = np.linalg.norm(scene.object_dof[:, 0, :3] - scene.object_dof[0, 0, :3], axis=1) > distance
     return int(np.argmax(moved)) if moved.any() else NEVER

@@ -30,8 +30,7 @@ class PolicyDecision:
     Attributes:
         receiver_action: (9,) action of the receiver.
         giver_action: (8,) action of the giver.
-        planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if its last
-            action is held.
+        planning_time: Wall-clock time of the receiver's policy (s), without rendering; 0 if its last action is held.
         receiver_decided: Whether the receiver's policy acted now; otherwise its last action is held.
         giver_decided: Whether the giver's policy acted now; always false for a replayed giver.
         rendering_time: Wall-clock time for rendering the receiver's camera data (s).
@@ -89,7 +88,7 @@ class ActionRecorder(EpisodeCallback):
         self._decisions.append((episode.steps, decision))
 
     def on_end(self, episode: Episode) -> None:
-        """Build the arrays of the episode, in which held actions are repeated in every step."""
+        """Set `actions` and `times` of the episode; held actions are repeated in every step."""
         self.actions = np.zeros((episode.steps, PANDA_DOF), dtype=np.float32)
         self.times = np.zeros(episode.steps)
         ends = [step for step, _ in self._decisions[1:]] + [episode.steps]
@@ -140,8 +139,8 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
     Args:
         policy: Policy to call.
-        observation: Observation of its agent.
-        step: Number of physics steps since the start.
+        observation: Observation of the policy's agent.
+        step: Number of physics steps since the start of the episode.
 
     Raises:
         PolicyError: The policy fails.
@@ -154,7 +153,7 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
 
 @contextlib.contextmanager
 def _name_policy(policy: EpisodePolicy, when: str) -> Iterator[None]:
-    """Name the policy in errors of its code."""
+    """Raise errors of a policy's code as `PolicyError` with its name and `when` it failed; keep library errors."""
     try:
         yield
     except HandoverError:
@@ -178,7 +177,7 @@ class EpisodeAgent:
     """Policy that acts for one agent in one episode at its own control period, and the action that it holds.
 
     The policy's seed is derived from the seed of the run: `derive_giver_seed` for a giver, `derive_receiver_seed` for a
-    receiver, which starts at its first decision. The draws of the wrist camera have a seed for a receiver, too.
+    receiver, which starts at its first decision. For a receiver, the random draws of the wrist camera are seeded, too.
 
     Args:
         episode: Episode at the start of a scene.
@@ -190,8 +189,8 @@ class EpisodeAgent:
         agent: Agent that the policy acts for, "giver" or "receiver".
         action: Action that is held; empty before the first decision.
         due: Physics step from which on the policy is to be called again.
-        planning_time: Time of the last call of the policy (s).
-        rendering_time: Time in which the observation of the last decision was made (s).
+        planning_time: Wall-clock time of the last call of the policy (s).
+        rendering_time: Wall-clock time in which the observation of the last decision was made (s).
 
     Raises:
         PolicyError: A giver fails.
@@ -210,7 +209,7 @@ class EpisodeAgent:
 
     @property
     def observes(self) -> bool:
-        """Whether the policy gets an observation."""
+        """Whether the policy gets an observation, rather than an empty dictionary."""
         return self._is_giver or getattr(self._policy, "obs_mode", STATE) is not None
 
     def act(self) -> Action:
@@ -224,7 +223,7 @@ class EpisodeAgent:
         return self.action
 
     def decide(self, state: Observation) -> None:
-        """Call the policy, and hold its action.
+        """Call the policy, and hold its action in `action` until the step `due`.
 
         Args:
             state: Full state as `Episode.observe` returns it now.
@@ -311,7 +310,7 @@ def derive_giver_seed(seed: int | None, scene_id: int) -> int:
     """Derive the seed of a giver: a hash of the run's seed and the scene number.
 
     Nothing that a receiver observes may be drawn with this seed, since the receiver could find the scene number by
-    trying all numbers. It may only see the motion of a giver that acts at random.
+    trying all numbers. It may only see these draws in the motion of a giver that acts at random.
 
     Args:
         seed: Seed of the run; None is 0.
@@ -350,7 +349,7 @@ def derive_receiver_seed(seed: int | None, observation: Observation) -> int:
 
 
 def derive_seed(seed: int | None, user: str, *observed: str | npt.NDArray[Any]) -> int:
-    """Derive a seed of 32 bits: a hash of the run's seed (None is 0), the user's name, and what the user observes."""
+    """Derive a seed of 32 bits: a hash of the run's seed (None is 0), the name of its user, and observed data."""
     digest = hashlib.sha256(f"handover_marl {seed or 0} {user}".encode())
     for part in observed:
         digest.update(part.encode() if isinstance(part, str) else part.tobytes())

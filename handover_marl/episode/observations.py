@@ -67,7 +67,7 @@ def receiver_observation_space(obs_mode: str = STATE, largest_class: int = LARGE
 
     Args:
         obs_mode: Observation mode: state, wrist camera data, or both; see `camera_observation_space`.
-        largest_class: Largest class number of objects.
+        largest_class: Largest class number of objects, 21 for YCB classes.
 
     Raises:
         UnknownNameError: There is no such observation mode.
@@ -82,6 +82,10 @@ def giver_observation_space(
     config: GiverConfig = OFFICIAL_CONFIG.giver, largest_class: int = LARGEST_YCB_CLASS
 ) -> spaces.Dict:
     """Return the giver's observation space: the full state and the keys of this table.
+
+    Args:
+        config: Limits of the giver, with the preview times that the table mentions.
+        largest_class: Largest class number of objects, 21 for YCB classes.
 
     | key | shape | meaning (world frame; m, rad; quaternions xyzw) |
     |---|---|---|
@@ -103,7 +107,7 @@ def giver_observation_space(
 
 
 def observe(state: WorldState, object_ids: tuple[int, ...], released: bool, time: float) -> Observation:
-    """Return the full state of a simulated world as an observation.
+    """Return the full state of a simulated world as an observation, arrays by the keys of `state_space`.
 
     Args:
         state: State of the simulated world.
@@ -136,11 +140,11 @@ def select_receiver_observation(state: Observation, camera: Observation, obs_mod
 
 
 def observe_giver_motion(motion: GiverMotion, rows: AnyIndices) -> Observation:
-    """Return what only givers observe: previews of their recordings and their deviations (r, ...).
+    """Return arrays (r, ...) by the keys that `giver_observation_space` has in addition to the state.
 
     Args:
         motion: Motion of n givers.
-        rows: Indices (r,) of the givers.
+        rows: Indices (r,) of the givers that observe.
     """
     wrist_poses, object_poses = motion.read_previews(rows)
     holding = motion.holding[rows, None]

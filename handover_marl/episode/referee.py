@@ -80,17 +80,20 @@ class RefereeState(NamedTuple):
     goal_steps: AnyArray
 
     def select_rows(self, rows: AnyIndices) -> "RefereeState":
-        """Return the states of the episodes with these indices."""
+        """Return the states of some of n episodes; `rows` (r,) are their indices."""
         return RefereeState(*(array[rows] for array in self))
 
     def assign_rows(self, rows: AnyIndices, states: "RefereeState") -> None:
-        """Set the states of the episodes with these indices."""
+        """Set the states of some of n episodes to `states` of r episodes; `rows` (r,) are their indices."""
         for array, values in zip(self, states, strict=True):
             array[rows] = values
 
 
 class Referee:
     """Referee of one episode: applies the rules of release and status after each physics step.
+
+    Args:
+        config: Thresholds of the protocol's rules.
 
     Attributes:
         status: Status after the last step; any status but RUNNING ends the episode.
@@ -113,7 +116,7 @@ class Referee:
         self._active_steps = self._passive_steps = self._goal_steps = 0
 
     def release_voluntarily(self) -> None:
-        """Release the object before the next step, by the giver's choice, if still held."""
+        """Record that the giver releases the object before the next physics step, unless it is released already."""
         if not self.released:
             self.release_reason, self.release_step, self.released = ReleaseReason.VOLUNTARY, self.steps, True
 
@@ -140,7 +143,7 @@ class Referee:
         )
 
     def restore(self, state: RefereeState) -> None:
-        """Restore a state of one episode."""
+        """Restore a state of one episode, as `get_state` returns it."""
         status, self.steps, reason, release_step, *counts = map(int, state)
         self.status, self.released = EpisodeStatus(status), reason >= 0
         self.release_reason = RELEASE_REASONS[reason] if self.released else None
@@ -270,7 +273,7 @@ def _is_uneventful(before: RefereeState, contacts: RolloutContacts, config: Prot
 
 
 def _judge_time_limit(before: RefereeState, n_steps: int, config: ProtocolConfig) -> tuple[Counts, RefereeState]:
-    """Apply the time limit alone to k steps; see `judge_steps`."""
+    """Apply the time limit alone to `n_steps` steps; arguments and result as in `judge_steps`."""
     last = np.clip(config.horizon_steps - before.steps - 1, 0, n_steps - 1)
     steps, none = before.steps + last + 1, np.zeros_like(last)
     return last, before._replace(

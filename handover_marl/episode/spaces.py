@@ -25,7 +25,7 @@ GIVER_ACTION_SIZE = 8
 
 
 def parse_obs_mode(obs_mode: str) -> frozenset[str]:
-    """Return the parts of an observation mode, such as "state+rgb+pointcloud"; those of "rgbd" are the three images.
+    """Return the parts of an observation mode: "state+rgbd" has "state", "depth", "segmentation" and "rgb".
 
     Raises:
         UnknownNameError: A part is not one of `OBS_PARTS`.
@@ -92,7 +92,7 @@ def check_receiver_action(action: object) -> npt.NDArray[np.float32]:
 
 
 def check_giver_action(action: object, space: spaces.Box) -> npt.NDArray[np.float32]:
-    """Check a giver's action; return it as float32 (8,), clipped to the action space.
+    """Check a giver's action; return it as float32 (8,), clipped to the bounds of the giver's action space `space`.
 
     Raises:
         ActionError: The action is not eight finite numbers.
@@ -107,10 +107,10 @@ def check_vector(
     """Check numbers and return them as a float32 vector (size,).
 
     Args:
-        name: Name of the values, for errors.
+        name: Name of the values, for error messages.
         values: Array or sequence of real numbers.
         size: Number of values.
-        meaning: Description of the values, for errors.
+        meaning: Description of the values, for error messages.
         n_finite: Number of values, from the first, that must be finite; default: all.
 
     Raises:
@@ -132,7 +132,7 @@ def check_vector(
 
 
 def _as_float32(action: object) -> npt.NDArray[np.float32] | None:
-    """Convert an action to float32; return None if it does not consist of real numbers."""
+    """Return a copy of an action as a float32 array of the same shape; None if it does not consist of real numbers."""
     try:
         values = np.asarray(action)
     except (TypeError, ValueError, RuntimeError):  # ragged lists; tensors on a GPU or with a gradient

@@ -82,7 +82,7 @@ class WarpWristCamera:
         return observation
 
     def close(self) -> None:
-        """Free the models' meshes."""
+        """Free the memory of the device that the meshes of the models take."""
         self._camera.close()
 
     def _observe_images(self, rows: AnyArray, states: WorldState) -> Observation:

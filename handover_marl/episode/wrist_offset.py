@@ -52,10 +52,10 @@ def track_set_points(
 
     Args:
         values: Displacements (m) and rotation vectors (rad) before the first step, (d, 2, 3).
-        velocities: Velocities before the first step (d, 2, 3).
+        velocities: Velocities (m/s, rad/s) before the first step, (d, 2, 3).
         set_points: Values to reach, (d, 2, 3).
         steps: Number k of physics steps.
-        limits: Largest speeds and largest accelerations, (2, 2): of displacements, of rotations.
+        limits: Largest speeds (m/s, rad/s) and accelerations (m/s^2, rad/s^2), (2, 2): of displacements, of rotations.
 
     Returns:
         Values and velocities (d, k, 2, 3) after each step.
@@ -76,7 +76,7 @@ def track_set_points(
 
 
 def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
-    """Return values (d, k, 2, 3) of k steps that start after delays (d,) (steps), with zeros before."""
+    """Return values (d, k, 2, 3) of k steps, moved back by `delays` (d,) steps: zeros first, the last ones cut off."""
     xp, (count, steps) = get_namespace(values), values.shape[:2]
     source = xp.arange(steps, device=values.device) - delays[:, None]
     delayed = values[xp.arange(count, device=values.device)[:, None], xp.clip(source, min=0)]
@@ -84,7 +84,7 @@ def delay_steps(values: AnyArray, delays: AnyArray) -> AnyArray:
 
 
 def _track_step(now: AnyArray, velocity: AnyArray, goal: AnyArray, limits: _MotionLimits) -> tuple[AnyArray, AnyArray]:
-    """Advance vectors (3, m) by one step; return values and velocities. Vectors at their goal stay there."""
+    """Advance m vectors by one step towards `goal`, and return values and velocities; all arrays are (3, m)."""
     xp, left = get_namespace(now), goal - now
     distance = _compute_column_lengths(left)
     is_reached = (distance < _TOLERANCE) & (_compute_column_lengths(velocity) <= limits.max_change)

@@ -19,7 +19,7 @@ from handover_marl.policies.policy import Policy
 
 #: Actions (r, ...), float32.
 Actions: TypeAlias = AnyArray
-#: Function that returns the observations (r, ...) of the episodes with given numbers (r,).
+#: Function that returns the observations (r, ...) in the episodes with given indices (r,).
 ObserveFunction = Callable[[AnyIndices], Observation]
 
 
@@ -32,7 +32,7 @@ class PolicyBatch(ABC):
 
         Args:
             row: Index of the episode.
-            seed: Seed of the policy.
+            seed: Seed of the policy in this episode.
             object_names: YCB names of the objects, the one that is handed over first.
 
         Raises:
@@ -41,11 +41,11 @@ class PolicyBatch(ABC):
 
     @abstractmethod
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return the actions (r, ...), new ones where a decision is due, and the steps (r,) of the next decisions.
+        """Return actions (r, ...), new ones where a decision is due, and the physics steps (r,) of the next decisions.
 
         Args:
             rows: Indices (r,) of the episodes.
-            observe: Function that returns observations; called for episodes with a decision.
+            observe: Function that returns the observations of some episodes; called for those with a decision.
             steps: Physics steps (r,) since the start of each episode.
 
         Raises:
@@ -72,7 +72,7 @@ class SequentialPolicyBatch(PolicyBatch):
         self._due[row] = 0
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
         numbers = np.flatnonzero(steps >= self._due[rows])
         found = observe(rows[numbers]) if len(numbers) else {}
         for place, number in enumerate(numbers.tolist()):
@@ -98,7 +98,7 @@ class HostPolicyBatch(PolicyBatch):
         self._batch.reset(row, seed, object_names)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
 
         def observe_on_host(some: AnyIndices) -> Observation:
             return {key: to_numpy(values) for key, values in observe(self._arrays.asarray(some)).items()}
@@ -108,19 +108,22 @@ class HostPolicyBatch(PolicyBatch):
 
 
 class ArrayPolicy(Protocol):
-    """Interface of policies whose state is in arrays (n, ...), one row for each of n episodes."""
+    """Interface of policies whose state is in arrays (n, ...), one row for each of n episodes.
+
+    The argument `rows` (r,) of methods has the indices of the episodes to which a method applies.
+    """
 
     def prepare(self, object_names: Sequence[str]) -> None:
         """Prepare for an episode with the objects of these YCB names."""
 
     def start(self, row: int, seed: int | None) -> None:
-        """Start the episode of a row with a seed of its random numbers."""
+        """Start the episode with index `row`, whose random numbers `seed` determines."""
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, ...) in the episodes of rows (r,), from their observations (r, ...)."""
+        """Return the agent's actions (r, ...) in the episodes `rows`, from its observations (r, ...) in them."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int | AnyIntegers:
-        """Return the physics steps, (r,) or one number for all, for which the actions are held."""
+        """Return for how many physics steps the actions in the episodes `rows` are held, (r,) or one number for all."""
 
 
 class ArrayPolicyBatch(PolicyBatch):
@@ -145,7 +148,7 @@ class ArrayPolicyBatch(PolicyBatch):
         self._policy.start(row, seed)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
         numbers = self._arrays.xp.nonzero(steps >= self._due[rows])[0]
         if len(numbers):
             due = rows[numbers]
@@ -167,9 +170,9 @@ def make_giver_actions(
     Args:
         count: Number r of givers.
         rate: Playback rates minus 1, (r,) or one for all.
-        displacement: Set-points (r, 3) of the wrists' displacements, world frame (m).
-        rotation: Set-points (r, 3) of the rotation vectors about the wrists, world frame (rad).
-        release: Whether to release the objects, (r,).
+        displacement: Set-points (r, 3) of the wrists' displacements, world frame (m), or 0.
+        rotation: Set-points (r, 3) of the rotation vectors about the wrists, world frame (rad), or 0.
+        release: Whether to release the objects, (r,) or one value for all; 1 is yes.
         arrays: Creator of the array.
     """
     actions = arrays.zeros((count, GIVER_ACTION_SIZE), "float32")

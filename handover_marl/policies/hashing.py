@@ -31,7 +31,7 @@ def hash_policy(policy: object, state: object, weights: bytes = b"") -> str:
 
     Args:
         policy: The policy, whose arrays count as weights unless its class is one of this library.
-        state: Options of the constructor, or attributes of an instance.
+        state: Options of the constructor, or attributes of an instance, which are hashed with the code.
         weights: Weights or their hashes; empty if the policy has none.
     """
     code = hash_object((__version__, type(policy), state))[:8]
@@ -59,7 +59,7 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
 
 
 def hash_package(name: str) -> str:
-    """Return the version of an installed top-level package, or a hash of the Python files of another one.
+    """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
 
     For a module outside a package, the hash covers the files in its folder. It is empty for the standard library, and
     a random number for code without a file.
@@ -95,7 +95,7 @@ def _get_package(definition: Any) -> str:
 
 
 def _find_folders(name: str) -> list[Path]:
-    """Return the folders of a top-level package or module; none without a file."""
+    """Return the folders of a top-level package or module; an empty list if it has no file."""
     module = sys.modules.get(name)
     file = getattr(module, "__file__", None)
     return [Path(path) for path in getattr(module, "__path__", ())] or ([Path(file).parent] if file else [])
@@ -108,7 +108,7 @@ def _is_installed(name: str) -> bool:
 
 
 def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int = 0) -> Iterator[bytes]:
-    """Yield descriptions of a value and of the values that it refers to; each object is described once."""
+    """Yield the bytes to hash of a value at a nesting depth and of what it refers to; `seen` objects are left out."""
     if isinstance(value, _PLAIN) and not arrays_only:
         yield repr(value).encode()
     if isinstance(value, _PLAIN) or id(value) in seen or depth > _MAX_DEPTH:
@@ -128,7 +128,7 @@ def _describe(value: Any, seen: dict[int, object], arrays_only: bool, depth: int
 
 
 def _list_parts_of_definition(value: Any) -> list[Any]:
-    """Return name and code of a function, class or module, and the variables that the code uses."""
+    """Return what is hashed of a function, class or module: name, package, code, and variables that the code uses."""
     if isinstance(value, ModuleType):
         return [value.__name__, hash_package(value.__name__.partition(".")[0])]
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
@@ -151,7 +151,7 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
 
 
 def _list_parts(value: Any) -> list[Any]:
-    """Return the parts of an object or container."""
+    """Return the values that are hashed of an object or container: its elements, or its class and attributes."""
     if isinstance(value, Mapping):
         return sorted(((str(key), part) for key, part in value.items()), key=lambda pair: pair[0])
     if isinstance(value, (list, tuple)):

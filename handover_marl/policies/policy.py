@@ -130,7 +130,7 @@ class Policy(ABC):
         )
 
     def prepare(self, object_names: Sequence[str]) -> None:  # noqa: B027
-        """Prepare for episodes with these objects; may be called several times before `reset`.
+        """Prepare for episodes with objects of these classes; may be called several times before `reset`.
 
         Slow computations whose results are cached, such as grasp validation, belong here. They must
         depend on the objects only.
@@ -150,7 +150,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Return an action, an element of the agent's action space.
+        """Return the action for an observation, an element of the agent's action space.
 
         Args:
             observation: Element of the agent's observation space.
@@ -283,7 +283,7 @@ def check_policy_class(agent: str, policy_class: Any, name: str) -> None:
 
 
 def check_policy_options(agent: str, policy_class: type, name: str, options: Iterable[str]) -> None:
-    """Check that the constructor of a policy class has parameters with these names.
+    """Check that a policy class has constructor parameters called `options`; agent and name are for errors.
 
     Raises:
         OptionError: The constructor has no such parameter, or the library fills it in.
@@ -298,12 +298,12 @@ def check_policy_options(agent: str, policy_class: type, name: str, options: Ite
 
 
 def get_parameters(policy_class: type) -> dict[str, inspect.Parameter]:
-    """Return the parameters of a class's constructor by name."""
+    """Return the parameters of the constructor of a class by name."""
     return dict(inspect.signature(policy_class).parameters)
 
 
 def require_reset(part: _Part | None, receiver_name: str) -> _Part:
-    """Return a part of a receiver that `reset` creates.
+    """Return a part of a receiver that `reset` creates, if it exists.
 
     Args:
         part: The part, None before the first reset.

@@ -42,7 +42,7 @@ _MAX_BYTES, _MAX_TEXT = 1_000_000, 1000
 
 @dataclass(frozen=True)
 class Partner:
-    """Partner in a population.
+    """Giver or receiver in a population of partners.
 
     Attributes:
         name: Unique name in the population.
@@ -61,7 +61,7 @@ class Partner:
 
 @dataclass(frozen=True)
 class Population:
-    """Population of partners.
+    """Population of givers and receivers, with which policies are trained and evaluated.
 
     Attributes:
         name: Name of the population.
@@ -92,7 +92,7 @@ class Population:
         return self.path.with_name(self.path.name.removesuffix(_SUFFIX) + _REFERENCES_SUFFIX)
 
     def get_policy(self, partner: Partner) -> str:
-        """Return the policy of a partner, with the folder of this population in place of `{folder}`."""
+        """Return the text of a partner's policy, with the folder of this population in place of `{folder}`."""
         return partner.policy.replace(_FOLDER, str(self.path.parent))
 
     def select(self, agent: str, split: str) -> tuple[Partner, ...]:
@@ -117,7 +117,7 @@ class Population:
 
 
 def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, trust: bool = False) -> Population:
-    """Load a population.
+    """Read a population of partners from its file.
 
     Args:
         population: Name of a shipped population, or path of a JSON file.
@@ -157,7 +157,7 @@ def load_population(population: str | os.PathLike[str] = DEFAULT_POPULATION, tru
 def format_population(
     name: str, version: str, description: str, givers: Sequence[Partner], receivers: Sequence[Partner]
 ) -> str:
-    """Return the JSON text of a file with a population, which `load_population` reads; see `Population`."""
+    """Return the JSON text of a population's file, which `load_population` reads; arguments as in `Population`."""
     content = {"name": name, "version": version, "description": description}
     partners = {"givers": list(map(asdict, givers)), "receivers": list(map(asdict, receivers))}
     return json.dumps(content | partners, indent=1) + "\n"
@@ -194,7 +194,7 @@ def _check_partners(path: Path, partners: Sequence[Partner]) -> None:
 
 
 def _read_policy_files(population: Population, agent: str, partner: Partner) -> Iterator[bytes]:
-    """Yield the contents of the files that a partner's policy names."""
+    """Yield the contents of the files that the policy of a partner, who acts for `agent`, names."""
     policy = population.get_policy(partner)
     name, options, _ = policy.partition(":")
     if options and name in list_available(agent):
@@ -207,7 +207,8 @@ def _read_policy_files(population: Population, agent: str, partner: Partner) -> 
 class PopulationPolicy(Policy):
     """Base class of policies that act as a randomly drawn member of a population in each episode.
 
-    The seed of the episode determines the member, and all members are equally likely.
+    The seed of the episode determines the member, and all members are equally likely. Members that need the wrist
+    camera are left out, since all members have the observations of this policy.
 
     Args:
         context: Robot and task, for the members.
@@ -217,8 +218,6 @@ class PopulationPolicy(Policy):
 
     Attributes:
         members: Policies of the members.
-
-    Members that need the wrist camera are left out, since all members have the observations of this policy.
 
     Raises:
         OptionError: No member of the split acts on the state.
@@ -249,12 +248,12 @@ class PopulationPolicy(Policy):
 
     @property
     def weights_hash(self) -> str:
-        """Hash of the population."""
+        """Hash of the population's file and of the policy files that it names."""
         return self._content_hash
 
     @property
     def hold_time(self) -> float:
-        """Time (s) for which the current member's action is held."""
+        """Time (s) for which the action of the member that acts in this episode is held."""
         return self._member.hold_time
 
     def prepare(self, object_names: Sequence[str]) -> None:
@@ -263,11 +262,11 @@ class PopulationPolicy(Policy):
             member.prepare(object_names)
 
     def make_member(self, number: int) -> Policy:
-        """Return a new policy that acts as the member with this index."""
+        """Return a new policy of the member with the index `number`."""
         return self._references[number].make_from_context(self._given_context)
 
     def draw_member(self, seed: int | None) -> tuple[int, int]:
-        """Return the index of an episode's member, and the seed of the member."""
+        """Draw a member with the seed of an episode; return the member's index and a seed for the member."""
         rng = np.random.default_rng(seed)
         return int(rng.integers(len(self.members))), int(rng.integers(2**32))
 
@@ -278,7 +277,7 @@ class PopulationPolicy(Policy):
         self._member.reset(member_seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the action of the current member."""
+        """Return the action of the member that acts in this episode."""
         return self._member.act(observation)
 
 

@@ -115,7 +115,7 @@ class PolicyReference:
         return self.make_from_context(make_policy_context(dataset or open_dataset(), config, setup))
 
     def make_from_context(self, context: PolicyContext | None) -> Policy:
-        """Construct the policy that this reference names for a policy context; see `make`."""
+        """Construct the policy that this reference names with a context or None; errors as in `make`."""
         found = self._load()
         if isinstance(found, Policy):
             return found
@@ -211,7 +211,7 @@ class PolicyReference:
 
 
 def read_policy_file(path: Path) -> bytes:
-    """Return the content of a file of a policy, for its hash or for other machines.
+    """Return the content of a file that a policy reads, for hashes or for other machines.
 
     Raises:
         DataNotFoundError: The file cannot be read.
@@ -242,7 +242,7 @@ class PolicyBundle:
 
     @classmethod
     def pack(cls, reference: PolicyReference) -> "PolicyBundle":
-        """Pack a policy reference with the contents of the files that its options name.
+        """Return a bundle of a policy reference and the contents of its policy file and of files that its options name.
 
         Raises:
             DataNotFoundError: A file cannot be read.
@@ -326,7 +326,7 @@ def parse_policy(agent: str, policy: PolicyLike, trust: bool = False) -> PolicyR
 
 
 def split_policy_list(agent: str, text: str) -> list[str]:
-    """Split a comma-separated list of policies, but not at commas in options and file names."""
+    """Return the policies of an agent in a comma-separated list; commas in options and file names do not split it."""
     names: list[str] = []
     for part in text.split(","):
         head = part.strip().partition(":")[0]
@@ -378,7 +378,7 @@ def _parse_object(agent: str, policy: Any, extra: Mapping[str, Any], trust: bool
 
 
 def _split_file(tail: str) -> tuple[str, str]:
-    """Split "FILE:options" into file name and options."""
+    """Split "FILE:options" into file name and options, "" without options."""
     file, colon, options = tail.rpartition(":")
     try:
         is_file_name = Path(tail).exists()
@@ -388,7 +388,7 @@ def _split_file(tail: str) -> tuple[str, str]:
 
 
 def _parse_options(agent: str, text: str, tail: str) -> dict[str, Any]:
-    """Parse "key=value,key=value", where values are JSON numbers, booleans, null, or other text."""
+    """Return the options in `tail`, "key=value,key=value" with JSON values or other text; `text` is for errors."""
     if tail and not _OPTIONS.fullmatch(tail):
         raise OptionError(f"options of {agent} {text!r} must be key=value,key=value, got {tail!r}")
     options: dict[str, Any] = {}

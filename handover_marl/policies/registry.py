@@ -49,9 +49,9 @@ def import_reference(kind: str, text: str, valid: Iterable[str] = ("module:name"
     """Import the class, function or value that a text `module:name` refers to.
 
     Args:
-        kind: Kind of the choice, e.g. "features", for errors.
+        kind: Kind of what is imported, e.g. "features", for error messages.
         text: Text of the form `module:name`, by the caller or checked by `check_stored_reference`.
-        valid: Other choices, for errors.
+        valid: Other texts that would be valid, for error messages.
 
     Raises:
         UnknownNameError: The module cannot be imported or has no such name.
@@ -70,12 +70,12 @@ def check_stored_reference(
     """Check text from a file, which may name a module of the user's only if the user trusts the file.
 
     Args:
-        where: The file, for errors.
-        kind: Kind of the choice, e.g. "features".
+        where: The file, for error messages.
+        kind: Kind of what the text names, e.g. "features", for error messages.
         text: Text of the file: a name with or without options, or `module:name`.
         trust: Whether modules that the file names may be imported.
-        registered: Names that may precede options.
-        advice: Another way for the user to allow the import, for errors.
+        registered: Registered names, which may precede ":" and options.
+        advice: Another way for the user to allow the import, for error messages.
 
     Raises:
         UnsafeFileError: The text names a module, and the file is not trusted.

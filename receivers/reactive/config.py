@@ -127,7 +127,7 @@ class ReactiveConfig(CheckedConfig):
 
 
 def apply_risk(config: ReactiveConfig, risk: float) -> ReactiveConfig:
-    """Return a copy of a configuration, which is for a risk of 0.5, for another trade-off of success rate and speed.
+    """Return a copy of a configuration for a risk of 0.5, changed for another trade-off of success rate and speed.
 
     The risk is a number from 0 (approaches slowly, and only objects at rest) to 1 (fastest).
 

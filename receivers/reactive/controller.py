@@ -26,8 +26,8 @@ Array = npt.NDArray[np.float64]
 # Times after the start of closing: until the person must have released the object, and from which empty fingers are
 # noticed (s).
 _CLOSE_TIMEOUT, _EMPTY_DELAY = 0.8, 0.35
-# Gain with which the gripper follows the hand while the fingers close (1/s), and maximum joint acceleration (rad/s^2),
-# high enough that the gripper stops before the fingers push the object.
+# Gain with which the gripper follows the person's hand while the fingers close (1/s), and maximum joint acceleration
+# (rad/s^2), high enough that the gripper stops before the fingers push the object.
 _CLOSE_GAIN, _CLOSE_ACCELERATION = 10.0, 100.0
 # Backing out after a missed grasp: distance (m), speed (m/s), maximum time, and time for which the fingers open (s).
 _BACKOUT_DISTANCE, _BACKOUT_SPEED, _BACKOUT_TIMEOUT, _OPENING_TIME = 0.1, 0.3, 1.0, 0.1
@@ -63,7 +63,7 @@ class HandoverController:
     Args:
         motion: Controller of the motion, whose estimate of the scene is updated before each step.
         selector: Grasp selector, whose candidates are set before each step.
-        goal: (3,) goal of the hand's position (m).
+        goal: (3,) goal of the hand link's position in the world (m).
         wait: Time at the waiting pose (s).
 
     Attributes:
@@ -87,7 +87,7 @@ class HandoverController:
 
     @property
     def planned_goal(self) -> Array | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
         chosen = self._selector.chosen
         if chosen is None or not self._is_approaching:
             return None
@@ -95,7 +95,7 @@ class HandoverController:
         return np.stack([self._selector.compute_standoff_pose(grasp), grasp])
 
     def step(self) -> Action:
-        """Return the next action, nine target joint positions."""
+        """Return the next action, nine target joint positions (rad, m), and update the phase and the control period."""
         config, servo = self._config, self._motion.servo
         is_watchful = self._is_approaching and self._scene.has_motion_nearby
         servo.period = config.near_period if is_watchful else config.period
@@ -172,7 +172,7 @@ class HandoverController:
         return motion.catch(velocity, _CLOSE_ACCELERATION)
 
     def _start_backing_out(self) -> Action:
-        """Start backing out after a miss, with a higher cost of this grasp for a while."""
+        """Return the first action of backing out after a missed grasp, whose cost is higher for a while."""
         scene = self._scene
         self._selector.give_up(scene.time + FAILED_DURATION)
         self.phase, self._phase_start = ReactivePhase.BACK_OUT, scene.time
@@ -216,7 +216,7 @@ class ControllerReceiver(Receiver):
 
     Attributes:
         arm: Kinematics of the arm.
-        servo: Velocity control of the motors.
+        servo: Controller that converts joint velocities to motor targets.
         selector: Grasp selector.
         controller: Controller of the present episode; None before the first `reset`.
     """
@@ -242,7 +242,7 @@ class ControllerReceiver(Receiver):
 
     @property
     def planned_goal(self) -> Array | None:
-        """(2, 7) world poses of the hand link at standoff and grasp; None once fingers close."""
+        """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
         return None if self.controller is None else self.controller.planned_goal
 
     @property
@@ -251,7 +251,7 @@ class ControllerReceiver(Receiver):
         return self.servo.period
 
     def start_episode(self, scene: SceneEstimate) -> None:
-        """Reset selector and motor control, and create the controller of an episode that acts on an estimate."""
+        """Reset selector and motor control, and create the controller of an episode with this estimate of the scene."""
         self.servo.reset()
         self.selector.reset()
         motion, goal = MotionController(self.arm, self.servo, scene), np.array(self.context.protocol.goal_center)

@@ -1,7 +1,7 @@
 """Contacts of the finger pads with a grasped object.
 
-An object that is held by the very tips or edges of the fingers springs away within a few hundredths
-of a second when the person releases it, even if its grasp has passed its validation.
+An object that is held by the very tips or edges of the fingers springs away within a few hundredths of a second when
+the person releases it, even if the grasp has passed its validation.
 """
 
 import functools
@@ -40,9 +40,9 @@ class GraspableObject:
     """Grasps and surface of an object in its own frame.
 
     Attributes:
-        grasps: Grasps that keep the flange behind the robot's hand clear of the object.
+        grasps: Grasps at which the flange behind the hand link does not touch the object.
         pad_margins: (n,) distances of each grasp's contacts from the tip and edges of the finger pads (m).
-        surface: Few spheres that approximate the object's surface.
+        surface: Spheres that approximate the object's surface coarsely.
         points: (k, 3) dense points on the object's surface (m).
         center: (3,) center of the object's bounding box (m).
     """
@@ -60,7 +60,7 @@ def load_graspable_object(
 ) -> GraspableObject:
     """Load the surface of an object class and its known grasps, of which there may be none; cached.
 
-    Grasps are validated and improved in simulation, for minutes the first time, or else used unchanged.
+    If `validated`, grasps are validated and improved in simulation, for minutes the first time, else unchanged.
 
     Raises:
         SimulationError: A model cannot be loaded.
@@ -84,7 +84,7 @@ def load_graspable_object(
 
 @functools.lru_cache(maxsize=64)
 def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
-    """Load few spheres at the surface of an object class, in its own frame; cached.
+    """Load spheres that coarsely approximate the surface of an object class, in its own frame; cached.
 
     Raises:
         SimulationError: The model cannot be loaded.
@@ -96,7 +96,10 @@ def load_obstacle(context: PolicyContext, object_name: str) -> Spheres:
 def find_offset_grasps(
     graspable: GraspableObject, human_hand: Spheres, config: ReactiveConfig
 ) -> tuple[ValidatedGrasps, Array]:
-    """Return offset copies of an object's grasps beside a person's hand in its frame, and their pad margins (n,)."""
+    """Return copies of an object's grasps, moved clear of the person's hand, and their pad margins (n,) in m.
+
+    The hand is given in the object's frame; copies are made by `perturb_grasps`.
+    """
     offset = perturb_grasps(graspable.grasps, graspable.points, human_hand, config.approach.standoff)
     margins = compute_pad_margins(offset.poses, graspable.points)
     kept = margins > _MIN_OFFSET_PAD_MARGIN
@@ -113,10 +116,10 @@ def sample_surface_points(vertices: Array, faces: npt.NDArray[np.int_], count: i
 
 
 def compute_pad_margins(poses: Array, points: Array) -> Array:
-    """Return the distances (n,) in m of the contacts of grasps (n, 7) from the tip and edges of the finger pads.
+    """Return the distances (n,) in m of the contacts of n grasps from the tip and edges of the finger pads.
 
     The smaller distance of the two pads is returned, 0 if a pad touches nothing. Distances from the edges count
-    twice, since fingers are narrow. The surface is given by points (k, 3).
+    twice, since fingers are narrow. Poses (n, 7) of the hand link and surface points (k, 3) are in the object's frame.
     """
     margins = np.zeros(len(poses))
     for number, pose in enumerate(poses):

@@ -55,10 +55,10 @@ _log = logging.getLogger(__name__)
 def validate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidatedGrasps:
-    """Return an object's known grasps (n, 7) and their tilted copies that hold it in simulation.
+    """Return an object's known grasps and those tilted copies that hold the object in simulation.
 
-    Each grasp is moved along its approach axis towards the object as far as the open gripper does not collide with
-    it. The fingers are those of the robot in `panda_urdf`.
+    The known grasps are poses (n, 7) of the hand link in the object's frame. Each grasp is moved along its approach
+    axis towards the object as far as the open gripper does not collide. The fingers are those of `panda_urdf`.
 
     Raises:
         SimulationError: A model cannot be loaded.
@@ -69,7 +69,7 @@ def validate_grasps(
 def get_validation_record(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidationRecord:
-    """Return the stored validation of an object's n grasps, as `assets.shipped.ValidationRecord` (n, 4).
+    """Return the validation record (n, 4) of an object's known grasps and stable copies; see `ValidationRecord`.
 
     Grasps without a stored record are validated in simulation, which takes a minute or two.
     Arguments and errors are the same as for `validate_grasps`.
@@ -95,7 +95,7 @@ def get_validation_record(
 
 
 def has_validation_record(object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig) -> bool:
-    """Return whether the validation of an object's grasps ships or is in the cache; see `validate_grasps`."""
+    """Return whether the validation record of an object's grasps ships or is cached; see `validate_grasps`."""
     path = get_validation_record_path(object_urdf, panda_urdf, known, config)
     return path.exists() or load_validation_record(path.stem) is not None
 
@@ -113,7 +113,7 @@ def get_validation_record_path(
 
 
 def _make_preparation_key(config: GraspPreparationConfig) -> str:
-    """Return the text by which records identify a configuration; shipped records depend on it."""
+    """Return the text of a configuration in the hash that identifies a record; shipped records depend on its form."""
     conditions = config.validation
     return (
         f"GraspTrials(tilts={config.tilts}, pads={PAD_DISTANCE}, apart={MIN_DISTANCE}, "
@@ -130,7 +130,7 @@ def _make_preparation_key(config: GraspPreparationConfig) -> str:
 def _simulate_grasps(
     object_urdf: Path, panda_urdf: Path, known: Array, config: GraspPreparationConfig
 ) -> ValidationRecord:
-    """Simulate which grasps and copies are stable, how deep each can go and whether it keeps the object on release."""
+    """Simulate the known grasps (n, 7) and their tilted copies, and return the record of their validation."""
     validator = make_grasp_validator(object_urdf, config.validation)
     rows = [[-1, _count_stable(validator, pose, config), 0, 0] for pose in known]
     poses = known
@@ -155,7 +155,7 @@ def _simulate_grasps(
 
 
 def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number of shaken poses, in and around a grasp, that hold; 0 if the grasp itself fails."""
+    """Return at how many poses, a grasp and its `lateral_offsets`, a shaken object is held; 0 if not at the grasp."""
     if not validator.is_stable(_gripper_matrix(pose)):
         return 0
     moved = [compose(pose, np.array([*offset, 0.0, 0.0, 0.0, 1.0])) for offset in config.lateral_offsets]
@@ -163,7 +163,7 @@ def _count_stable(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the index from 1 of the first advance without collision, 0 if all collide."""
+    """Return the number, from 1, of the first of `advances` of a grasp (7,) without a collision; 0 if all collide."""
     for number, distance in enumerate(config.advances, start=1):
         deeper = advance_grasp(pose, distance + _MIN_ADVANCE_CLEARANCE)
         if validator.is_collision_free(_gripper_matrix(deeper)):
@@ -172,7 +172,7 @@ def _find_advance(validator: "GraspValidator", pose: Array, config: GraspPrepara
 
 
 def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparationConfig) -> int:
-    """Return the number of poses, in and around a grasp, that keep a released object; 0 if the grasp fails."""
+    """Return at how many poses, a grasp and its `release_offsets`, a released object stays; 0 if not at the grasp."""
     offsets = np.array([(0.0, 0.0, 0.0), *config.release_offsets])
     moved = compose(pose, np.concatenate([offsets, np.tile([0.0, 0.0, 0.0, 1.0], (len(offsets), 1))], axis=1))
     kept = 0
@@ -185,7 +185,7 @@ def _count_kept(validator: "GraspValidator", pose: Array, config: GraspPreparati
 
 
 def _gripper_matrix(hand: Array) -> Array:
-    """Return the (4, 4) gripper pose, as grasp files define it, of a hand link pose (7,)."""
+    """Return the gripper's pose (4, 4), as grasp files define it, at a pose (7,) of the hand link."""
     gripper = compose(hand, _HAND_FROM_GRIPPER)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(gripper[3:]).as_matrix(), gripper[:3]

@@ -47,7 +47,7 @@ class GraspPreparationConfig(CheckedConfig):
 
     Attributes:
         tilts: Rotations of the copies about the line between the finger pads (rad).
-        max_copies: Maximum number of stable copies of all grasps.
+        max_copies: Maximum number of stable copies, of all grasps together.
         lateral_offsets: Offsets in the hand link's frame (fingers close along y) at which the shaking
             of a stable grasp is repeated (m).
         advances: Distances by which a grasp may be moved along its approach axis towards the object
@@ -97,12 +97,12 @@ class ValidatedGrasps:
     success_rates: Array
 
     def select(self, chosen: npt.NDArray[np.generic]) -> "ValidatedGrasps":
-        """Return only the grasps with the given indices or flags."""
+        """Return only the grasps with the indices or flags (n,) `chosen`."""
         return ValidatedGrasps(self.poses[chosen], self.success_rates[chosen])
 
 
 def grasps_from_record(record: ValidationRecord, known: Array, config: GraspPreparationConfig) -> ValidatedGrasps:
-    """Return the grasps that a validation record (n, 4) of known grasps (k, 7) describes."""
+    """Return the n grasps, with success rates, that a validation record (n, 4) of known grasps (k, 7) describes."""
     copy, stable, advance, kept = np.asarray(record, dtype=np.int64).T
     n_shakes, n_releases = 1 + len(config.lateral_offsets), 1 + len(config.release_offsets)
     poses = np.concatenate([known, tilt_grasps(known, config)[copy[len(known) :]]])
@@ -117,7 +117,7 @@ def advance_grasp(pose: Array, distance: float) -> Array:
 
 
 def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
-    """Return (m, 7) copies of grasps (n, 7), tilted about the line between the pads."""
+    """Return copies (m, 7) of grasps (n, 7): each is tilted by each of `tilts` about the line between the pads."""
     offsets = (make_offset_pose(tilt) for tilt in config.tilts)
     return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
@@ -125,7 +125,7 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
 def compute_grasp_distances(pose: Array, poses: Array) -> Array:
     """Return the distances (n,) of grasp poses (n, 7) to one grasp pose (7,).
 
-    A distance is the translation (m) plus the weighted rotation.
+    A distance is the translation (m) plus `ROTATION_WEIGHT` times the rotation angle (rad).
     """
     translations = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
@@ -135,9 +135,9 @@ def compute_grasp_distances(pose: Array, poses: Array) -> Array:
 def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep: float) -> ValidatedGrasps:
     """Return offset copies of stable grasps that keep clear of a person's hand and of the object.
 
-    All is in the object's frame: points (k, 3) of its surface, and the hand. `sweep` is the length of the straight
-    approach (m). The copies are not validated in simulation. They are likely to hold, since the object is between the
-    fingers and these close along the same line as in a validated grasp.
+    Points (k, 3) of the object's surface and the hand are in the object's frame; `sweep` is the length (m) of the
+    straight approach, on which the gripper must keep clear of the hand. The copies are not validated in simulation.
+    They are likely to hold, since the object is between the fingers, which close along the line of a validated grasp.
     """
     is_stable = grasps.success_rates > 0.0
     poses, rates = grasps.poses[is_stable], grasps.success_rates[is_stable]
@@ -156,9 +156,9 @@ def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep:
 
 
 def make_offset_pose(tilt: float, lateral: float = 0.0, backward: float = 0.0) -> Array:
-    """Return the pose (7,) of a grasp copy in the frame of the grasp, tilted about the line between the pads and moved.
+    """Return the pose (7,) of a copy of a grasp in the frame of the grasp, tilted (rad) about the line of the pads.
 
-    It is moved along x, across that line and the approach direction, and back along the approach direction (m).
+    The copy is also moved by `lateral` (m) along x, across that line, and by `backward` (m) against the approach.
     """
     middle = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
     moved = np.array([lateral, 0.0, -backward, *Rotation.from_euler("y", tilt).as_quat()])

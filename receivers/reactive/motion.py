@@ -51,11 +51,11 @@ _SPEED_FACTORS = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05, 0.0])
 
 
 class MotionController:
-    """Controller that converts joint velocities to actions that keep clear of hand and object.
+    """Controller that converts joint velocities to actions that keep clear of the person's hand and of objects.
 
     Args:
         arm: Kinematics of the arm.
-        servo: Velocity control of the motors.
+        servo: Controller that converts joint velocities to motor targets.
         scene: Estimate of the scene.
     """
 
@@ -76,10 +76,10 @@ class MotionController:
         return self.move_open(self._separate(velocity, self._config.hand_clearance, surface=surface))
 
     def approach(self, velocity: Array) -> Action:
-        """Return the action for the final approach with open fingers, clear of the person's hand.
+        """Return the action of the final approach with joint velocities (7,) (rad/s), clear of the person's hand.
 
-        The required clearances to the hand and to other objects are smaller than on the way to the standoff,
-        and none is required to the object.
+        The fingers are open. The required clearances to the person's hand and to other objects are smaller than on the
+        way to the standoff, and none is required to the object.
         """
         config = replace(
             self._config,
@@ -89,12 +89,15 @@ class MotionController:
         return self.move_open(self._separate(velocity, config.grasp_hand_clearance, config))
 
     def carry(self, velocity: Array) -> Action:
-        """Return the action that carries the object away from the person with closed fingers."""
+        """Return the action with joint velocities (7,) (rad/s) and closed fingers, clear of the person's hand."""
         velocity = self.servo.limit_speed(velocity)
         return self.move_closed(self._separate(velocity, self._config.hand_clearance, leaving=True))
 
     def catch(self, velocity: Array, acceleration: float) -> Action:
-        """Return the action that follows a falling object with closing fingers, clear of the person's hand."""
+        """Return the action with joint velocities (7,) (rad/s) and closing fingers for an object that falls.
+
+        It keeps clear of the person's hand; `acceleration` is the maximum joint acceleration (rad/s^2).
+        """
         return self.move_closed(self._separate(velocity, self._config.grasp_hand_clearance), acceleration)
 
     def move_open(self, velocity: Array) -> Action:
@@ -102,9 +105,9 @@ class MotionController:
         return self._make_action(velocity, OPEN, None)
 
     def move_closed(self, velocity: Array, acceleration: float | None = None) -> Action:
-        """Return the action with joint velocities (7,) and closing fingers, ignoring obstacles.
+        """Return the action with joint velocities (7,) (rad/s) and closing fingers, ignoring obstacles.
 
-        The maximum joint acceleration (rad/s^2) replaces the configured one.
+        The maximum joint acceleration (rad/s^2), unless None, replaces the configured one.
         """
         return self._make_action(velocity, CLOSED, acceleration)
 
@@ -123,7 +126,15 @@ class MotionController:
         surface: Spheres | None = None,
         leaving: bool = False,
     ) -> Array:
-        """Return the velocity (7,) that keeps clear of hand, other objects and a given object surface."""
+        """Return the joint velocities (7,) (rad/s) nearest to `velocity` that keep clear of person and objects.
+
+        Args:
+            velocity: Wanted joint velocities (7,) (rad/s).
+            clearance: Minimum clearance to the person's hand (m).
+            config: Other clearances; default: those of the receiver.
+            surface: Surface of the object to keep clear of, in its frame; default: ignore the object.
+            leaving: Whether the robot withdraws from bodies that may be too close.
+        """
         scene, bodies, config = self.scene, list[MovingBody](), config or self._config
         if surface is not None:
             moved = Spheres(transform_points(scene.object_pose, surface.centers), surface.radii)
@@ -186,12 +197,15 @@ class ApproachController:
         return self._approach_straight(goal, self._compute_next_depth(axial, lateral, rotation))
 
     def is_catchable(self, goal: GraspGoal) -> bool:
-        """Return whether the object of a grasp is still between the fingers, so that they may catch it."""
+        """Return whether the object is still between the fingers near a grasp, so that they may catch it."""
         error = self._selector.compute_grasp_error(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
-        """Return the object's speed (m/s), relative to the gripper, in the grasp's frame, if it is held in the air."""
+        """Return the object's speed (m/s): relative to the gripper if it is held in the air, else in the world.
+
+        The gripper is now at `position` (3,) in the grasp's frame (m).
+        """
         scene, before = self._scene, self._last_position
         since = scene.time - self._last_position_at
         self._last_position, self._last_position_at = position, scene.time
@@ -200,7 +214,7 @@ class ApproachController:
         return scene.motion.speed
 
     def _select_goal(self) -> GraspGoal | None:
-        """Return the grasp to approach: the previous one while the fingers are close to it."""
+        """Return the grasp to approach, the previous one while the fingers are close to it; None if there is none."""
         scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
             error = self._selector.compute_grasp_error(chosen, scene.object_pose, scene.gripper_pose)
@@ -217,7 +231,7 @@ class ApproachController:
         return goal
 
     def _compute_next_depth(self, axial: float, lateral: float, rotation: float) -> float:
-        """Return the next axial distance from the grasp (m)."""
+        """Return the next axial distance (m) from the grasp, given the distances (m) and rotation error (rad) now."""
         config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
         before, speed = max(axial, 0.0), motion.speed
         is_aligned = lateral < factor * (config.lateral_tolerance + _LATERAL_FUNNEL * before)
@@ -238,7 +252,7 @@ class ApproachController:
         back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
         pose = compose(self._selector.compute_grasp_pose(goal, scene.object_pose), back)
         # The seed is moved slightly towards the selected configuration: from the present one, joint
-        # limits may be in the way, and to go there at once would swing the hand aside.
+        # limits may be in the way, and to go there at once would swing the hand link aside.
         share = depth / config.standoff
         change = goal.grasp_joints + share * (goal.standoff_joints - goal.grasp_joints) - scene.arm_joints
         scale = _MAX_POSTURE_CHANGE / max(float(np.abs(change).max()), _MAX_POSTURE_CHANGE)
@@ -251,7 +265,7 @@ class ApproachController:
         return self._motion.approach(velocity + following)
 
     def _check_progress(self, remaining: float) -> None:
-        """Give up a grasp whose remaining distance has not decreased for too long."""
+        """Give up the grasp if the remaining distance (m or rad) to it has not decreased for too long."""
         time = self._scene.time
         if remaining < _PROGRESS_RATIO * self._remaining or not self._scene.is_settled:
             self._remaining, self._remaining_at = remaining, time

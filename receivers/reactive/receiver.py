@@ -1,4 +1,4 @@
-"""Receiver `reactive`, which follows the object, changes its grasp and keeps clear of the hand."""
+"""Receiver `reactive`, which follows the object, may change the grasp, and keeps clear of the person's hand."""
 
 from collections.abc import Sequence
 
@@ -67,7 +67,7 @@ class ReactiveReceiver(ControllerReceiver):
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
+        """Return the next nine target joint positions (rad, m)."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         scene.update(observation)
         if scene.object_name != self._object_name:

@@ -30,7 +30,7 @@ _CHECKED_SHARES = np.array([0.35, 0.7, 1.0])
 # The same for other objects, which may be narrow.
 _OBSTACLE_SHARES = np.linspace(0.1, 1.0, 10)
 # Length of the straight path out of the person's hand, on which the motion blends into the one to the goal, and maximum
-# distance of the hand's final position from the goal (m).
+# distance of the hand link's final position from the goal (m).
 _BACKOUT_DISTANCE, _GOAL_RADIUS = 0.05, 0.12
 #: Desired clearance to the person's hand on the path to the goal (m).
 DESIRED_CLEARANCE = 0.02
@@ -86,7 +86,10 @@ class RetreatController:
         self._started_at: float | None = None
 
     def compute_velocity(self, time: float, joints: Array, gripper_pose: Array) -> Array:
-        """Return the joint velocities (7,) in rad/s that continue the retreat from joints and a hand pose (7,)."""
+        """Return the joint velocities (7,) in rad/s that continue the retreat at a time (s), for the next period.
+
+        The arm is at joints (7,) (rad), and the hand link at the world pose (7,) `gripper_pose`.
+        """
         if self._end is None or self._is_stalled(time, float(np.abs(joints - self._end).max())):
             if self._end is not None:
                 self._rejected.append(self._end)
@@ -111,7 +114,7 @@ class RetreatController:
         return time - self._remaining_at > _STALL_TIMEOUT
 
     def _select_end(self, joints: Array, gripper_pose: Array) -> Array:
-        """Return the configuration (7,) near the goal that is reached soonest on a clear path."""
+        """Return the configuration (7,) with the hand link near the goal that is reached soonest on a clear path."""
         ends, times = self._solve_ends(joints, gripper_pose)
         order = np.argsort(times, kind="stable")
         fastest = order[:_MAX_PATH_CHECKS]
@@ -123,7 +126,7 @@ class RetreatController:
         return np.asarray(ends[beside[0] if beside else order[0]])
 
     def _solve_ends(self, joints: Array, gripper_pose: Array) -> tuple[Array, Array]:
-        """Return configurations (n, 7) around the goal, and their costs (n,) by travel time (s)."""
+        """Return configurations (n, 7) with the hand link around the goal, and travel times (n,) plus penalties (s)."""
         here = Rotation.from_quat(gripper_pose[3:])
         home = (Rotation.from_quat(self._arm.compute_hand_pose(HOME)[3:]) * here.inv()).as_rotvec()
         rotations = [(Rotation.from_rotvec(share * home) * here).as_quat() for share in _ROTATION_SHARES]
@@ -140,7 +143,7 @@ class RetreatController:
         return ends, times
 
     def _is_clear_of_person(self, joints: Array, goal: Array) -> bool:
-        """Return whether the gripper keeps clear of the person's hand on the straight path."""
+        """Return whether the gripper keeps clear of the person's hand between `joints` (7,) and `goal` (7,) in rad."""
         if self._person is None:
             return True
         hands = self._arm.compute_hand_poses(joints + np.array([0.0, *_CHECKED_SHARES])[:, None] * (goal - joints))
@@ -148,7 +151,7 @@ class RetreatController:
         return bool(clearances[1:].min() > min(float(clearances[0]), DESIRED_CLEARANCE))
 
     def _is_clear_of_obstacles(self, joints: Array, goal: Array) -> bool:
-        """Return whether arm and held object keep clear of the other objects on the straight path."""
+        """Return whether arm and held object keep clear of other objects between `joints` (7,) and `goal` (7,)."""
         if self._obstacles is None:
             return True
         line, obstacles = joints + _OBSTACLE_SHARES[:, None] * (goal - joints), self._obstacles
@@ -161,7 +164,7 @@ class RetreatController:
         return bool((distances > obstacles.radii[nearest]).all())
 
     def _is_clear_of_arm(self, joints: Array, goal: Array) -> bool:
-        """Return whether gripper and object keep clear of the arm itself on the straight path."""
+        """Return whether gripper and held object keep clear of the arm itself between `joints` (7,) and `goal` (7,)."""
         line = joints + _CHECKED_SHARES[:, None] * (goal - joints)
         (links, _), hands = self._arm.compute_link_frames(line), self._arm.compute_hand_poses(line)
         shares = np.linspace(0.0, 1.0, _SPHERES_PER_LINK)[:, None, None]

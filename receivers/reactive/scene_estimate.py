@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 _HELD_STILL_TOLERANCE_FACTOR = 2.0
 # Maximum decrease of the finger positions per second, as a share of these, of fingers that the object blocks (1/s).
 _MAX_GRIP_CLOSING_RATE = 3.0
-# Speed of a held object relative to the hand above which the gripper, which pushes it, follows the hand instead (m/s).
+# Speed of an object relative to the person's hand above which the gripper, which pushes it, follows the hand (m/s).
 _MAX_RELATIVE_SPEED = 0.25
 # Distance of the object from the hand link below which it is near (m), and speed above which something moves (m/s).
 _NEAR_DISTANCE, _NEAR_SPEED = 0.3, 0.1
@@ -49,8 +49,9 @@ class SceneEstimate(ABC):
         fingers: (2,) positions of the fingers (m).
         gripper_pose: (7,) world pose of the robot's hand link.
         object_pose: (7,) world pose of the object that is handed over.
-        motion: Motion of the object and its predicted handover pose.
+        motion: Motion of the object, from which the handover pose is predicted.
         obstacles: Spheres that approximate the other objects within reach, in the world, or None without any.
+        person: Tracker of the person's hand.
     """
 
     def __init__(self, arm: ArmInWorld, config: ReactiveConfig, person: HandTracker) -> None:
@@ -62,33 +63,36 @@ class SceneEstimate(ABC):
         self.motion, self.person = HandoverPosePredictor(config.prediction), person
 
     def update_robot(self, observation: Observation) -> None:
-        """Update time and state of the robot from an observation."""
+        """Update time, joints and hand link pose of the robot from an observation, not object and person's hand."""
         joints = observation["robot_joint_position"].astype(np.float64)
         self.time = round(float(observation["time"][0]), 3)
         self.arm_joints, self.fingers = joints[:ARM_DOF], joints[ARM_DOF:]
         self.gripper_pose = self._arm.compute_hand_pose(self.arm_joints)
 
     def set_obstacles(self, spheres: Spheres) -> None:
-        """Set the other objects to the spheres in the world that are within reach of the arm."""
+        """Set `obstacles` to those of the spheres, given in the world, that are within reach of the arm."""
         reachable = spheres.select_within(self._arm.base[:3], _OBSTACLE_REACH)
         self.obstacles = reachable if len(reachable.radii) else None
 
     @abstractmethod
     def has_released(self, closing_since: float) -> bool:
-        """Return whether the person has released the object since the fingers began to close (s).
+        """Return whether the person has released the object; the fingers began to close at `closing_since` (s).
 
         The receiver calls this method once in every decision while the fingers close.
         """
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict linear (m/s) and angular velocity (rad/s) with which a point (3,) on the object is carried.
+        """Predict linear (m/s) and angular velocity (rad/s) of a point (3,) that moves with the object, in the world.
 
-        The velocities are those in the middle of the coming control period (s).
+        The velocities are those in the middle of the coming control period, `ahead` (s) long.
         """
         return self.motion.predict_point_twist(point, ahead)
 
     def predict_bodies(self, handover_pose: Array, surface: Spheres) -> Spheres:
-        """Return object and hand where the object is held out, at a pose (7,), and other objects, in the world."""
+        """Return spheres in the world: object and person's hand, moved rigidly to a handover pose, and other objects.
+
+        The world pose (7,) is that of the object; its surface is given in its own frame.
+        """
         human_hand = self.person.spheres
         bodies = [Spheres(transform_points(handover_pose, surface.centers), surface.radii)]
         if human_hand is not None:
@@ -203,7 +207,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._is_released
 
     def predict_point_twist(self, point: Array, ahead: float) -> tuple[Array, Array]:
-        """Predict the velocities of a point on the object; an object that the gripper pushes follows the hand."""
+        """Predict the twist as the base class does; that of the person's hand if the gripper pushes the object."""
         relative = self.motion.latest_velocity - self.person.velocity
         is_held = self.person.spheres is not None and not self._is_released
         if is_held and float(np.linalg.norm(relative)) > _MAX_RELATIVE_SPEED:
@@ -222,7 +226,7 @@ class PoseSceneEstimate(SceneEstimate):
         return self._closing_rate < _MAX_GRIP_CLOSING_RATE
 
     def _update_obstacles(self, observation: Observation) -> None:
-        """Locate the objects besides the first one, which is handed over."""
+        """Set `obstacles` to the objects besides the first one, which is handed over, at their observed poses."""
         others = np.flatnonzero(observation["object_mask"][1:]) + 1
         if not len(others):
             return

@@ -49,7 +49,7 @@ FALLBACK_IK_SEEDS = np.array(
 )
 _STANDOFF_ITERATIONS, _GRASP_ITERATIONS = 12, 6
 _NO_HAND_CLEARANCE = 0.2  # m
-# Costs, in seconds as the travel time of the arm: of rotating the hand from its waiting pose (s/rad), of clearance to
+# Costs, in seconds as the travel time of the arm: of turning the hand link from its waiting pose (s/rad), clearance to
 # other objects and of distance to joint limits below the desired ones (s/m, s/rad), of a path that is not clear, and of
 # a grasp that has failed in this episode (s).
 _ROTATION_COST, _OBSTACLE_COST, _LIMIT_MARGIN_COST, _BLOCKED_PATH_COST, _FAILED_COST = 0.5, 100.0, 2.0, 2.0, 10.0
@@ -102,7 +102,7 @@ class GraspSelector:
     Attributes:
         grasps: (n, 7) candidate poses of the hand link in the object's frame.
         surface: Spheres that approximate the object's surface, in the object's frame.
-        chosen: Grasp that was selected last, or None.
+        chosen: Grasp that was selected last; None without a selection.
         failure_reason: Reason for which no grasp could be selected, empty otherwise.
         failed: Time of the episode (s) until which a failed grasp has a higher cost, by the index of the grasp.
     """
@@ -125,16 +125,17 @@ class GraspSelector:
         self._has_offsets = False
 
     def set_object(self, graspable: GraspableObject) -> None:
-        """Replace the candidates by the grasps of an object, and forget failed grasps."""
+        """Replace the candidates by the grasps of an object and their half turns, and forget failed grasps."""
         self.reset()
         self._object, self.surface = graspable, graspable.surface
         self._add(graspable.grasps, graspable.pad_margins, 0.0)
 
     def set_candidates(self, poses: Array, costs: Array, surface: Spheres, chosen: int | None) -> None:
-        """Replace the candidates (n, 7) in the object's frame; the last selected grasp has a new index, if any.
+        """Replace the candidates by poses (n, 7) of the hand link in the object's frame.
 
         The costs (n,) in s are higher the less likely a grasp holds the object, and include those of grasps
-        that failed.
+        that failed. `surface` approximates the object, in its frame. `chosen` is the new index of the grasp that was
+        selected last; None forgets the selection.
         """
         self.surface, self.failed = surface, {}
         self.grasps, self._hold_costs = poses, costs
@@ -148,9 +149,9 @@ class GraspSelector:
         self.chosen = None
 
     def select(self, scene: SceneEstimate, is_near: bool = False) -> GraspGoal | None:
-        """Return the grasp to approach: the previous one unless another is clearly cheaper.
+        """Return the grasp to approach, the previous one unless another is clearly cheaper; None if all are unsuitable.
 
-        Near the previous grasp, the cost of another one must be lower by a larger margin.
+        If the gripper `is_near` the previous grasp, the cost of another one must be lower by a larger margin.
         """
         self._add_offset_grasps(scene)
         if self._has_offsets and self._batch > _MAX_BATCHES and self._batch % _RARE_SEARCH_PERIOD:
@@ -190,7 +191,7 @@ class GraspSelector:
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
     def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
-        """Return the hand link's pose (7,), given in the world, in the frame of a grasp of an object at a pose (7,)."""
+        """Return the hand link's pose (7,) in the frame of a grasp, from the world poses of object and hand link."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
@@ -200,7 +201,7 @@ class GraspSelector:
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
 
     def _add_offset_grasps(self, scene: SceneEstimate) -> None:
-        """Add offset copies of the object's grasps, once, after only poor grasps were found for long."""
+        """Add offset copies of the object's grasps, at most once, after `offset_delay` with only poor grasps."""
         if self._poor_time <= self._config.offset_delay or self._has_offsets or self._object is None:
             return
         human_hand = scene.hand_in_object
@@ -216,14 +217,14 @@ class GraspSelector:
         self.chosen, self.failure_reason = None, reason
 
     def _compute_clearances(self, scene: SceneEstimate) -> Array:
-        """Return the clearances (n,) in m beside the hand, which moves with the object."""
+        """Return the clearances (n,) in m of the gripper at the candidates to the hand, which moves with the object."""
         human_hand = scene.hand_in_object
         if human_hand is None:
             return np.full(len(self.grasps), _NO_HAND_CLEARANCE)
         return compute_grasp_clearances(self.grasps, human_hand, self._receiver_config.approach.standoff)
 
     def _compute_rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
-        """Return the costs (n,) in s that need no inverse kinematics."""
+        """Return the costs (n,) in s, without inverse kinematics, of candidates at world poses (n, 7) at a time (s)."""
         config = self._config
         rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         missing = np.maximum(0.0, config.desired_clearance - clearances)
@@ -250,7 +251,7 @@ class GraspSelector:
         return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
-        """Return the cheapest grasps, the next ones while none is reachable, and the selected."""
+        """Return the indices of the cheapest candidates, or of the next ones after a failed search, and of `chosen`."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
         count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
@@ -260,7 +261,7 @@ class GraspSelector:
         return numbers
 
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
-        """Return the costs (k,) in s without those of paths, and joints (k, 7) at standoffs and grasps."""
+        """Return the costs (k,) in s of k grasps, without path costs, and joints (k, 7) at their standoffs and them."""
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
         standoffs, goals, is_reached = self._solve_ik(world, joints, previous, self._batch > 0)
@@ -303,7 +304,7 @@ class GraspSelector:
         return np.asarray(_LIMIT_MARGIN_COST * missing)
 
     def _is_arm_clear(self, goals: Array, bodies: Spheres) -> npt.NDArray[np.bool_]:
-        """Return whether (n,) forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
+        """Return (n,) whether forearm and wrist at configurations (n, 7) keep clear of bodies and table."""
         is_clear = compute_arm_clearances(self._arm, goals, bodies) > _ARM_CLEARANCE
         lowest = compute_lowest_heights(self._arm, goals)
         return np.asarray(is_clear & (lowest > TABLE_HEIGHT + _TABLE_CLEARANCE))
@@ -327,10 +328,10 @@ class GraspSelector:
     def _add_path_costs(
         self, costs: Array, standoffs: Array, old: int | None, joints: Array, obstacles: PathObstacles
     ) -> int:
-        """Add the costs of blocked paths for the previous and the cheapest grasps in place.
+        """Add in place the costs of blocked paths to `costs` (k,), for the grasp at position `old` and the cheapest.
 
         Returns:
-            Position of the cheapest grasp.
+            Position of the cheapest grasp then.
         """
         checked = set[int]()
         best = int(np.argmin(costs)) if old is None else old
@@ -342,7 +343,7 @@ class GraspSelector:
         return best
 
     def _find_via_point(self, standoff: Array, joints: Array, obstacles: PathObstacles) -> Array | None:
-        """Return a via point (7,) to a standoff where the straight path is blocked, or None."""
+        """Return a via point (7,) to a standoff; None if the straight path is clear, or if no via point is found."""
         if is_path_clear(self._arm, joints, standoff, obstacles):
             return None
         previous = None if self.chosen is None else self.chosen.via_joints

@@ -21,7 +21,7 @@ class GraspPrediction:
     """Grasps predicted from one point cloud, in the hand link's frame.
 
     Attributes:
-        grasps: (C, 7) poses of the hand link at the predicted grasps.
+        grasps: (C, 7) poses of the hand link at the predicted grasps, xyz (m) and quaternion xyzw.
         quality: (C,) predicted quality of each grasp, 0 to 1.
         center: (3,) predicted center of the object (m).
     """
@@ -69,7 +69,10 @@ def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
 def _sample_points(
     object_points: Array, hand_points: Array, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], npt.NDArray[np.int_]]:
-    """Return object points, hand points, the mask of valid hand points, and grasp indices."""
+    """Return the network's inputs: sampled object points (256, 3) and hand points (64, 3), mask (64,), indices (96,).
+
+    The mask marks hand points that are not padding; grasps are predicted at the object points with these indices.
+    """
     objects = object_points[
         rng.choice(len(object_points), _N_OBJECT_POINTS, replace=len(object_points) < _N_OBJECT_POINTS)
     ]

@@ -1,4 +1,4 @@
-"""Tracking of object, hand and grasp candidates from the point clouds of the wrist camera."""
+"""Tracking of object, person's hand and grasp candidates from the point clouds of the wrist camera."""
 
 from typing import NamedTuple
 
@@ -69,7 +69,7 @@ SHIFT_COST, COLLISION_COST, _FREE_DEPTH = 20.0, 60.0, 0.003
 
 
 class PointMap:
-    """Voxel map of points on the object, or on the hand that holds the object.
+    """Voxel map of points on the object, or on the person's hand that holds it.
 
     Args:
         voxel_size: Edge length of the voxels, each of which keeps one point (m).
@@ -85,7 +85,7 @@ class PointMap:
         self._times = np.zeros(0)
 
     def update(self, time: float, points: Array, forget: bool) -> None:
-        """Add points (k, 3) relative to the object's center (m), and remove old ones if wanted."""
+        """Add points (k, 3) relative to the object's center (m) at a time (s); if `forget`, remove old ones."""
         if forget and len(points):
             kept = self._times > time - self._memory
             self.points, self._times = self.points[kept], self._times[kept]
@@ -108,7 +108,7 @@ class PositionFilter:
         self._time = 0.0
 
     def update(self, time: float, position: Array, gains: FilterGains) -> None:
-        """Update position and velocity by a measured position (3,) in m at a time (s)."""
+        """Update position and velocity by a measured position (3,) in m, with filter gains, at a time (s)."""
         if not self.is_known:
             self.is_known, self.position = True, position.copy()
         elif time > self._time:
@@ -145,7 +145,7 @@ class Keyframe:
         self._normals: Array = np.linalg.eigh(np.einsum("nki,nkj->nij", offsets, offsets))[1][:, :, 0]
 
     def register(self, points: Array) -> tuple[Array, float]:
-        """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of matches.
+        """Return the translation (3,) in m from the keyframe to points (k, 3), and the share of points that match it.
 
         Point-to-plane registration (Chen and Medioni, 1992) without rotation. Directions that the surface does
         not constrain, such as along a plane, are zero.
@@ -224,11 +224,11 @@ class GraspTracker:
         return self.position.velocity if is_moving else np.zeros(3)
 
     def compute_unseen_time(self, time: float) -> float:
-        """Return the time (s) at a time (s) since the last view of the object, infinite before the first view."""
+        """Return the time from the last view of the object to `time` (s), infinite before the first view."""
         return time - self._seen_at
 
     def add_failed(self, grasp: Array, until: float) -> None:
-        """Increase the cost of a failed grasp (7,) relative to the center, and of its half turn, until a time (s)."""
+        """Increase the cost of a grasp (7,), relative to the object's center, and of its half turn until a time (s)."""
         self._failed += [(grasp, until), (compose(grasp, np.array(HALF_TURN)), until)]
 
     def update(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
@@ -261,7 +261,7 @@ class GraspTracker:
     def _compute_candidates(
         self, prediction: GraspPrediction, points: Array, gripper_pose: Array
     ) -> tuple[Array, Array]:
-        """Return candidates (n, 7) relative to the center and their costs (n,) from a prediction.
+        """Return candidates (n, 7), relative to the object's center, and their costs (n,) in s from a prediction.
 
         Points (k, 3) of the object, for finger collisions, are in the hand link's frame (m).
         """
@@ -296,7 +296,7 @@ class GraspTracker:
     def _update_position(
         self, time: float, gripper_pose: Array, object_points: Array, prediction: GraspPrediction, gains: FilterGains
     ) -> None:
-        """Update the object's position.
+        """Update the object's position from a view; arguments as in `update`.
 
         Near the object the camera sees a part of it, whose center the network can only guess. From
         there the motion of its surface is registered instead.
@@ -322,7 +322,7 @@ class GraspTracker:
             self._keyframe = Keyframe(cloud - self.object_pose[:3])
 
     def _update_maps(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
-        """Add points in the hand link's frame to the maps of object and hand."""
+        """Add points (n, 3) in the hand link's frame (m) to the maps of object and person's hand."""
         if not self.is_initialized:
             return
         center = self.object_pose[:3]
@@ -334,7 +334,7 @@ class GraspTracker:
         self.human_hand = Spheres(centers, np.full(len(centers), _SPHERE_RADIUS)) if len(centers) else None
 
     def _set_candidates(self, grasps: Array, costs: Array, time: float, gains: FilterGains) -> None:
-        """Set the candidates to the grasps of a view and their half turns, the selected first."""
+        """Set the candidates to the grasps (n, 7) of a view and their half turns, after the selected grasp if any."""
         candidates = np.concatenate([grasps, compose(grasps, np.array(HALF_TURN))]) if len(grasps) else grasps
         all_costs = np.concatenate([costs, costs])
         if self.selected is not None:
@@ -349,7 +349,7 @@ class GraspTracker:
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
-        """Return the selected grasp (7,), moved towards the same predicted grasps by a gain."""
+        """Return the selected grasp (7,), moved by a gain (0 to 1) towards the mean of predicted grasps close to it."""
         distances = self._compute_distances(selected, grasps)
         same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):
@@ -366,7 +366,7 @@ class GraspTracker:
         return corrected
 
     def _compute_distances(self, pose: Array, poses: Array) -> Array:
-        """Return the distances (n,) in m of grasps at the pads, with weighted rotations."""
+        """Return the distances (n,) of grasps (n, 7) to one (7,): m between the pads plus weighted rotation angle."""
         pads = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
         offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
         cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
@@ -375,10 +375,10 @@ class GraspTracker:
 
 
 def shift_to_avoid_collisions(grasps: Array, points: Array) -> tuple[Array, Array]:
-    """Shift grasps (n, 7) sideways to minimize the depth of finger collisions, by as little as possible.
+    """Shift grasps (n, 7) sideways, by as little as possible, to minimize the depth of finger collisions.
 
-    Returns the shifted grasps, and the costs (n,) of shifts and remaining collisions (s) with points (k, 3) of the
-    object.
+    Returns the shifted grasps, and the costs (n,) in s of shifts and remaining collisions. Points (k, 3) of the object
+    are in the frame of the grasps (m).
     """
     rotations = Rotation.from_quat(grasps[:, 3:]).as_matrix() if len(grasps) else np.zeros((0, 3, 3))
     local = np.einsum("nkj,nji->nki", points[None] - grasps[:, None, :3], rotations)

@@ -70,13 +70,13 @@ class VisionReceiver(ControllerReceiver):
         return self._weights_hash
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode."""
+        """Start an episode; `seed` determines the random points that the network gets."""
         tracker = GraspTracker(self._predictor, seed)
         self._scene = PointCloudSceneEstimate(self.arm, self.config, tracker)
         self.start_episode(self._scene)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next nine target joint positions."""
+        """Return the next nine target joint positions (rad, m)."""
         scene, controller = require_reset(self._scene, self.name), require_reset(self.controller, self.name)
         if controller.is_grasping:
             # The camera cannot see what is between the fingers, and the selection is final.
@@ -90,7 +90,7 @@ class VisionReceiver(ControllerReceiver):
         return controller.step()
 
     def _track_selection(self, tracker: GraspTracker, is_settled: bool) -> None:
-        """Pass selected and failed grasps of the last decision to the tracker."""
+        """Pass selected and failed grasps of the last decision to the tracker, and whether it must offer all grasps."""
         selector = self.selector
         for number, until in selector.failed.items():
             tracker.add_failed(selector.grasps[number], until)

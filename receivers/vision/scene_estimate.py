@@ -36,14 +36,17 @@ class PointCloudHandTracker(HandTracker):
         self._object_position: Array | None = None
 
     def update_from_tracker(self, tracker: GraspTracker) -> None:
-        """Update the hand's points and velocity from the tracked object."""
+        """Update points and velocity of the person's hand from the tracker of the object."""
         self.spheres = tracker.human_hand
         self.points = np.zeros((0, 3)) if tracker.human_hand is None else tracker.human_hand.centers
         self.velocity = tracker.velocity
         self._object_position = tracker.position.position if tracker.is_initialized else None
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
-        """Return the present world pose (7,) of a frame that moves with the person's hand."""
+        """Return the world pose (7,), `ahead` (s) from now, of a frame that moves with the person's hand.
+
+        The frame was at the world pose (7,) when `reference_points` were `points`.
+        """
         if not len(points) or self._object_position is None:
             return pose
         position = pose[:3] + self._object_position - points[0] + ahead * self.velocity
@@ -106,7 +109,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         return (is_late and not self.are_fingers_closed) or self.time - self._moved_at > _RELEASE_DELAY
 
     def _set_lost_timeouts(self) -> None:
-        """Keep the estimate of an object at rest for longer if paths lead around other objects."""
+        """Let an object that is at rest be out of sight for longer, since paths lead around other objects."""
         is_settled = self.is_settled
         self._search_timeout = HIDDEN_TIMEOUT if is_settled else SEARCH_TIMEOUT
         self.tracker.lost_timeout = HIDDEN_TIMEOUT if is_settled else LOST_TIMEOUT

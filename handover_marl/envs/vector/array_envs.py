@@ -74,7 +74,10 @@ class ArrayEnvs:
         Args:
             rows: Indices (r,) of the environments.
             seeds: Seed of each of these environments; None keeps the state of its random generators.
-            options: Options of `HandoverEnv.reset`.
+            options: Options of `HandoverEnv.reset`, the same for all.
+
+        Returns:
+            Result of the r environments, with rewards of 0.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.
@@ -104,7 +107,7 @@ class ArrayEnvs:
         return result._replace(rewards={agent: self.arrays.zeros(len(rows)) for agent in self._agents})
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions or outputs (n, ...) of all environments; see `ArrayEpisodes.check_actions`.
+        """Return the actions or outputs (n, ...) of all environments as checked float32 arrays of the simulation.
 
         Raises:
             ActionError: A number is not finite.
@@ -117,6 +120,9 @@ class ArrayEnvs:
         Args:
             rows: Indices (r,) of environments with running episodes.
             actions: Checked actions or outputs (r, ...) by agent.
+
+        Returns:
+            Result of the r environments.
         """
         episodes, current = self._episodes, self.arrays.asarray(self._current[rows])
         if self._prefetches:
@@ -139,7 +145,7 @@ class ArrayEnvs:
         self._episodes.close()
 
     def _start(self, row: int, episode: int, options: Mapping[str, Any] | None) -> None:
-        """Start an episode of an environment in a scene that the options choose, or a drawn one."""
+        """Start the episode `episode` for the environment `row`, in the scene of `options` or a drawn one."""
         base = self._base
         scene_id = check_scene_option(options or {}, base.scene_ids, f"{base.config.setup} {base.config.split}")
         if scene_id is None:
@@ -150,14 +156,14 @@ class ArrayEnvs:
         self._episodes.start(episode, self._load_scene(scene_id), partner_seed, robot_seed, camera_seed)
 
     def _start_next(self, rows: Indices) -> None:
-        """Start the next episode of environments that have none."""
+        """Start the next episode of those of the environments `rows` that have no next episode yet."""
         for row in rows[self._next[rows] == _NONE].tolist():
             self._rngs_before[row] = copy.deepcopy((self._rngs[row], self._partner_rngs[row]))
             self._start(row, int(self._free[row]), None)
             self._next[row] = self._free[row]
 
     def _discard_next(self, row: int) -> None:
-        """Forget the next episode of an environment, as if its scene had not been drawn."""
+        """Forget the next episode of the environment `row`, as if its scene had not been drawn."""
         before = self._rngs_before[row]
         if self._next[row] != _NONE and before is not None:
             self._rngs[row], self._partner_rngs[row] = before

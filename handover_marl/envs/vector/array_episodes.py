@@ -34,7 +34,7 @@ Flags: TypeAlias = AnyArray
 
 
 def has_episode_returns(template: WrappableEnv) -> bool:
-    """Return whether a wrapper adds the sums of the rewards to the infos."""
+    """Return whether the wrapper `EpisodeReturns` is among the wrappers of an environment."""
     env: Any = template
     while not isinstance(env, (EpisodeReturns, HandoverEnv)):
         env = env.env
@@ -153,15 +153,15 @@ class ArrayEpisodes:
         self._rewards.start(row)
 
     def clear_rewards(self, rows: AnyIndices) -> None:
-        """Set the rewards of episodes and their terms to zero; they add up until the next call."""
+        """Set rewards and reward terms of the episodes `rows` to 0; `advance` adds to them until the next call."""
         self._rewards.clear(rows)
 
     def have_ended(self, rows: AnyIndices) -> Flags:
-        """Return whether each episode has ended, (r,)."""
+        """Return for each of the episodes `rows` whether it has terminated or was truncated, (r,)."""
         return self._terminated[rows] | self._truncated[rows]
 
     def find_waiting(self, rows: AnyIndices) -> AnyIndices:
-        """Return the indices of the running episodes whose action scheme needs no outputs now."""
+        """Return those of the indices `rows` whose episode runs and whose action scheme needs no outputs now."""
         if not self.can_wait:
             return rows[:0]
         (agent,) = self._agents
@@ -169,7 +169,7 @@ class ArrayEpisodes:
         return running[~self._schemes[agent].needs_outputs(running, self._select_observation(agent, running))]
 
     def set_outputs(self, rows: AnyIndices, outputs: ByAgent) -> None:
-        """Pass outputs (r, ...) to the agents' action schemes."""
+        """Pass outputs (r, ...) by agent to the action schemes, in the episodes of `rows` that need them now."""
         for agent, scheme in self._schemes.items():
             needs = scheme.needs_outputs(rows, self._select_observation(agent, rows))
             scheme.set_outputs(rows[needs], outputs[agent][needs])
@@ -229,14 +229,14 @@ class ArrayEpisodes:
         return first or actions
 
     def _advance_until(self, until: AnyIntegers, rows: AnyIndices, actions: ByAgent) -> None:
-        """Simulate with constant actions up to the physics steps `until` (r,), those of equal length together."""
+        """Simulate each of the episodes `rows` with constant actions up to its physics step in `until` (r,)."""
         lengths = until - self._episodes.referees.steps[rows]
         for length in np.unique(to_numpy(lengths)).tolist():
             group = self.arrays.xp.nonzero(lengths == length)[0]
             self._episodes.advance(rows[group], actions[RECEIVER][group], length, actions[GIVER][group])
 
     def make_result(self, rows: AnyIndices) -> EnvResult:
-        """Return observations and infos of episodes, and their rewards since the last `clear_rewards`."""
+        """Return observations and infos of the episodes `rows`, and their rewards since the last `clear_rewards`."""
         result = EnvResult({}, {}, {}, {}, {})
         for agent in self._agents:
             observation = self._select_observation(agent, rows)

@@ -53,7 +53,7 @@ class EnvResult(NamedTuple):
 
 
 def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) -> EnvResult:
-    """Join results of different rows to one result of `count` rows; later results replace earlier ones."""
+    """Join pairs of row indices and result to a result of `count` environments; later pairs replace earlier ones."""
     if len(row_results) == 1 and len(row_results[0][0]) == count:
         return row_results[0][1]
     placed = [(move_to_device(rows, result.rewards), result) for rows, result in row_results]
@@ -61,13 +61,13 @@ def merge_results(count: int, row_results: Sequence[tuple[Indices, EnvResult]]) 
 
 
 def copy_containers(result: EnvResult) -> EnvResult:
-    """Copy the dictionaries and tuples but not the arrays, since callers (TorchRL) change the dictionaries they get."""
+    """Return a result with other dictionaries but the same arrays, since callers (TorchRL) change the dictionaries."""
     copied: EnvResult = _select(result, slice(None))
     return copied
 
 
 def select_rows(values: Any, rows: Indices | int) -> Any:
-    """Return some rows, or one, of the arrays in dictionaries and tuples."""
+    """Return nested dictionaries and tuples of arrays with only some rows of each array; an int selects one row."""
     return _select(values, rows if isinstance(rows, int) else move_to_device(rows, values))
 
 
@@ -81,14 +81,14 @@ def _select(values: Any, rows: AnyArray | slice | int) -> Any:
 
 
 def replace_rows(values: Any, rows: Indices, others: Any) -> Any:
-    """Return copies of the arrays in dictionaries and tuples, with some rows replaced."""
+    """Return copies of arrays in nested dictionaries and tuples, in which those in `others` replace the rows `rows`."""
     count = len(_first_array(values))
     all_rows, replaced_rows = (move_to_device(indices, values) for indices in (np.arange(count), rows))
     return _merge(count, [(all_rows, values), (replaced_rows, others)])
 
 
 def move_to_device(array: npt.NDArray[Any], values: Any) -> AnyArray:
-    """Return a NumPy array in the namespace and on the device of the arrays in dictionaries and tuples."""
+    """Return a NumPy array as an array or tensor on the device of those in `values`, nested dictionaries and tuples."""
     like = _first_array(values)
     return get_namespace(like).asarray(array, device=like.device)
 
@@ -108,7 +108,7 @@ def _merge(count: int, row_values: list[tuple[AnyArray, Any]]) -> Any:
 
 
 def mask_infos(infos: Mapping[str, AnyArray], mask: Flags, arrays: ArrayFactory) -> dict[str, AnyArray]:
-    """Return the infos of the environments in a mask in Gymnasium's form: zeros elsewhere, and masks."""
+    """Return infos (n,) in Gymnasium's form: KEY with zeros outside `mask` (n,), and `_KEY` with the mask."""
     masked, xp, chosen, is_complete = {}, arrays.xp, arrays.asarray(mask), mask.all()
     for key, values in infos.items():
         masked[key] = xp.asarray(values, copy=True) if is_complete else xp.where(chosen, values, xp.zeros_like(values))
@@ -126,6 +126,9 @@ def make_final_infos(
         infos: Infos (n,) of the agent after the step, before the resets.
         ended: Mask (n,) of the environments that were reset.
         arrays: Creator of the environments' arrays.
+
+    Returns:
+        Values of the keys "final_obs" and "final_info", and the masks "_final_obs" and "_final_info".
     """
     final_obs = np.full(len(ended), None, dtype=object)
     for row in np.flatnonzero(ended).tolist():
@@ -153,13 +156,22 @@ class Envs(Protocol):
     arrays: ArrayFactory
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        """Start episodes.
+
+        Args:
+            rows: Indices (r,) of the environments.
+            seeds: Seed of each of these environments; None keeps the state of its random generators.
+            options: Options of `HandoverEnv.reset`, the same for all.
+
+        Returns:
+            Result of the r environments, with rewards of 0.
+        """
 
     def check_actions(self, actions: ByAgent) -> ByAgent:
-        """Check the actions (n, ...) of all environments, and return them as `step` takes them."""
+        """Check the actions (n, ...) of all environments by agent, and return them as `step` takes them."""
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; return the result of these r."""
 
     def render(self) -> list[Any] | None:
         """Return the RGB image (height, width, 3) of each environment; None unless `render_mode` is "rgb_array"."""
@@ -296,7 +308,7 @@ class EnvBatch:
         return None if images is None else tuple(images)
 
     def close(self) -> None:
-        """Free the simulations of all environments."""
+        """Free the simulations of all environments, which cannot be used afterwards."""
         self.is_running, self._is_closed = False, True
         self._envs.close()
 
@@ -320,7 +332,7 @@ class EnvBatch:
             self._lock.release()
 
     def _spread_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Derive one seed for each environment from a seed or a sequence of seeds."""
+        """Return a seed for each environment: `seed` + k for number k, its element of a sequence, or None."""
         count = self.num_envs
         if seed is None:
             return [None] * count

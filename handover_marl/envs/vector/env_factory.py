@@ -45,7 +45,7 @@ class EnvFactory:
         backend: Engine and device of environments that are simulated together.
 
     Raises:
-        OptionError: An attribute is not one that several environments can have.
+        OptionError: `partner`, `wrappers` or the render mode is not one that several environments can have.
     """
 
     config: EnvConfig
@@ -94,7 +94,7 @@ class EnvFactory:
             )
 
     def make(self, count: int) -> Envs:
-        """Make a number of environments, which are simulated by one thread."""
+        """Make `count` environments, which one thread simulates."""
         if not self.uses_arrays:
             return SingleEnvs(self._make_single, count)
         return ArrayEnvs(
@@ -115,7 +115,7 @@ class EnvFactory:
 
 
 def _can_use_arrays(template: WrappableEnv, backend: BatchBackend) -> bool:
-    """Return whether `ArrayEnvs` can simulate environments like a single one.
+    """Return whether `ArrayEnvs` can simulate environments that have the configuration and wrappers of a single one.
 
     They can in MuJoCo's physics with no wrappers but `EpisodeReturns`, `freeze` and `encode`, in this order; without
     camera, or with "warp" and a camera that passes `_check_device_camera`.

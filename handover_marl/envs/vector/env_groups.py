@@ -21,7 +21,7 @@ class GroupedEnvs:
     """Environments in groups that are simulated at the same time; see `batch.Envs`.
 
     Args:
-        make: Function that makes the environments of a group, whose number it gets.
+        make: Function that makes the environments of a group; it gets the number of these environments.
         count: Number of environments.
         n_groups: Number of groups, at least 2 and at most `count`.
     """
@@ -34,7 +34,7 @@ class GroupedEnvs:
         self._pool = ThreadPoolExecutor(n_groups)
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
 
         def reset(group: Envs, own_rows: Indices, places: Indices) -> EnvResult:
             return group.reset(own_rows, [seeds[place] for place in places.tolist()], options)
@@ -46,7 +46,7 @@ class GroupedEnvs:
         return self._groups[0].check_actions(actions)
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         return self._map(rows, lambda group, own_rows, places: group.step(own_rows, select_rows(actions, places)))
 
     def render(self) -> list[Any] | None:
@@ -65,7 +65,7 @@ class GroupedEnvs:
 
         Args:
             rows: Indices of environments, ascending.
-            function: Function of a group, indices in the group, and their places in `rows`.
+            function: Function of a group, indices of environments in the group, and the places of these in `rows`.
         """
         numbers = np.searchsorted(self._firsts, rows, side="right") - 1
         futures, all_places = [], [np.flatnonzero(numbers == number) for number in range(len(self._groups))]
@@ -86,7 +86,7 @@ class ProcessEnvs:
     starts at once. The first call waits for it, and raises the errors of `make`.
 
     Args:
-        make: Function that makes a number of environments; must be picklable by value.
+        make: Function that makes the environments and gets their number; must be picklable by value.
         count: Number of environments.
     """
 
@@ -102,7 +102,7 @@ class ProcessEnvs:
         self._is_ready = self._is_closed = False
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
         result: EnvResult = self._call("reset", rows, seeds, options)
         return result
 
@@ -112,7 +112,7 @@ class ProcessEnvs:
         return checked
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with checked actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with checked actions (r, ...) by agent; see `batch.Envs.step`."""
         result: EnvResult = self._call("step", rows, actions)
         return result
 
@@ -134,7 +134,7 @@ class ProcessEnvs:
         self._pipe.close()
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Call a method of the environments in the process.
+        """Return what a method of the environments in the process returns for these arguments.
 
         Raises:
             WorkerError: The process has died.
@@ -159,7 +159,7 @@ class ProcessEnvs:
 
 
 def _run_worker(pipe: Connection, pickled: bytes) -> None:
-    """Simulate environments at the calls of the main process, until it closes the pipe or sends None."""
+    """Make environments by a pickled pair (make, count); answer calls of their methods until the pipe yields None."""
     # The main process may close the pipe at any time, also while the environments are being made.
     with contextlib.suppress(KeyboardInterrupt, EOFError, OSError):
         try:

@@ -23,7 +23,7 @@ class ParallelVectorEnv:
       the last rewards. `infos[agent]` then has the last observations and infos in "final_obs" and "final_info".
     - "disabled": the caller resets.
 
-    `infos[agent]` has the form of the infos of `HandoverVectorEnv`, also in what is an array and what a tensor.
+    `infos[agent]` has the form of the infos of `HandoverVectorEnv`, with arrays and tensors in the same places.
 
     Args:
         batch: The environments.

@@ -30,7 +30,7 @@ class PopulationBatch(PolicyBatch):
     """Batch of `PopulationPolicy`: each member acts in the episodes that have drawn it.
 
     Args:
-        policy: Policy of a single episode.
+        policy: Policy of a single episode, which draws the members.
         batches: Batch of each member for all episodes.
         count: Number of episodes.
         arrays: Creator of the episodes' arrays.
@@ -53,7 +53,7 @@ class PopulationBatch(PolicyBatch):
         self._batches[number].reset(row, member_seed, object_names)
 
     def act(self, rows: AnyIndices, observe: ObserveFunction, steps: AnyIntegers) -> tuple[Actions, AnyIntegers]:
-        """Return actions (r, ...) and steps (r,) of the next decisions; see `PolicyBatch.act`."""
+        """Return actions (r, ...) and physics steps (r,) of the next decisions; see `PolicyBatch.act`."""
         arrays, numbers = self._arrays, self._numbers[to_numpy(rows)]
         groups = [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
         found = []
@@ -76,10 +76,10 @@ def make_policy_batch(
     """Make a policy for n environments: on arrays if there is such a version, else one per environment.
 
     Args:
-        reference: Policy.
-        dataset: Robot model, objects and grasps for the policy.
+        reference: Reference to the policy.
+        dataset: Dataset with the robot model, objects and grasps for the policy.
         config: World and rules for the policy.
-        setup: Official setup that is played.
+        setup: Setup that is played; None for the first of the dataset.
         count: Number n of environments.
         arrays: Creator of the environments' arrays. Policies that work with NumPy arrays only get copies on the host.
 

@@ -52,11 +52,11 @@ class RewardSums:
 
     @property
     def totals(self) -> dict[str, AnyArray]:
-        """Rewards (n,) by agent."""
+        """Rewards (n,) by agent since the last `clear`."""
         return {agent: sums[:, _SINCE_CLEAR, 0] for agent, sums in self._sums.items()}
 
     def start(self, row: int) -> None:
-        """Start an episode, whose first state has been observed.
+        """Start the episode with index `row`, whose first state has been observed.
 
         Raises:
             RewardError: A user-defined reward fails.
@@ -92,7 +92,7 @@ class RewardSums:
         return infos
 
     def clear(self, rows: AnyIndices) -> None:
-        """Set the rewards of episodes to zero."""
+        """Set the rewards of the episodes `rows` since the last `clear` to zero."""
         for sums in self._sums.values():
             sums[rows, _SINCE_CLEAR] = 0.0
 
@@ -123,7 +123,7 @@ class RewardSums:
     def _record_transitions(
         self, rows: AnyIndices, actions: Actions, terminated: Flags, truncated: Flags
     ) -> list[Transition]:
-        """Return the transition of each episode."""
+        """Return the transition of the last control step in each of the episodes `rows`; arguments as in `add`."""
         observations, infos = self._observe(rows), self._make_infos(rows)
         actions = {agent: to_numpy(values) for agent, values in actions.items()}
         ends = zip(terminated.tolist(), truncated.tolist(), strict=True)
@@ -141,13 +141,13 @@ class RewardSums:
         ]
 
     def _observe(self, rows: AnyIndices) -> list[dict[str, Observation]]:
-        """Return the observations of both agents in each episode."""
+        """Return the observations by agent in each of the episodes `rows`."""
         batches = {RECEIVER: self._episodes.select_state(rows), GIVER: self._episodes.select_giver_observation(rows)}
         columns = {agent: {key: to_numpy(values) for key, values in batch.items()} for agent, batch in batches.items()}
         return [select_rows(columns, number) for number in range(len(rows))]
 
     def _make_infos(self, rows: AnyIndices) -> list[dict[str, dict[str, float]]]:
-        """Return the infos of both agents in each episode."""
+        """Return the infos by agent, without reward terms, in each of the episodes `rows`."""
         columns = {key: values.tolist() for key, values in self._episodes.make_infos(rows).items()}
         infos = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return [{agent: dict(info) for agent in AGENTS} for info in infos]

@@ -32,7 +32,7 @@ class SingleEnvs:
         self.envs = [make() for _ in range(count)]
 
     def reset(self, rows: Indices, seeds: Sequence[int | None], options: Mapping[str, Any] | None) -> EnvResult:
-        """Start episodes in the environments `rows` (r,), with a seed for each."""
+        """Start episodes in the environments `rows` (r,), with a seed for each; see `batch.Envs.reset`."""
         own_options = None if options is None else dict(options)
         starts = [
             self.envs[row].reset(seed=seed, options=own_options) for row, seed in zip(rows.tolist(), seeds, strict=True)
@@ -48,7 +48,7 @@ class SingleEnvs:
         return actions
 
     def step(self, rows: Indices, actions: ByAgent) -> EnvResult:
-        """Step the environments `rows` (r,) with actions (r, ...) by agent."""
+        """Step the environments `rows` (r,) with actions (r, ...) by agent; see `batch.Envs.step`."""
         steps = [
             self.envs[row].step({agent: values[number] for agent, values in actions.items()})
             for number, row in enumerate(rows.tolist())
@@ -84,7 +84,7 @@ def _stack_infos(infos: Sequence[ByAgent]) -> ByAgent:
 
 
 def apply_wrapper(wrapper: WrapperFunction, env: WrappableEnv) -> WrappableEnv:
-    """Wrap an environment.
+    """Return an environment wrapped by a user's function or class `wrapper`.
 
     Raises:
         OptionError: The wrapper cannot be called, fails, or does not wrap the environment that it gets.

@@ -84,8 +84,11 @@ class HandoverVectorEnv(VectorEnv[Any, Any, Any]):
             options: Options that every environment gets: `{"scene_id": n}` chooses the scene; and
                 `reset_mask`, the mask of the environments to reset, an array or a tensor.
 
+        Returns:
+            Observations (n, ...), and infos in Gymnasium's form.
+
         Raises:
-            OptionError: The number of seeds or the shape of the mask is wrong.
+            OptionError: The number of seeds or the shape of the mask is wrong, or no environment is chosen.
             ResetNeededError: The environments are closed, or were made by another process.
         """
         if options is not None and not isinstance(options, Mapping):

@@ -101,7 +101,7 @@ class EncodedEnv(ParallelWrapper):
         return self._features[agent](observation)
 
     def get_last_observation(self, agent: str) -> Observation:
-        """Return the last observation of an agent before it was encoded.
+        """Return the last observation of an agent as the environment returned it, before it was encoded.
 
         Raises:
             ResetNeededError: No episode has been started.
@@ -140,6 +140,9 @@ class EncodedEnv(ParallelWrapper):
 
         Args:
             actions: Outputs by agent, elements of the action spaces.
+
+        Returns:
+            Feature vectors, rewards, terminations, truncations and infos by agent.
 
         Raises:
             ActionError: Outputs are missing or malformed.
@@ -217,7 +220,7 @@ def make_no_outputs_error(agent: str) -> OptionError:
 
 
 def _complete_choices(argument: str, defaults: dict[str, str], choices: Any, agents: list[str]) -> dict[str, Any]:
-    """Return a choice of features or schemes for each agent, given choices by agent or the only agent's."""
+    """Return the features or schemes of each agent: those in `choices`, by agent or for the only one, else defaults."""
     if choices is None:
         choices = {}
     if not isinstance(choices, Mapping):

@@ -24,9 +24,9 @@ DEFAULT_PARTNERS = {RECEIVER: "replay", GIVER: "yang2021"}
 class FrozenPartnerEnv(ParallelWrapper):
     """Parallel environment of one agent, made by `freeze`; a fixed policy acts for the other agent.
 
-    The partner acts as in `pair` and in evaluations: at its own control period, whatever that of the environment, and
-    with seeds that are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither its
-    observations nor its actions.
+    The partner acts as in evaluations: at its own control period, whatever that of the environment, and with seeds that
+    are derived from a run seed, which is drawn for each episode. Wrappers of `env` change neither observations nor
+    actions of the partner.
 
     Args:
         env: Environment with both agents, see `freeze` for this and the other arguments.
@@ -37,7 +37,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     Attributes:
         live_agent: Agent that is controlled from outside, "receiver" or "giver".
         partner_agent: Agent that the partner policy acts for.
-        policy: Policy of that agent.
+        policy: Policy of the partner.
     """
 
     metadata: dict[str, Any] = {**HandoverEnv.metadata, "name": "handover_frozen_partner_v0"}
@@ -75,7 +75,7 @@ class FrozenPartnerEnv(ParallelWrapper):
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
         """Start an episode with a new run seed for the partner; return observation and info by agent.
 
-        The result is that of `HandoverEnv.reset` without the entries of the partner.
+        Arguments and result are those of `HandoverEnv.reset`, without the entries of the partner.
         """
         if seed is not None:
             self._rng, _ = seeding.np_random(seed)

@@ -59,7 +59,7 @@ class ParallelWrapper(BaseParallelWrapper, EzPickle):  # type: ignore[misc]
         return [agent for agent in self.env.agents if agent in self.possible_agents]
 
     def convert_observation(self, agent: str, observation: Any) -> Any:
-        """Convert an agent's observation in the wrapped environment to that of this wrapper."""
+        """Convert an agent's observation in the wrapped environment to that of this wrapper, here the same."""
         return observation
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
@@ -120,7 +120,7 @@ class FlattenedEnv(ParallelWrapper):
 
 
 def flatten(env: WrappableEnv) -> FlattenedEnv:
-    """Return an environment with one vector for each agent's observation, unscaled.
+    """Return an environment in which each agent's observation is one vector of all its numbers, unscaled.
 
     `encode` makes vectors, too: fewer features, scaled for small networks.
 
@@ -198,13 +198,13 @@ class SingleAgentEnv(gymnasium.Env[Any, Any], EzPickle):
         return self.env.unwrapped.scene_ids
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start an episode; `options={"scene_id": n}` chooses the scene."""
+        """Start an episode; return observation and info. `options={"scene_id": n}` chooses the scene."""
         super().reset(seed=seed)
         observations, infos = self.env.reset(seed, options)
         return observations[self.agent], infos[self.agent]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step for one control period, or until the action scheme needs outputs again."""
+        """Step for one control period, or until an action scheme needs outputs; result as in `gymnasium.Env.step`."""
         observations, rewards, terminations, truncations, infos = self.env.step({self.agent: action})
         agent = self.agent
         return observations[agent], rewards[agent], terminations[agent], truncations[agent], infos[agent]

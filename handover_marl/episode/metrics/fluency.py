@@ -1,16 +1,16 @@
 """Metrics of fluency, safety and effort of a handover, in addition to HandoverSim's metrics.
 
-Idle times, concurrent activity and functional delay follow Hoffman, "Evaluating Fluency in Human-Robot
-Collaboration", IEEE Transactions on Human-Machine Systems 49(3), 2019. For handovers, the task is the
-whole episode; a person is active while the wrist moves faster than `ACTIVE_SPEED`; a robot is active
-while its hand link moves faster than `ACTIVE_SPEED` or its fingers faster than `ACTIVE_FINGER_SPEED`.
-Smoothness is the spectral arc length of Balasubramanian et al., "On the analysis of movement
-smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. It does not depend on speed
-and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model
-of human reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by
-the filter of Savitzky and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's
-first contact and ends with the release, as the physical handover phase of Ortenzi et al., "Object Handovers:
-A Review for Robotics", IEEE Transactions on Robotics 37(6), 2021.
+Idle times, concurrent activity and functional delay follow Hoffman, "Evaluating Fluency in Human-Robot Collaboration",
+IEEE Transactions on Human-Machine Systems 49(3), 2019. For handovers, the task is the whole episode; a person is active
+while the wrist moves faster than `ACTIVE_SPEED`; a robot is active while its hand link moves faster than `ACTIVE_SPEED`
+or its fingers faster than `ACTIVE_FINGER_SPEED`. Smoothness is the spectral arc length of Balasubramanian et al., "On
+the analysis of movement smoothness", Journal of NeuroEngineering and Rehabilitation 12:112, 2015. It does not depend on
+speed and duration. The root mean square of the jerk depends on both; it is minimal in the minimum-jerk model of human
+reaching (Flash and Hogan, Journal of Neuroscience 5(7), 1985). Positions are differentiated by the filter of Savitzky
+and Golay, Analytical Chemistry 36(8), 1964. The exchange begins with the receiver's first contact and ends with the
+release, as the physical handover phase of Ortenzi et al., "Object Handovers: A Review for Robotics", IEEE Transactions
+on Robotics 37(6), 2021. RULA (rapid upper limb assessment) rates postures: McAtamney and Corlett, Applied Ergonomics
+24(2), 1993.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ CHEST, HALF_SHOULDER_WIDTH, UPPER_ARM, FOREARM = (0.56, 0.65, 1.35), 0.226, 0.32
 
 
 def compute_rula_arm_scores(wrist: Array, side: str) -> npt.NDArray[np.int_]:
-    """Compute the sum of RULA's scores of upper arm (1 to 5) and forearm (1 to 3) at n times, 2 to 8.
+    """Compute the sums (n,) of RULA's scores of upper arm (1 to 5) and forearm (1 to 3) at n times.
 
     The elbow hangs as low as the wrist's position allows. A wrist out of reach has a straight arm.
 
@@ -83,7 +83,7 @@ def _pose_arm(reach: Array) -> tuple[Array, Array]:
 
 
 def _score_upper_arm(upper: Array, outward: Array) -> npt.NDArray[np.int_]:
-    """Return the scores (n,) of upper arms with directions (n, 3): 1 to 4, and 1 more if abducted."""
+    """Return the scores (n,) of upper arms with directions (n, 3): 1 to 4, and 1 more if abducted along `outward`."""
     angle = np.degrees(np.arccos(np.clip(upper @ _DOWN, -1.0, 1.0)))
     is_forward = upper @ _FORWARD >= 0.0
     scores = np.where(is_forward, 1 + np.digitize(angle, _FLEXIONS, right=True), 1 + (angle > _EXTENSION))
@@ -109,18 +109,15 @@ class FluencyMetrics:
     """Fluency, safety and effort of one episode.
 
     Attributes:
-        handover_time: Time from the start of the episode to the release of the object (s); None
-            without a release.
-        human_idle: Share of the episode (0 to 1) in which the person does not move or is
-            absent.
+        handover_time: Time from the start of the episode to the release of the object (s); None without a release.
+        human_idle: Share of the episode (0 to 1) in which the person does not move or is absent.
         robot_idle: Share of the episode (0 to 1) in which the robot does not move.
         concurrent: Share of the episode (0 to 1) in which person and robot both move.
-        functional_delay: Time from the end of the person's last activity before the release to the
-            start of the robot's last activity before the release, as share of the episode; negative
-            if the robot starts earlier, None without a release.
-        max_robot_object_force: Largest sum of the normal forces between robot and object in one physics
-            step of 1 ms (N).
-        min_distance: Smallest distance between robot and hand surfaces (m), sampled every 20 ms; 0
+        functional_delay: Time from the end of the person's last activity before the release to the start of the robot's
+            last activity before the release, as share of the episode; negative if the robot starts earlier, None
+            without a release or without such activities.
+        max_robot_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
+        min_distance: Smallest distance between the surfaces of robot and human hand (m), sampled every 20 ms; 0
             after contact, None without a hand.
         giver_path: Length (m) of the path of the person's wrist, until the release or the end.
         giver_smoothness: Spectral arc length of the wrist's speed until the release or the end; at
@@ -146,7 +143,7 @@ class FluencyMetrics:
             averaged over 60 ms; None without contact.
         robot_object_impulse: Sum over all physics steps until the release of the normal forces between
             robot and object, times 1 ms (N s); None without contact until the release.
-        min_separation_margin: Smallest distance between robot and hand surfaces minus the protective
+        min_separation_margin: Smallest distance between the surfaces of robot and human hand minus the protective
             separation distance of ISO/TS 15066 (m), sampled every 20 ms; negative if the robot could touch
             the hand before it stops; None without a hand.
         giver_rula: Mean of RULA's scores of the giver's upper arm and forearm, 2 (best) to 8, until

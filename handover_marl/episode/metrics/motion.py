@@ -51,13 +51,10 @@ class EpisodeTrace:
         fingers: (n, 2) positions of the finger joints (m).
         wrist: (n, 3) positions of the person's wrist (m), NaN without a hand.
         steps: Number of physics steps of the episode.
-        release_step: Physics step after which the person released the object; None without a
-            release.
+        release_step: Physics step after which the person released the object; None without a release.
         max_object_force: Largest sum of the normal forces between robot and object in one physics step (N).
-        min_distance: Smallest distance between robot and human hand (m), 0 after contact, None
-            without a hand.
-        max_hand_force: Largest sum of the normal forces between robot and human hand in one physics
-            step (N); None without contact.
+        min_distance: Smallest distance between robot and human hand (m), 0 after contact, None without a hand.
+        max_hand_force: Largest sum of these forces between robot and human hand in one step (N); None without contact.
         hand_impulse: Sum over all physics steps of the normal forces between robot and human hand,
             times the duration of a step (N s); None without contact.
         contact_step: First physics step in which the robot touched the object; None without contact.
@@ -100,7 +97,7 @@ class EpisodeTrace:
         return None if self.release_step is None else self.release_step * TIME_STEP
 
     def count_samples_until(self, step: int) -> int:
-        """Return the number of samples up to a physics step, both ends included."""
+        """Return the number of samples from the start to a physics step, both included."""
         return min(step // self.sample_steps + 1, len(self.gripper))
 
 
@@ -126,7 +123,7 @@ class TraceRecorder(EpisodeCallback):
         self._sample(episode)
 
     def on_step(self, episode: "Episode") -> None:
-        """Record contacts in every step, and joint positions every `SAMPLE_STEPS` steps."""
+        """Record contacts in every step, and joint positions of robot and human hand every `SAMPLE_STEPS` steps."""
         contacts = episode.contacts
         self._max_object_force = max(self._max_object_force, contacts.robot_object_force)
         if contacts.robot_touches_object:
@@ -140,7 +137,7 @@ class TraceRecorder(EpisodeCallback):
             self._sample(episode)
 
     def on_end(self, episode: "Episode") -> None:
-        """Build the motion trace of the episode; the last step counts for the smallest distance."""
+        """Build `trace`; the smallest distance and the smallest margin include the last physics step."""
         n_samples = len(self._robot)
         self._sample(episode)
         panda, assets = episode.config.physics.panda, episode.scene.assets
@@ -182,7 +179,7 @@ class TraceRecorder(EpisodeCallback):
         )
 
     def close(self) -> None:
-        """Free the simulation that measures distances between robot and human hand."""
+        """Free the simulations that measure distances between robot and human hand."""
         for monitor in self._monitors.values():
             monitor.close()
         self._monitors.clear()
@@ -194,7 +191,7 @@ class TraceRecorder(EpisodeCallback):
 
 
 def compute_speeds(positions: Array, period: float) -> Array:
-    """Compute (n,) speeds of (n, k) positions, averaged over 60 ms; 0 if a position is NaN.
+    """Compute the speeds (n,) in m/s at positions (n, k), averaged over 60 ms; 0 if a position is NaN.
 
     Args:
         positions: (n, k) positions (m).
@@ -209,7 +206,7 @@ def compute_speeds(positions: Array, period: float) -> Array:
 
 
 def compute_rms_jerk(positions: Array, period: float) -> float | None:
-    """Compute the root mean square of the jerk of a motion; None for fewer than 13 positions.
+    """Compute the root mean square of the jerk of a motion (m/s^3); None for fewer than 13 positions.
 
     The jerk is the third derivative of a polynomial of fifth degree, such as a minimum-jerk motion,
     fitted to 13 positions. The first and the last six positions have no such fit.
@@ -227,7 +224,7 @@ def compute_rms_jerk(positions: Array, period: float) -> float | None:
 
 @functools.cache
 def _compute_jerk_weights() -> Array:
-    """Compute the weights (13,) of equally spaced samples in the third derivative at the middle one."""
+    """Compute weights (13,) with which the sum of samples at a distance of 1 is the third derivative in the middle."""
     offsets = np.arange(_JERK_SAMPLES) - _JERK_SAMPLES // 2
     weights: Array = 6.0 * np.linalg.pinv(np.vander(offsets, _JERK_DEGREE + 1, increasing=True))[3]
     return weights
@@ -260,7 +257,7 @@ def compute_spectral_arc_length(speed: Array, rate: float) -> float | None:
 
 
 def find_activities(active: Flags, period: float) -> list[tuple[int, int]]:
-    """Return first and last sample of each period of activity; pauses below 0.25 s do not split it.
+    """Return the indices of the first and last sample of each period of activity; pauses up to 0.25 s do not split it.
 
     Args:
         active: (n,) whether the agent is active at each sample.
@@ -293,7 +290,7 @@ def compute_protective_distances(person_speeds: Array, robot_speeds: Array) -> A
 
 
 def compute_sampled_distances(wrist: Array, gripper: Array, n_samples: int) -> Array:
-    """Compute the protective distances (n + 1,) at n samples and at the last step, which has the last sample's speeds.
+    """Compute the protective distances (n + 1,) in m at n samples and the last step, with the last sample's speeds.
 
     Args:
         wrist: (n + 1, 3) positions of the wrist at the samples and the last step (m), NaN without a hand.
