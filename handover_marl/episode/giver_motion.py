@@ -259,11 +259,11 @@ class GiverMotion:
         frames = xp.minimum(frames, self._last_frame[rows][:, None])
         reference = self._recorded.read(rows, frames)
         progress = xp.broadcast_to(state.opening_progress[:, None], frames.shape)
-        if _may_hold(is_opening):
+        if _is_any_set(is_opening):
             progress = self._open_hands(reference, progress, is_opening)
         offsets, velocities = self._arrays.zeros((2, len(rows), steps, 2, 3))
         is_moving = state.has_deviated | xp.any(actions[:, 1:7] != 0.0, axis=1)
-        if _may_hold(is_moving):
+        if _is_any_set(is_moving):
             # An object that is picked up during these steps must not move early. Before, the offset is zero, at rest.
             delays = count_steps_until_pick_up(self._pick_up[rows], state.frame, frames)
             set_points = xp.where(delays[:, None] < steps, actions[:, 1:7], 0.0).reshape(-1, 2, 3)
@@ -307,7 +307,7 @@ class GiverMotion:
             steps: Number k of physics steps.
         """
         xp, clocks = self._arrays.xp, state.clock[:, None]
-        if not _may_hold((state.rate != 0.0) | (targets != 0.0)):
+        if not _is_any_set((state.rate != 0.0) | (targets != 0.0)):
             clocks = clocks + xp.astype(self._arrays.arange(steps) + 1, xp.float64)
             return self._arrays.zeros(clocks.shape), clocks
         rates = ramp_rates(state.rate, targets, self._config.rate_change, steps)
@@ -351,7 +351,7 @@ class GiverMotion:
         reference.objects[moving, :, 0] = xp.where(is_held, moved[:, :, 1], bodies[:, :, 1])
 
 
-def _may_hold(flags: AnyArray) -> bool:
+def _is_any_set(flags: AnyArray) -> bool:
     """Return whether one of the flags (r,) may be set: True for all tensors, which take long to read."""
     return is_tensor(flags) or bool(flags.any())
 

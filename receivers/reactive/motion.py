@@ -175,7 +175,7 @@ class ApproachController:
             self.is_near = False
             return self._motion.retreat_home()
         config, scene = self._config, self._scene
-        error = self._selector.compute_grasp_error(goal, scene.object_pose, scene.gripper_pose)
+        error = self._selector.compute_pose_in_grasp(goal, scene.object_pose, scene.gripper_pose)
         factor = scene.tolerance_factor
         # The fingers close along y and center what is between them, which tolerates more error there.
         axial, lateral, rotation = -float(error[2]), float(np.hypot(error[0], error[1] / factor)), _compute_angle(error)
@@ -198,7 +198,7 @@ class ApproachController:
 
     def is_catchable(self, goal: GraspGoal) -> bool:
         """Return whether the object is still between the fingers near a grasp, so that they may catch it."""
-        error = self._selector.compute_grasp_error(goal, self._scene.object_pose, self._scene.gripper_pose)
+        error = self._selector.compute_pose_in_grasp(goal, self._scene.object_pose, self._scene.gripper_pose)
         return float(np.linalg.norm(error[:3])) < _CATCH_DISTANCE
 
     def _compute_object_speed(self, position: Array) -> float:
@@ -217,7 +217,7 @@ class ApproachController:
         """Return the grasp to approach, the previous one while the fingers are close to it; None if there is none."""
         scene, chosen = self._scene, self._selector.chosen
         if chosen is not None:
-            error = self._selector.compute_grasp_error(chosen, scene.object_pose, scene.gripper_pose)
+            error = self._selector.compute_pose_in_grasp(chosen, scene.object_pose, scene.gripper_pose)
             lateral = float(np.hypot(error[0], error[1]))
             is_close = -error[2] < _COMMIT_DISTANCE and lateral < _COMMIT_LATERAL
             if is_close and _compute_angle(error) < _COMMIT_ROTATION:

@@ -190,7 +190,7 @@ class GraspSelector:
         """Return the hand link's pose (7,) at the standoff of a grasp with a given pose (7,)."""
         return np.asarray(compose(grasp_pose, self._grasp_from_standoff))
 
-    def compute_grasp_error(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
+    def compute_pose_in_grasp(self, goal: GraspGoal, object_pose: Array, gripper_pose: Array) -> Array:
         """Return the hand link's pose (7,) in the frame of a grasp, from the world poses of object and hand link."""
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
