@@ -30,7 +30,7 @@ _SCHEMES = {scheme.name: scheme for scheme in _ALL}
 
 
 def list_schemes(agent: str) -> tuple[str, ...]:
-    """Return the names of an agent's action schemes."""
+    """Return the names of the built-in action schemes of an agent, "giver" or "receiver"."""
     return tuple(name for name, scheme in _SCHEMES.items() if scheme.agent == agent)
 
 
@@ -38,6 +38,10 @@ def count_outputs(agent: str, name: str) -> int:
     """Return the number of outputs that a built-in action scheme decodes.
 
     The number of outputs of a user-defined scheme is `make_scheme(...).size`.
+
+    Args:
+        agent: "giver" or "receiver".
+        name: Name of the scheme, one of `list_schemes(agent)`.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.
@@ -78,9 +82,9 @@ def make_array_scheme(
         agent: "giver" or "receiver".
         choice: Action scheme, see `make_scheme`.
         context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
+        selector: Selector of the grasps that some schemes approach.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
     """
     if isinstance(choice, str) and not is_reference(choice):
         count_outputs(agent, choice)
@@ -90,7 +94,15 @@ def make_array_scheme(
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
-    """Return the outputs (size,) of a giver's scheme whose action is the nearest to a given one (8,).
+    """Invert a giver's action scheme, e.g. to imitate another giver.
+
+    Args:
+        scheme: Built-in scheme of the giver, "deviation" or "offer".
+        action: Giver's action (8,) in physical units.
+        observation: Observation in which the giver acted.
+
+    Returns:
+        Outputs (size,) in [-1, 1] that the scheme decodes to the nearest action that it can represent.
 
     Raises:
         OptionError: The scheme cannot be inverted.

@@ -1,4 +1,4 @@
-"""Conversion of functions, networks and policy files to receivers and givers."""
+"""Conversion of functions, networks and policy files to policies: receivers and givers."""
 
 import copy
 import functools
@@ -55,7 +55,7 @@ def as_receiver(
         policy: See the table.
         control_period: Time between two decisions (s); default: as in training if that is recorded,
             else 0.1 s.
-        obs_mode: Observation mode, see `handover_marl.parallel_env`.
+        obs_mode: Observation mode, e.g. "state" or "pointcloud", see `handover_marl.parallel_env`.
         features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the
             observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
@@ -132,7 +132,15 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return name, function and encoding of a model; plain functions get the whole observation by default."""
+    """Return the default name, the function from inputs to outputs, and the encoding of a model.
+
+    Args:
+        agent: Agent that the model controls, "giver" or "receiver".
+        policy: Model, see the table of `as_receiver`.
+        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen.
+        has_only_state: Whether observations have the state without camera data, which PyTorch modules get as a vector.
+        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
+    """
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
         spec, network, _ = read_policy(path, agent, trust, **given)
@@ -151,7 +159,7 @@ def _read_model(
 
 
 def _wrap_function(policy: Any) -> tuple[str, Callable[[Any], Any]]:
-    """Return the name and the function of a plain function, a callable object or a PyTorch module."""
+    """Return the name of a plain function, a callable object or a PyTorch module, and a function that evaluates it."""
     if isinstance(policy, (Policy, PolicyReference)) or (isinstance(policy, type) and issubclass(policy, Policy)):
         raise OptionError(
             f"policy must be a function, a network or a file, got the policy {policy!r}; pass it directly"

@@ -52,7 +52,7 @@ def export_policy(
 
     Raises:
         OptionError: An argument is missing or contradicts the training.
-        UnknownNameError: There is no such agent, and there are no such features or action scheme.
+        UnknownNameError: There is no such agent, or it has no such features or action scheme.
         DataFormatError: The model contains other layers, or its sizes do not fit the encoding.
         ResultsError: The file cannot be written.
     """
