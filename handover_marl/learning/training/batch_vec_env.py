@@ -33,7 +33,10 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the environments, with seeds that runs of other seeds do not share, unlike `seed + k`."""
+        """Set the seeds of the next reset and return them, one for each environment; None draws random ones.
+
+        Runs with other values of `seed` share none of them, unlike with seeds `seed + k`.
+        """
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 
@@ -45,11 +48,16 @@ class BatchVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: npt.NDArray[np.floating]) -> None:
-        """Store the actions (n, ...) for `step_wait`."""
+        """Store the actions (n, ...) of the n environments, which `step_wait` executes."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """Step all environments; return observations, rewards, ends and infos, with final observations in the infos."""
+        """Step all n environments with the stored actions; environments whose episode ended start a new one.
+
+        Returns:
+            Observations (n, ...), after an end those of the new episode; rewards (n,); whether episodes ended, (n,);
+            and infos, which after an end have the last info, `terminal_observation` and `TimeLimit.truncated`.
+        """
         observations, rewards, terminations, truncations, infos = self._envs.step(self._actions)
         ended = terminations | truncations
         step_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -67,7 +75,7 @@ class BatchVecEnv(VecEnv):
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute `render_mode` of environments; others raise an AttributeError."""
+        """Return the attribute `render_mode` of each environment in `indices`; other names raise an AttributeError."""
         if attr_name != "render_mode":
             self.env_method(attr_name)
         return [self._envs.render_mode for _ in self._get_indices(indices)]
@@ -81,5 +89,5 @@ class BatchVecEnv(VecEnv):
         raise AttributeError(f"single environments of a batch are not accessible, got {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Return False for every environment: none has a Gymnasium wrapper."""
+        """Return False for each environment in `indices`: none has a Gymnasium wrapper."""
         return [False for _ in self._get_indices(indices)]

@@ -42,8 +42,8 @@ class GraspTargets(NamedTuple):
     """Targets of the grasp network: K good grasps for each of B clouds, in the cloud's frame.
 
     Attributes:
-        positions: (B, K, 3) points between the pads (m).
-        rotations: (B, K, 3, 3) orientations of the hand link.
+        positions: (B, K, 3) points between the finger pads (m).
+        rotations: (B, K, 3, 3) orientations of the Panda's hand link.
         quality: (B, K) quality from 0 (padding) to 1.
     """
 
@@ -69,7 +69,7 @@ class LabelledClouds(NamedTuple):
 
 
 def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
-    """Return targets of the grasp network, made from hand poses at good grasps and their qualities.
+    """Return targets of the grasp network from poses of the Panda's hand link at good grasps and their qualities.
 
     Args:
         poses: (B, K, 7) poses of the hand link at the grasps, in the cloud's frame: xyz (m) and quaternion xyzw; zeros
@@ -83,7 +83,10 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return mean distances (B, C, K) of three gripper points of predicted grasps from those of good grasps (m)."""
+    """Return the distances (B, C, K) in m of C predicted grasps from K good grasps, for each of B clouds.
+
+    A distance is the mean over three points of the gripper.
+    """
     return _gripper_distances(
         outputs.positions[:, :, None],
         outputs.rotations[:, :, None],
@@ -93,7 +96,15 @@ def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Ten
 
 
 def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
-    """Return a mask (B, C, K) of the good grasps whose closing pads enclose each object point (B, C, 3)."""
+    """Return whether the closing pads of each of K good grasps enclose each of C object points, for B clouds.
+
+    Args:
+        centers: (B, C, 3) points of the objects (m).
+        targets: Good grasps.
+
+    Returns:
+        (B, C, K) mask.
+    """
     offsets = centers[:, :, None] - targets.positions[:, None]
     local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
     is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
@@ -133,7 +144,14 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
 
 
 def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
-    """Return mean distances (...) of three gripper points for positions (..., 3) and rotations (..., 3, 3)."""
+    """Return the mean distances (...) in m between three gripper points at two grasps.
+
+    Args:
+        positions: (..., 3) points between the pads at the first grasps (m).
+        rotations: (..., 3, 3) orientations of the hand link there.
+        targets: (..., 3) points between the pads at the second grasps (m).
+        target_rotations: (..., 3, 3) orientations of the hand link there.
+    """
     offset = positions - targets
     wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
     finger, target_finger = _FINGER_OFFSET * rotations[..., 1], _FINGER_OFFSET * target_rotations[..., 1]
@@ -158,17 +176,17 @@ class ViewBatches:
         return len(self._tensors[0])
 
     def sample(self, count: int, rng: np.random.Generator) -> LabelledClouds:
-        """Return a batch of randomly drawn and augmented views."""
+        """Return a batch of `count` randomly drawn and augmented views."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
         numbers = torch.randint(len(self), (count,), generator=generator)
         return _augment(self.select(numbers, _N_CENTERS, generator), generator)
 
     def select(self, numbers: Tensor, centers: int, generator: torch.Generator) -> LabelledClouds:
-        """Return a batch of the views with given indices, each with random centers.
+        """Return a batch of views, each with random centers: points at which grasps are predicted.
 
         Args:
             numbers: (B,) indices of the views.
-            centers: Number of object points per view at which grasps are predicted.
+            centers: Number of centers per view, drawn among the object's points.
             generator: Generator that draws the centers.
         """
         parts = [tensor[numbers.to(tensor.device)].float() for tensor in self._tensors]
@@ -180,7 +198,7 @@ class ViewBatches:
 
 
 def _augment(batch: LabelledClouds, generator: torch.Generator) -> LabelledClouds:
-    """Return the batch rotated randomly about the line of sight, with noise on points."""
+    """Return the batch with each view rotated randomly about the line of sight, and with noise on the points."""
     clouds, targets = batch.clouds, batch.targets
     device = clouds.object_points.device
     angle = _ROLL_STD * torch.randn(len(clouds.object_points), generator=generator).to(device)
@@ -207,7 +225,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
     """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
     def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss to minimize, and the losses of `compute_grasp_losses`."""
+        """Return the loss of a batch to minimize, a weighted sum, and its parts from `compute_grasp_losses`."""
         # Half precision suffices for training and takes a third of the time.
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             outputs = network(batch.clouds)
@@ -215,7 +233,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
         return torch.stack([_LOSS_WEIGHTS[name] * loss for name, loss in losses.items()]).sum(), losses
 
     def evaluate(self, held_out: ViewBatches) -> dict[str, float]:
-        """Return the accuracy of the predicted grasps on held-out views.
+        """Return metrics of the network with averaged weights on held-out views, by name.
 
         Returns:
             views: Number of views with at least one good grasp.
