@@ -3,11 +3,10 @@
     python experiments/rank_correlation.py --real study.csv
     python experiments/rank_correlation.py --real study.csv --simulated results/yang results/omg results/mine
 
-`study.csv` has a line for each receiver: its name and its success rate, in percent or as a
-fraction. By default, simulated rates are HandoverSim's published ones (Table II, test split of
-`--setup`), under the names in that table; with `--simulated` they are read from result folders.
-The script prints both rates side by side with the rank correlations and a note on the small number of
-receivers.
+`study.csv` has a line for each receiver: its name and its success rate, in percent or as a fraction. By default,
+simulated rates are HandoverSim's published ones (Table II, test split of `--setup`), under the names in that table;
+with `--simulated` they are read from result folders. The script prints both rates side by side with the rank
+correlations and a note on the small number of receivers.
 """
 
 from collections.abc import Sequence

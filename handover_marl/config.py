@@ -259,8 +259,7 @@ class ProtocolConfig(CheckedConfig):
         region_upper: Upper corner of the grasp region in a finger link's frame (m), exclusive.
         goal_center: Center of the spherical goal region, world frame (m).
         goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
-        success_steps: Consecutive physics steps for which the gripper must hold the object at
-            the goal.
+        success_steps: Consecutive physics steps for which the gripper must hold the object at the goal.
         drop_height: World z (m) of the object's origin below which the object counts as dropped.
         horizon_steps: Physics steps after which an episode times out.
     """

@@ -38,8 +38,7 @@ class ServoReceiver(Receiver):
 
     Args:
         context: Robot, task and known grasps of the objects.
-        tolerance: Change (m) per decision of the distance from gripper to object below which the
-            gripper has arrived.
+        tolerance: Change (m) per decision of the distance from gripper to object below which the gripper has arrived.
         max_distance: Largest distance (m) from gripper to object at which the gripper closes.
     """
 

@@ -4,12 +4,11 @@ The script needs the extra `train`.
 
     python experiments/training/train_giver_sb3.py --data-dir DIR --out runs/giver
 
-An episode is one decision: the handover pose of the object
-(`handover_marl.learning.giver_schemes.HandoverPoseScheme`); the rest of the person's motion is
-scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains from scratch),
-then learns on nine tenths of a training split in fast physics, with evaluations on the validation
-split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `progress.csv`, TensorBoard
-logs, and a checkpoint, from which `--resume` continues.
+An episode is one decision: the handover pose of the object (`handover_marl.learning.giver_schemes.HandoverPoseScheme`);
+the rest of the person's motion is scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains
+from scratch), then learns on nine tenths of a training split in fast physics, with evaluations on the validation split.
+The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `progress.csv`, TensorBoard logs, and a
+checkpoint, from which `--resume` continues.
 """
 
 import functools

@@ -10,10 +10,9 @@
 | `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
 
 `fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
-after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated
-`cooperative`; there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in
-`OUT/pairs`. The script needs the extra `train`. The same command continues an interrupted run
-after the last written policy.
+after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated `cooperative`;
+there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script
+needs the extra `train`. The same command continues an interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace

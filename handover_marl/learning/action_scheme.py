@@ -97,12 +97,7 @@ class ArrayScheme(ABC):
         self.allocate(context, count)
 
     def allocate(self, context: PolicyContext, count: int) -> None:  # noqa: B027
-        """Create the constants and the arrays (n, ...) that a subclass needs; the constructor calls this once.
-
-        Args:
-            context: Robot, task and known grasps of the objects.
-            count: Number n of episodes.
-        """
+        """Create the constants and the arrays (n, ...) that a subclass needs for n = `count` episodes; called once."""
 
     def reset(self, row: int) -> None:
         """Clear the state of a finished episode, so that the next one can use its row.
@@ -113,7 +108,7 @@ class ArrayScheme(ABC):
         self._outputs[row] = 0.0
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether the network must be evaluated now, (r,), for the r episodes with indices `rows`.
+        """Return whether the network must be evaluated now, (r,), in each of the r episodes with indices `rows`.
 
         The other episodes keep their previous outputs. `observation` has arrays (r, ...).
         """
@@ -126,14 +121,11 @@ class ArrayScheme(ABC):
 
     @abstractmethod
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Decode the current outputs of r episodes.
+        """Decode the current outputs of r episodes: return actions, float32, (r, 8) of givers or (r, 9) of receivers.
 
         Args:
             rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of the agent's observations in these episodes.
-
-        Returns:
-            Actions, float32: (r, 8) of givers or (r, 9) of receivers.
         """
 
 

@@ -93,10 +93,7 @@ class ArrayFeatures(ABC):
 
 
 def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
-    """Return the frames in which handovers are planned, at the objects' recorded positions 0.5 s after now.
-
-    Args:
-        observation: Arrays (r, ...) of givers' observations.
+    """Return the frames of r planned handovers, at the objects' positions 0.5 s later in the givers' recordings.
 
     Returns:
         Origins (r, 3) in the world (m), and axes as columns (r, 3, 3) in the world: x points horizontally towards the
@@ -161,11 +158,10 @@ class GiverFeatures(ArrayFeatures):
 class ReceiverFeatures(ArrayFeatures):
     """Features (56) from which a receiver can take an object to the goal.
 
-    In the gripper frame: positions of the object, the person's wrist, the mean of the person's
-    fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
-    finger joints and their velocities, its arm joints, whether the object was released, the elapsed
-    share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
-    zeros for another class).
+    In the gripper frame: positions of the object, the person's wrist, the mean of the person's fingers and the goal,
+    the object's orientation, and the world's vertical. Then follow the robot's finger joints and their velocities, its
+    arm joints, whether the object was released, the elapsed share of the episode, whether a hand is present, and the
+    YCB class of the object (one-hot; zeros for another class).
     """
 
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
@@ -276,10 +272,7 @@ class StackedFeatures(GraspProximityFeatures):
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, N_STACKED * 12) of the episodes `rows`, those of the present decision first.
-
-        Observations with a new time are pushed onto the stacks; a call at the same time replaces the newest ones.
-        """
+        """Return features (r, N_STACKED * 12) of the episodes `rows`; a new time means a new decision."""
         times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
@@ -318,12 +311,7 @@ class FlatReceiverFeatures(FlatFeatures):
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
-    """Return the first two columns of rotation matrices relative to frames, as vectors (r, 6), row by row.
-
-    Args:
-        axes: Axes (r, 3, 3) of the frames in the world, as columns.
-        rotations: Rotation matrices (r, 3, 3) in the world.
-    """
+    """Return the first two columns of rotations (r, 3, 3) in frames with these axes (r, 3, 3), row by row, (r, 6)."""
     return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
 
 

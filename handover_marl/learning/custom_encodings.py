@@ -72,8 +72,7 @@ class FeatureExtractor(ABC):
         """Return the features (size,) of an observation, finite float32 numbers.
 
         Args:
-            observation: Element of the agent's observation space: world frame, m, rad, s, quaternions
-                xyzw.
+            observation: Element of the agent's observation space: world frame, m, rad, s, quaternions xyzw.
         """
 
 
@@ -206,13 +205,7 @@ class CustomScheme(ArrayScheme):
 
 
 def _check_size(name: str, size: object, unit: str = "") -> int:
-    """Check a declared number of features or outputs, and return it.
-
-    Args:
-        name: Name of what declares the size, for errors.
-        size: Declared size; None if there is none.
-        unit: Name of what is counted, "features" or "outputs", for errors.
-    """
+    """Check a declared number of features or outputs, and return it; `name` and `unit` are for errors."""
     if size is None:
         raise OptionError(
             f"{name} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
@@ -230,15 +223,7 @@ def _get_name(choice: object) -> str:
 
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
-    """Return a feature function or an action scheme for each of `count` episodes; they share no memory.
-
-    Args:
-        kind: "features" or "action scheme", for errors.
-        agent: Agent of the episodes, "giver" or "receiver".
-        choice: Class, which is instantiated, or object, which is copied if it can be reset.
-        context: Argument of the constructor, if it has such a parameter.
-        count: Number of episodes.
-    """
+    """Return a function or scheme for each of `count` episodes, without shared memory: instances, or copies."""
     what, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
         raise OptionError(f"{what} must be for the {agent}, got some for the {declared}; change its attribute agent")

@@ -71,13 +71,7 @@ def list_features(agent: str) -> tuple[str, ...]:
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return the length of the feature vector of built-in features.
-
-    User-defined features have `make_features(...).size`.
-
-    Args:
-        agent: "giver" or "receiver".
-        name: Name of the features, one of `list_features(agent)`.
+    """Return the length of one of the feature vectors `list_features(agent)`; others have `make_features(...).size`.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.

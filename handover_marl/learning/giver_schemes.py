@@ -27,19 +27,13 @@ class GiverScheme(ArrayScheme):
 
     @abstractmethod
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, size) in [-1, 1] that this scheme decodes to the actions nearest to given ones.
-
-        Args:
-            actions: Actions (r, 8) of givers, in physical units.
-            observation: Arrays (r, ...) of the observations in which these givers acted.
-        """
+        """Return the outputs (r, size) in [-1, 1] that are decoded to the actions nearest to givers' actions (r, 8)."""
 
 
 class DeviationScheme(GiverScheme):
     """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
 
-    The giver follows the recording if all outputs are 0, and releases the object if the last output
-    exceeds 0.5.
+    The giver follows the recording if all outputs are 0, and releases the object if the last output exceeds 0.5.
     """
 
     name, size = "deviation", GIVER_ACTION_SIZE
@@ -62,10 +56,9 @@ class DeviationScheme(GiverScheme):
 class HandoverPoseScheme(GiverScheme):
     """Scheme in which the network decides once per episode: handover pose, and withdrawal after the release.
 
-    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before
-    that time the giver follows the recording; afterwards it holds the chosen pose until the object
-    is released, because robots take resting objects best. If the gripper does not approach for two
-    seconds, `HandoverPoseVariation` varies the pose.
+    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before that time the giver
+    follows the recording; afterwards it holds the chosen pose until the object is released, because robots take resting
+    objects best. If the gripper does not approach for two seconds, `HandoverPoseVariation` varies the pose.
 
     | outputs | meaning at 1, in the frame of `compute_handover_frames` |
     |---|---|
@@ -154,29 +147,13 @@ class HandoverPoseScheme(GiverScheme):
         self._turn[rows], self._chosen[rows] = turn, True
 
     def _rotate_about_wrists(self, turns: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Rotate the origins of the handover frames about the wrists' positions 0.5 s later in the recording.
-
-        Args:
-            turns: Rotation vectors (r, 3) in the world (rad).
-            observation: Arrays (r, ...) of givers' observations.
-
-        Returns:
-            Origins (r, 3) and axes (r, 3, 3) of the frames, see `compute_handover_frames`, and the rotated origins
-            (r, 3), all in the world (m).
-        """
+        """Return origins and axes of the handover frames, and the origins rotated by `turns` about the wrists."""
         center, axes = compute_handover_frames(observation)
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
         return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
-        """Store the displacement of the wrists that begin to withdraw, away from the gripper.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of their observations.
-            begins: Whether each hand begins to withdraw now, (r,).
-            shift: Present displacements (r, 3) of the wrists in the world (m).
-        """
+        """Store displacements of the hands that begin to withdraw, (r,): away from the gripper, beyond `shift`."""
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal

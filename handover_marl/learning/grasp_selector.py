@@ -153,15 +153,7 @@ class LowestCostGraspSelector:
         return best, clearances
 
     def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the smallest distances (r, k) in m between the joints of persons' hands and the gripper at k grasps.
-
-        The gripper is a segment of its z axis, from `BACK_Z` to `TIP_Z`.
-
-        Args:
-            index: Index (r,) of each object class in the table of grasps.
-            grasps: Indices (r, k) of the grasps of this class.
-            joints: Joints (r, 16, 3) of the persons' hands in the objects' frames (m).
-        """
+        """Return the smallest distances (r, k) in m of hand joints (r, 16, 3) to the gripper's axis at k grasps."""
         xp = get_namespace(joints)
         origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
@@ -178,15 +170,7 @@ def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
 
 @functools.lru_cache(maxsize=1024)
 def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return the known grasps of an object class, and their copies rotated by half a turn about the z axis.
-
-    Args:
-        context: Context of a policy, with the objects and their grasps.
-        object_class: Number of the class, as in observations.
-
-    Returns:
-        Poses (n, 7) of the hand link and its z axes (n, 3), both in the object's frame; None without known grasps.
-    """
+    """Return poses (n, 7) and z axes (n, 3) of the hand link at a class's grasps and their half turns, in its frame."""
     poses = load_hand_poses(context.grasps, context.object_names[object_class])
     if poses is None:
         return None

@@ -56,14 +56,7 @@ class NetworkArrayPolicy:
         self._scheme.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions in r episodes; evaluate the network where the action scheme needs new outputs.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of their observations.
-
-        Returns:
-            Actions, float32: (r, 8) of givers or (r, 9) of receivers.
+        """Return actions (r, 8) or (r, 9) of the episodes `rows`; evaluate the network where the scheme needs it.
 
         Raises:
             ActionError: An action, or an output of an adapted policy, is not finite.

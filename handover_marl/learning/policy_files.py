@@ -37,12 +37,7 @@ def check_policy_path(path: Path) -> None:
 
 
 def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
-    """Write a policy file (.npz).
-
-    Args:
-        path: File to write.
-        spec: Encoding of the inputs and outputs; features and action scheme must be text.
-        network: Network from features to outputs.
+    """Write a network, and the encoding of its inputs and outputs by text, to a policy file (.npz).
 
     Raises:
         OptionError: The path does not end in .npz.
@@ -133,11 +128,7 @@ def complete_spec(
 
 
 def _read_zip(path: Path, content: bytes, trust: bool) -> tuple[dict[str, Any], DenseNetwork]:
-    """Read a file of Stable-Baselines3, which contains pickles and is refused unless `trust` is set.
-
-    Returns:
-        Fields of `PolicySpec` that the file records, and the network of its deterministic policy.
-    """
+    """Return the recorded fields of `PolicySpec` and the network in a file of Stable-Baselines3, which has pickles."""
     if not trust:
         raise UnsafeFileError(
             f"{path}: a file of Stable-Baselines3 can run code; pass trust=True (--trust) if you know where it comes "

@@ -41,12 +41,7 @@ class JointScheme(ArrayScheme):
         self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
-        """Return target positions (r, 9) of arms and fingers (rad, m), with the arms within their joint limits.
-
-        Args:
-            arm: Target positions (r, 7) of the arm joints (rad).
-            closed: Whether the gripper closes, (r,); otherwise it opens.
-        """
+        """Return joint targets (r, 9) from those of arms (r, 7) in rad, which are clipped, and closed grippers (r,)."""
         xp = self._arrays.xp
         clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
@@ -118,14 +113,7 @@ class CartesianDeltaScheme(JointScheme):
     def _move(
         self, observation: Observation, translations: AnyArray, rotations: AnyArray, closed: AnyArray
     ) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) that move the hand link.
-
-        Args:
-            observation: Arrays (r, ...) with the present joint positions.
-            translations: Translations (r, 3) in the hand link's frame (m).
-            rotations: Rotation vectors (r, 3) in the hand link's frame (rad).
-            closed: Whether the gripper closes, (r,); otherwise it opens.
-        """
+        """Return joint targets that move hand links by (r, 3) m and (r, 3) rotation vectors in their frames."""
         xp = self._arrays.xp
         arm = xp.astype(observation["robot_joint_position"][:, :ARM_DOF], xp.float64)
         jacobian, axes = self._robot.compute_hand_jacobians(arm)
@@ -220,16 +208,7 @@ class GraspServoScheme(CartesianDeltaScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return the target positions (r, 3) in m and orientations (r, 4), quaternions xyzw, of the hand link.
-
-        The target is the grasp or its standoff pose, or the goal after the release. All poses are in the world.
-
-        Args:
-            rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of their observations.
-            gripper: Present poses (r, 7) of the hand link.
-            present: Orientations (r, 4) of these poses as unit quaternions.
-        """
+        """Return target positions (r, 3) in m and orientations (r, 4) as quaternions xyzw in the world."""
         xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
         orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
         standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
@@ -240,13 +219,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         return xp.where(released, self._goal, position), xp.where(released, present, orientation)
 
     def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
-        """Return the distances (r,) in m from the grasp, back along its z axis, at which the hand link should be.
-
-        Args:
-            offsets: Positions (r, 3) of the hand link relative to the grasps, world frame (m).
-            present: Present orientations (r, 4) of the hand link, quaternions xyzw.
-            target: Orientations (r, 4) of the grasps.
-        """
+        """Return standoffs (r,) in m from the grasps, for positions (r, 3) relative to the grasps (m, world frame)."""
         xp = self._arrays.xp
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))

@@ -35,13 +35,9 @@ def list_schemes(agent: str) -> tuple[str, ...]:
 
 
 def count_outputs(agent: str, name: str) -> int:
-    """Return the number of outputs that a built-in action scheme decodes.
+    """Return the number of outputs that a built-in action scheme, one of `list_schemes(agent)`, decodes.
 
     The number of outputs of a user-defined scheme is `make_scheme(...).size`.
-
-    Args:
-        agent: "giver" or "receiver".
-        name: Name of the scheme, one of `list_schemes(agent)`.
 
     Raises:
         UnknownNameError: The agent has no scheme of that name.
@@ -94,15 +90,7 @@ def make_array_scheme(
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
-    """Invert a giver's action scheme, e.g. to imitate another giver.
-
-    Args:
-        scheme: Built-in scheme of the giver, "deviation" or "offer".
-        action: Giver's action (8,) in physical units.
-        observation: Observation in which the giver acted.
-
-    Returns:
-        Outputs (size,) in [-1, 1] that the scheme decodes to the nearest action that it can represent.
+    """Return the outputs (size,) in [-1, 1] that a giver's scheme decodes to the action nearest to a given one (8,).
 
     Raises:
         OptionError: The scheme cannot be inverted.

@@ -53,14 +53,11 @@ def as_receiver(
 
     Args:
         policy: See the table.
-        control_period: Time between two decisions (s); default: as in training if that is recorded,
-            else 0.1 s.
+        control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
         obs_mode: Observation mode, e.g. "state" or "pointcloud", see `handover_marl.parallel_env`.
-        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the
-            observation itself.
+        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
-        name: Name in tables and result folders; default: the name of the function, class or file and
-            a hash.
+        name: Name in tables and result folders; default: the name of the function, class or file and a hash.
         trust: Whether code of a .zip file may run, and modules that a file names may be imported.
 
     Raises:
@@ -132,15 +129,7 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return the default name, the function from inputs to outputs, and the encoding of a model.
-
-    Args:
-        agent: Agent that the model controls, "giver" or "receiver".
-        policy: Model, see the table of `as_receiver`.
-        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen.
-        has_only_state: Whether observations have the state without camera data, which PyTorch modules get as a vector.
-        trust: Whether code of a .zip file may run, and modules that a file names may be imported.
-    """
+    """Return default name, function and encoding of a model; plain functions get the whole observation by default."""
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
         spec, network, _ = read_policy(path, agent, trust, **given)

@@ -117,8 +117,7 @@ class FunctionPolicy(Policy):
 class TorchFunction:
     """Function that evaluates a PyTorch module for one decision, with one thread and without gradients.
 
-    Random numbers that the module draws come from the seed of the episode; PyTorch's global generator
-    is not changed.
+    Random numbers that the module draws come from the seed of the episode; PyTorch's global generator is not changed.
 
     Args:
         module: Module on the CPU in evaluation mode, from (1, n) inputs, or from a dict of observations, to
@@ -144,12 +143,7 @@ class TorchFunction:
         reset_function(self.module, seed)
 
     def __call__(self, inputs: Any) -> Any:
-        """Evaluate the module on one vector (n,) or one dict of arrays.
-
-        Returns:
-            Outputs (m,) as a NumPy array, float32 if they are floating-point numbers; values of the module that are
-            no tensor are returned unchanged.
-        """
+        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays; a value that is no tensor as is."""
         import torch
 
         from handover_marl.learning.networks.weights import single_threaded_inference

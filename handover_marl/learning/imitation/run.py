@@ -178,10 +178,7 @@ class ImitationRun:
             self.writer.add_scalar(f"{kind}/{name}", value, done)
 
     def _evaluate(self, options: Sequence[Mapping[str, object]]) -> None:
-        """Evaluate the network on the validation split, once with each of the options, and write a checkpoint.
-
-        The network is copied to `best` if its mean success rate is the highest so far.
-        """
+        """Evaluate the network with each of the options, keep it if it is the best so far, and write a checkpoint."""
         steps = self._learner.done
         write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
         successes = []

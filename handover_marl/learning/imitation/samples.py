@@ -64,11 +64,7 @@ def get_samples_path(folder: Path, key: int) -> Path:
 
 
 def read_samples(kind: type[Samples], path: Path) -> Samples:
-    """Read the samples in a file.
-
-    Args:
-        kind: Class of the samples, a named tuple of arrays.
-        path: File of samples (.npz).
+    """Read the samples in a file (.npz) as a named tuple of the class `kind`.
 
     Raises:
         ResultsError: The file is damaged.

@@ -58,13 +58,10 @@ class ApproachFieldConfig:
         max_standoff: Largest distance of the standoff from the grasp (m).
         max_translation: Largest translation of a step along each axis (m).
         max_rotation: Largest rotation of a step about each axis (rad).
-        gain: Factor on the commanded motion before the hand moves in; more than 1 compensates for the
-            lag of the arm.
+        gain: Factor on the commanded motion before the hand moves in; more than 1 compensates for the lag of the arm.
         spare_steps: Number of decisions that should be left when the hand reaches its target.
-        min_translation: Smallest value to which the remaining decisions reduce the largest translation
-            of a step (m).
-        near_distance: Distance from the target below which steps may be as long as `max_translation`
-            (m).
+        min_translation: Smallest value to which the remaining decisions reduce the largest translation of a step (m).
+        near_distance: Distance from the target below which steps may be as long as `max_translation` (m).
     """
 
     standoff: float = 0.055
@@ -116,9 +113,7 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config:
 
 
 def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFieldConfig) -> tuple[Array, Array]:
-    """Return the distances (n,) in m from the grasps to which n hands should move, back along the approach axis.
-
-    The second result are the shares (n,) of the full standoff: 1 to move to the standoff, 0 to move in to the grasp.
+    """Return distances (n,) in m from the grasps that the hands should have, and their shares (n,): 0 to move in.
 
     Args:
         relative: (n, 7) poses of the hand in the frame of the grasp.
@@ -138,14 +133,7 @@ def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFie
 def _limit_steps(
     translations: Array, rotation_vectors: Array, max_translation: Array, config: ApproachFieldConfig
 ) -> Array:
-    """Return steps (n, 6), translations (m) and extrinsic xyz Euler angles (rad), scaled down to their bounds.
-
-    Args:
-        translations: (n, 3) desired translations (m).
-        rotation_vectors: (n, 3) desired rotations (rad).
-        max_translation: (n,) largest translations along each axis (m).
-        config: Configuration with the largest rotation.
-    """
+    """Return steps (n, 6), translation (m) and xyz Euler angles (rad), scaled down to the largest translations (n,)."""
     by_translation = np.abs(translations).max(axis=1) / max_translation
     by_rotation = np.abs(rotation_vectors).max(axis=1) / config.max_rotation
     # Scaled together: a hand that rotates before it moves loses sight of the object.

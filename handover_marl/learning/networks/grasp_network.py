@@ -165,13 +165,7 @@ class GraspNetwork(SavedNetwork):
         )
 
     def _encode_cloud(self, points: Tensor, mask: Tensor, clouds: PointCloudBatch) -> Tensor:
-        """Return features (B, cloud_width) of the whole clouds.
-
-        Args:
-            points: (B, N + M, point_width) features of the points, those of the object first.
-            mask: (B, N + M) valid points.
-            clouds: Clouds with N points of the object and M points of the person's hand.
-        """
+        """Return features (B, cloud_width) of clouds from features (B, N + M, point_width), the object's first."""
         n_object = clouds.object_points.shape[1]
         object_features = self.whole[0](points[:, :n_object]).max(dim=1).values
         hand_features = (self.whole[1](points[:, n_object:]) * mask[:, n_object:, None]).max(dim=1).values

@@ -143,11 +143,7 @@ def load_tensors(content: bytes) -> Any:
 
 
 def check_finite_weights(file: Path, module: nn.Module) -> None:
-    """Check that all parameters and buffers of a module are finite.
-
-    Args:
-        file: File from which the module was read, for the error.
-        module: Module to check.
+    """Check that all parameters and buffers of a module, which was read from a file, are finite.
 
     Raises:
         DataFormatError: A number is infinite or not a number.

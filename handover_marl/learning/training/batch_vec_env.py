@@ -33,10 +33,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set the seeds of the next reset and return them, one for each environment; None draws random ones.
-
-        Runs with other values of `seed` share none of them, unlike with seeds `seed + k`.
-        """
+        """Set and return one seed per environment, which runs with another `seed` do not share; None is random."""
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 
@@ -52,11 +49,10 @@ class BatchVecEnv(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """Step all n environments with the stored actions; environments whose episode ended start a new one.
+        """Step all n environments; return observations (n, ...), rewards (n,), whether episodes ended, (n,), and infos.
 
-        Returns:
-            Observations (n, ...), after an end those of the new episode; rewards (n,); whether episodes ended, (n,);
-            and infos, which after an end have the last info, `terminal_observation` and `TimeLimit.truncated`.
+        Where an episode ended, the observation is the first one of the next episode, and the info has that of the last
+        step, its observation as `terminal_observation`, and `TimeLimit.truncated`.
         """
         observations, rewards, terminations, truncations, infos = self._envs.step(self._actions)
         ended = terminations | truncations

@@ -44,12 +44,7 @@ def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return `count` seeds, e.g. of environments, that calls with other numbers `entropy` do not return.
-
-    Args:
-        count: Number of seeds.
-        *entropy: Numbers of at least 0 that identify the use, such as the seed of the run and a worker's number.
-    """
+    """Return `count` seeds that calls with other numbers `entropy`, such as the seeds of other runs, do not return."""
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
@@ -60,7 +55,7 @@ def describe_origin(script: str, arguments: object) -> str:
 
 
 def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = ()) -> Path:
-    """Make the folder of a training run and write the arguments into it; an existing folder must hold the same run.
+    """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
         path: Path of the folder.
@@ -70,11 +65,7 @@ def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, f
         free: Names of further arguments that may change when a run is resumed.
 
     Raises:
-        ResultsError: The folder contains another run, or one that must not be resumed, or it
-            cannot be created.
-
-    Returns:
-        Path of the folder.
+        ResultsError: The folder contains another run, or one that must not be resumed, or it cannot be created.
     """
     recorded = {key: value for key, value in vars(arguments).items() if key not in (*_FREE, *free)}
     text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)

@@ -34,8 +34,7 @@ class ImitationBatch(NamedTuple):
         remaining: (B,) numbers of decisions that remain in the approach.
         steps: (B, 6) motions of the hand by the expert's next decision, in the hands' frames:
             translation (m) and extrinsic xyz Euler angles (rad).
-        goals: (B, 7) poses of the hand link at the grasps, in the hands' frames: xyz (m) and
-            quaternion xyzw.
+        goals: (B, 7) poses of the hand link at the grasps, in the hands' frames: xyz (m) and quaternion xyzw.
     """
 
     points: Tensor
@@ -98,11 +97,7 @@ class ImitationBatches:
 def _augment(
     remaining: npt.NDArray[np.float32], rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]]:
-    """Draw the augmentation of B states with numbers of remaining decisions (B,).
-
-    Returns:
-        Random poses (B, 7) of the hands relative to the stored ones, and changed numbers of remaining decisions (B,).
-    """
+    """Return random poses (B, 7) of the hands in their stored frames, and changed counters of decisions (B,)."""
     count = len(remaining)
     quaternions = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, (count, 3))).as_quat()
     hands = np.concatenate([rng.normal(0.0, _POSITION_STD, (count, 3)), quaternions], axis=1)
@@ -111,13 +106,7 @@ def _augment(
 
 
 def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the groups of points in B clouds: the fields from `centers` to `center_neighbors` of `ImitationBatch`.
-
-    Args:
-        points: (B, N, 3) points (m), the valid ones first.
-        n_points: (B,) numbers of valid points.
-        max_neighbors: Largest number of points of a group.
-    """
+    """Return `centers` to `center_neighbors` of `ImitationBatch` for clouds (B, N, 3) of `n_points` (B,) points."""
     first, second = GADDPG_GROUPINGS
     # Zeros after the valid points are never sampled.
     centers = sample_farthest_points(points, first.centers)
@@ -133,18 +122,7 @@ def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple
 
 
 def _query_ball(centers: Tensor, points: Tensor, is_valid: Tensor, radius: float, count: int) -> Tensor:
-    """Return whether each of N points is among the first `count` valid ones within a radius of each of M centers.
-
-    Args:
-        centers: (B, M, 3) centers (m).
-        points: (B, N, 3) points (m).
-        is_valid: (B, N) whether a point is valid.
-        radius: Radius (m).
-        count: Largest number of points per center.
-
-    Returns:
-        (B, M, N) mask.
-    """
+    """Return a mask (B, M, N) of the first `count` valid points (B, N, 3) within a radius (m) of centers (B, M, 3)."""
     squared = ((centers[:, :, None] - points[:, None]) ** 2).sum(dim=-1)
     near = (squared < points.new_tensor(radius) ** 2) & is_valid[:, None]
     return near & (near.cumsum(dim=-1) <= count)

@@ -204,11 +204,7 @@ class DataGenerator:
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
     def _observe(self, rollout: _Rollout, states: list[StateRow]) -> Array | None:
-        """Render what the wrist camera sees, and append the state to `states`.
-
-        Returns:
-            Cloud (4, 1024) for the network; None, without a state, if the object was never visible.
-        """
+        """Append a rendered state, and return the network's cloud (4, 1024); None if the object was never visible."""
         scenario, memory = rollout.scenario, rollout.memory
         robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
         image = rollout.camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
@@ -231,13 +227,7 @@ class DataGenerator:
     def _compute_steps(
         self, observed: Sequence[tuple[_Rollout, Array]], policy: StepPolicy | None, number: int
     ) -> list[Array]:
-        """Return the next step (6,) of every rollout: translation (m) and Euler angles (rad) in the hand's frame.
-
-        Args:
-            observed: Rollouts with their clouds (4, 1024).
-            policy: Function of the network that acts; None if the expert makes all decisions.
-            number: Number of decisions so far, which determines whether the expert or the network acts.
-        """
+        """Return the next step (6,) of every rollout, as `KinematicArm.move` takes it, by the expert or the network."""
         steps: list[Array | None] = [
             self._compute_expert_step(rollout) if number < rollout.n_expert_decisions else None
             for rollout, _ in observed

@@ -90,8 +90,7 @@ class KinematicArm:
 
         Args:
             joints: (7,) present arm joints (rad).
-            step: (6,) commanded motion in the hand link's frame: translation (m) and extrinsic xyz Euler
-                angles (rad).
+            step: (6,) commanded motion in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
         """
         rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
         target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
@@ -227,12 +226,7 @@ class GraspExpert:
         return standoff_found & goal_found & similar
 
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
-        """Return the cost (m) of a simulated approach to a goal: its decisions, and the distance left at its end.
-
-        Args:
-            joints: (7,) arm joints at the start (rad).
-            goal: (7,) world pose of the hand link at the goal.
-        """
+        """Return the cost (m) of a simulated approach to a goal (7,): its decisions, and its final distance."""
         path = self._simulate_approach(joints, goal)
         miss = max(0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - _TOLERANCE)
         return _DECISION_COST * len(path) + _MISS_COST * miss

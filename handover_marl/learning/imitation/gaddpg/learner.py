@@ -99,9 +99,8 @@ def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
 def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
     """Return GA-DDPG's loss (B,) of predicted grasps: mean distances of gripper points (m).
 
-    The loss is the mean L1 distance between the positions of six points of the gripper at the
-    predicted and at the target grasp. A rotation of the target by pi about the hand's z axis does
-    not change the loss.
+    The loss is the mean L1 distance between the positions of six points of the gripper at the predicted and at the
+    target grasp. A rotation of the target by pi about the hand's z axis does not change the loss.
 
     Args:
         goals: (B, 7) predicted poses of the hand link: quaternion wxyz, then xyz (m).

@@ -83,10 +83,7 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return the distances (B, C, K) in m of C predicted grasps from K good grasps, for each of B clouds.
-
-    A distance is the mean over three points of the gripper.
-    """
+    """Return distances (B, C, K) in m, means over three gripper points, between predicted and good grasps."""
     return _gripper_distances(
         outputs.positions[:, :, None],
         outputs.rotations[:, :, None],
@@ -96,15 +93,7 @@ def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Ten
 
 
 def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
-    """Return whether the closing pads of each of K good grasps enclose each of C object points, for B clouds.
-
-    Args:
-        centers: (B, C, 3) points of the objects (m).
-        targets: Good grasps.
-
-    Returns:
-        (B, C, K) mask.
-    """
+    """Return whether the closing pads of K good grasps enclose C object points (B, C, 3) of B clouds, (B, C, K)."""
     offsets = centers[:, :, None] - targets.positions[:, None]
     local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
     is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
@@ -144,14 +133,7 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
 
 
 def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
-    """Return the mean distances (...) in m between three gripper points at two grasps.
-
-    Args:
-        positions: (..., 3) points between the pads at the first grasps (m).
-        rotations: (..., 3, 3) orientations of the hand link there.
-        targets: (..., 3) points between the pads at the second grasps (m).
-        target_rotations: (..., 3, 3) orientations of the hand link there.
-    """
+    """Return distances (...) in m, means over three gripper points, of grasps with positions and rotations."""
     offset = positions - targets
     wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
     finger, target_finger = _FINGER_OFFSET * rotations[..., 1], _FINGER_OFFSET * target_rotations[..., 1]

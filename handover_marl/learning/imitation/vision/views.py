@@ -230,13 +230,7 @@ class ViewRenderer:
         return np.where(clearances < _MIN_CLEARANCE, 0.0, qualities)
 
     def render(self, scene: Scene, poses: Iterable[tuple[LabelledFrame, Array]], rng: Rng) -> GraspViews:
-        """Return views of a scene; those with few object points are discarded.
-
-        Args:
-            scene: Scene to render.
-            poses: Labelled frame and arm joints (7,) in rad of each view.
-            rng: Generator that draws the stored points among the visible ones.
-        """
+        """Return views of a scene, each of a frame with arm joints (7,) in rad; skip those with few object points."""
         camera = RayCamera(scene.assets, self._context.config.physics)
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
