@@ -4,12 +4,11 @@ The script needs the extras `train`, `planning` and `vision`.
 
     python experiments/training/train_vision.py --data-dir DIR --out runs/vision
 
-The script renders views of a training split from random poses of the wrist camera, validates the objects'
-grasps in simulation if that was not done yet, and trains the network to predict good grasps. With
-`--extra-datasets generated:n=1000,seed=7`, the training scenes of other data sets are used too. At the end the
-receiver is evaluated on the validation split in fast physics. The folder gets `vision.npz`
-(`--receiver vision:weights=runs/vision/vision.npz`), TensorBoard logs, the views, and a checkpoint, from which
-`--resume` continues.
+The script renders views of a training split from random poses of the wrist camera, validates the objects' grasps in
+simulation if that was not done yet, and trains the network to predict good grasps. With `--extra-datasets
+generated:n=1000,seed=7`, the training scenes of other data sets are used too. At the end the receiver is evaluated on
+the validation split in fast physics. The folder gets `vision.npz` (`--receiver vision:weights=runs/vision/vision.npz`),
+TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
 import re

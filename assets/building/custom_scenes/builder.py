@@ -94,7 +94,7 @@ class CustomSceneFolder:
 
     @property
     def dataset(self) -> str:
-        """Name that opens the scenes: `dataset=...` of all functions, `--dataset` of all commands."""
+        """Name that opens the scenes, `own:FOLDER`: `dataset=...` of all functions, `--dataset` of all commands."""
         return f"own:{self.folder}"
 
     def add_object(
@@ -283,7 +283,7 @@ class CustomSceneFolder:
 
     @contextlib.contextmanager
     def _change(self, subfolder: str = "") -> Iterator[SceneFile]:
-        """Lock the folder, which is created, against other processes, and read its present content."""
+        """Create and lock the folder in a `with` block, against other processes, and yield its present content."""
         try:
             (self.folder / subfolder).mkdir(parents=True, exist_ok=True)
             with exclusive_lock(self.folder):
