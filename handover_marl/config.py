@@ -75,12 +75,12 @@ class CheckedConfig:
 
 
 def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:
-    """Return the field of a `CheckedConfig` with a default, whose numbers must be from `low` to `high`."""
+    """Return a dataclass field of a `CheckedConfig` with this default, whose numbers must be from `low` to `high`."""
     return field(default=default, metadata={"limits": (low, high)})
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is a configuration of a class.
+    """Check that a value is a configuration of a class; `name` is that of the argument, for the error.
 
     Raises:
         OptionError: It is something else, such as the class itself.
@@ -298,7 +298,7 @@ class WorldConfig(CheckedConfig):
     initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
-        """Draw the robot's nine joint positions at the start of an episode (rad, m).
+        """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m).
 
         Args:
             seed: Seed of the draw; without noise the positions do not depend on it.

@@ -61,7 +61,7 @@ class ServoReceiver(Receiver):
         self._last_distance, self._is_closed = np.inf, False
 
     def act(self, observation: dict[str, Any]) -> np.ndarray:
-        """Return target positions of the seven arm joints (rad) and two fingers (m)."""
+        """Return the target positions (9,) of the seven arm joints (rad) and the two fingers (m)."""
         # Positions are in the world frame; the first object is the one to be handed over.
         distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
         has_arrived = abs(distance - self._last_distance) < self._tolerance and distance < self._max_distance

@@ -85,7 +85,7 @@ class Args(ImitationArgs):
 
 
 def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]:
-    """Return the rollouts of a round: of the expert in the first one, of the network in later ones."""
+    """Return the rollouts of the round `number`: of the expert in round 0, of the network in later ones."""
     numbers = sorted(plans)[max(1, len(plans) // HELD_OUT_STRIDE) :] or sorted(plans)
     repetitions = [number] if number > 0 else [-1 - episode for episode in range(args.episodes)]
     if number > 0:
@@ -101,7 +101,7 @@ def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]
 
 
 def main(args: Args) -> Path:
-    """Train in all rounds; return the path of the best network's weights."""
+    """Train in all rounds; return the path of the weights of the network that was best on the validation split."""
     data = args.open_dataset(PANDA_CAMERA)
     scenes = list_shared_scenes(data, args.setups)
     torch.manual_seed(args.seed)

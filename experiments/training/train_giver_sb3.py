@@ -72,7 +72,7 @@ def main(args: Args) -> Path:
 
 
 def imitate(args: Args, model: PPO) -> None:
-    """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
+    """Train the model's policy to imitate the teacher's first decision in many episodes, if there is a teacher."""
     if not args.teacher:
         return
     inputs, targets = map(torch.as_tensor, record_first_decisions(args))
@@ -90,7 +90,7 @@ def imitate(args: Args, model: PPO) -> None:
 
 
 def record_first_decisions(args: Args, workers: int | None = None) -> tuple[Vectors, Vectors]:
-    """Return the features (n, m) of the first decision in n episodes, and the outputs nearest to the teacher's action.
+    """Return features (n, m) of n episodes' first decisions, and the outputs (n, 7) nearest to the teacher's actions.
 
     Args:
         args: Arguments of the training.

@@ -49,7 +49,7 @@ def main(args: Args) -> Path:
 
 
 def explore_gripper(initial_std: float, model: PPO) -> None:
-    """Explore more than in the motion when the gripper closes: random closing succeeds now and then."""
+    """Set the initial deviation of the output that closes the gripper: random closing succeeds now and then."""
     with torch.no_grad():
         model.policy.log_std[-1] = math.log(initial_std)
 

@@ -55,7 +55,7 @@ class Args(ImitationArgs):
 
 
 def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int]) -> GraspViews:
-    """Return the views of scenes of a data set; generate missing ones."""
+    """Return the views of scenes of a data set; render those that are not in the folder of the run."""
     folder, data_dir = run.folder / "views", args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
@@ -65,7 +65,7 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
 
 
 def main(args: Args) -> Path:
-    """Train; return the path of the network's weights."""
+    """Train; return the path of the weights of the best network."""
     data = args.open_dataset(args.robot)
     setup = data.resolve_setup(args.setup)
     scenes = data.list_scenes(setup, "train")[:: args.stride]
@@ -80,7 +80,7 @@ def main(args: Args) -> Path:
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 
     def load_all(number: int) -> GraspViews:
-        """Return the views of all data sets."""
+        """Return the views of the training scenes of all data sets; there is only the round 0."""
         return join_samples([load_views(args, run, name, ids) for name, ids in training.items()])
 
     return run.train(

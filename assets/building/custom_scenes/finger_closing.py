@@ -35,10 +35,9 @@ _SHIFTS = sorted(
 
 
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
-    """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
+    """Make finger angles (n, 45) in rad of a shipped hand, by number, that closes until the object is picked up.
 
-    `hand` is the number of a shipped hand. Returns the recording, too, with the wrist moved by up to `MAX_SHIFT` where
-    the hand would be inside of the object.
+    Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
 
     Raises:
         DataFormatError: The wrist is not beside the object when it is picked up, or inside of it.
