@@ -119,7 +119,7 @@ class Critics(nn.Module):
         self.members = nn.ModuleList(make_mlp(n_features + n_outputs, 2, args.width) for _ in range(args.critics))
 
     def compute_scores(self, member: nn.Module, features: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
-        """Return the expected average success of offers, (...), by one network: success probability times saved time."""
+        """Return the expected average success (...) of offers by one network: success probability times saved time."""
         logits, duration = member(torch.cat([features, outputs], dim=-1)).unbind(-1)
         scores: torch.Tensor = logits.sigmoid() * (1.0 - duration.clamp(0.0, 1.0))
         return scores

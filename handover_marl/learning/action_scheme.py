@@ -138,7 +138,7 @@ class RawScheme(ArrayScheme):
         self._outputs[rows] = xp.astype(outputs, xp.float64)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the current outputs (r, size) of the episodes `rows` as their actions, float32."""
+        """Return the current outputs (r, size) of the episodes with indices `rows` as their actions, float32."""
         xp = self._arrays.xp
         return xp.astype(self._outputs[rows], xp.float32)
 

@@ -133,7 +133,7 @@ class GiverFeatures(ArrayFeatures):
     name, agent, size = "giver", "giver", 18 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 39) of the episodes `rows`, whose observations have arrays (r, ...)."""
+        """Return the features (r, 39) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         origins, axes = compute_handover_frames(observation)
         xp, wrists = get_namespace(origins), widen(observation["replay_wrist_poses"][:, -1, :3])
         later = normalize_quaternions(widen(observation["replay_object_poses"][:, -1, 3:]))
@@ -167,7 +167,7 @@ class ReceiverFeatures(ArrayFeatures):
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 56) of the episodes `rows`, whose observations have arrays (r, ...)."""
+        """Return the features (r, 56) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         gripper, items = widen(observation["gripper_pose"]), widen(observation["object_poses"])
         xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
         keypoints = widen(observation["hand_keypoints"])
@@ -201,7 +201,7 @@ class GraspFeatures(ReceiverFeatures):
     name, size = "grasp", ReceiverFeatures.size + 8
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 64) of the episodes `rows`, those of the grasp last."""
+        """Return the features (r, 64) of the episodes with indices `rows`, those of the grasp last."""
         vectors = [super().__call__(rows, observation), self.compute_grasps(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
@@ -240,7 +240,7 @@ class GraspProximityFeatures(GraspFeatures):
     position_scale, angle_scale = 0.03, 0.2
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 12) of the episodes `rows`, whose observations have arrays (r, ...)."""
+        """Return the features (r, 12) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         grasp = self.compute_grasps(rows, observation)
         xp = get_namespace(grasp)
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
@@ -272,7 +272,7 @@ class StackedFeatures(GraspProximityFeatures):
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return features (r, N_STACKED * 12) of the episodes `rows`; a new time means a new decision."""
+        """Return features (r, N_STACKED * 12) of the episodes with indices `rows`; a new time means a new decision."""
         times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
@@ -291,7 +291,7 @@ class FlatFeatures(ArrayFeatures):
     keys: ClassVar[tuple[str, ...]]
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the observations of the episodes `rows` as vectors (r, size)."""
+        """Return the observations of the episodes with indices `rows` as vectors (r, size)."""
         parts = [observation[key].reshape(len(rows), -1) for key in self.keys]
         return get_namespace(*parts).concat(parts, axis=1)
 

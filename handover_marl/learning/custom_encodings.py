@@ -191,7 +191,7 @@ class CustomScheme(ArrayScheme):
             _run(self._what, self._schemes[row].set_outputs, own)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions of the episodes `rows`, float32: (r, 8) of givers or (r, 9) of receivers.
+        """Return the actions of the episodes with indices `rows`, float32: (r, 8) of givers or (r, 9) of receivers.
 
         Raises:
             EncodingError: A scheme fails, or returns anything but a finite float32 action.

@@ -104,7 +104,7 @@ class HandoverPoseScheme(GiverScheme):
         return ~self._decided[rows] & can & (is_arriving | is_late)
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use outputs (r, 7), clipped to [-1, 1], as the decisions of the episodes `rows`."""
+        """Use outputs (r, 7), clipped to [-1, 1], as the decisions of the episodes with indices `rows`."""
         super().set_outputs(rows, outputs)
         self._decided[rows] = True
 
@@ -153,7 +153,7 @@ class HandoverPoseScheme(GiverScheme):
         return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
-        """Store displacements of the hands that begin to withdraw, (r,): away from the gripper, beyond `shift`."""
+        """Store the displacements, beyond `shift` and away from the gripper, of hands that begin to withdraw, (r,)."""
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal

@@ -41,7 +41,7 @@ class JointScheme(ArrayScheme):
         self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
-        """Return joint targets (r, 9) from those of arms (r, 7) in rad, which are clipped, and closed grippers (r,)."""
+        """Return limited joint targets (r, 9) from those of arms (r, 7) in rad, and whether grippers close, (r,)."""
         xp = self._arrays.xp
         clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
@@ -54,7 +54,7 @@ class JointPositionScheme(JointScheme):
     name, size = "joints", PANDA_DOF
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes `rows`."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         xp, low = self._arrays.xp, self._low
         return xp.astype(low + (self._outputs[rows] + 1.0) / 2.0 * (self._high - low), xp.float32)
 
@@ -72,7 +72,7 @@ class JointDeltaScheme(JointScheme):
     step = 0.2
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes `rows`."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         outputs = self._outputs[rows]
         arm = observation["robot_joint_position"][:, :ARM_DOF] + self.step * outputs[:, :ARM_DOF]
         return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
@@ -104,7 +104,7 @@ class CartesianDeltaScheme(JointScheme):
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes `rows`."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         outputs = self._outputs[rows]
         translations = outputs[:, :3] * self._max_translation
         rotations = outputs[:, 3:6] * self.max_output_rotation
@@ -173,7 +173,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         self._closed[row] = False
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use network outputs (r, 7), clipped to [-1, 1], in the episodes `rows` until their next call."""
+        """Use network outputs (r, 7), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
         super().set_outputs(rows, outputs)
         self._closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
@@ -183,7 +183,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes `rows`."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         xp = self._arrays.xp
         actions = xp.tile(self._waiting, (len(rows), 1))
         acts = xp.nonzero(self.needs_outputs(rows, observation))[0]
