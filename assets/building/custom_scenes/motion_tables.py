@@ -107,7 +107,7 @@ class MotionTable:
     Attributes:
         time: (T,) times from 0 (s), ascending.
         bodies: Poses (T, 7) of `object` and of the other objects by class name: position (m), quaternion xyzw.
-        wrist: Poses (n, 7) of the wrist in the rows of `wrist_rows`, or None without a wrist.
+        wrist: Poses (n, 7) of the wrist, likewise, in the rows of `wrist_rows`; None without a wrist.
         wrist_rows: First row with the wrist, and the row after the last.
         fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows, or None.
         repairs: Changes that were made to the recording.

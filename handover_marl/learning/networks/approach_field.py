@@ -90,7 +90,7 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config:
 
     Args:
         hands: (n, 7) present poses of the hand link, xyz (m) and quaternion xyzw.
-        goals: (n, 7) poses of the hand link at the grasps, in the same frame.
+        goals: (n, 7) poses of the hand link at the grasps, in the same frame, quaternions xyzw.
         remaining: (n,) numbers of remaining decisions, including this one.
         config: Configuration of the field.
 
@@ -116,7 +116,7 @@ def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFie
     """Return distances (n,) in m from the grasps that the hands should have, and their shares (n,): 0 to move in.
 
     Args:
-        relative: (n, 7) poses of the hand in the frame of the grasp.
+        relative: (n, 7) poses of the hand in the frame of the grasp, quaternions xyzw.
         rotations: Rotations of these poses.
         config: Configuration of the field.
     """

@@ -66,7 +66,7 @@ class ImitationStates(NamedTuple):
     Attributes:
         points: (S, 1024, 3) distinct points in the hand link's frame, in the network's order, then zeros (m).
         n_points: (S,) numbers of distinct points.
-        goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link.
+        goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link, quaternions xyzw.
         remaining: (S,) numbers of decisions that remain in the approach.
     """
 

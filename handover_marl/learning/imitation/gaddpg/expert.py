@@ -118,7 +118,7 @@ class ExpertPlan(NamedTuple):
     """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
 
     Attributes:
-        goals: (g, 7) world poses of the hand link, the planner's goal first.
+        goals: (g, 7) world poses of the hand link, quaternions xyzw, the planner's goal first.
         costs: (g,) costs of the goals without the motion to them, relative to the cheapest goal (m).
         trajectory: (w, 7) arm joints at the waypoints of the planned motion to the first goal (rad).
     """
@@ -210,8 +210,8 @@ class GraspExpert:
         The motion is a translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
 
         Args:
-            hand: (7,) present world pose of the hand link.
-            goal: (7,) world pose of the hand link at the grasp.
+            hand: (7,) present world pose of the hand link, quaternion xyzw.
+            goal: (7,) world pose of the hand link at the grasp, quaternion xyzw.
             remaining: Number of remaining decisions.
         """
         step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_APPROACH)[0]
@@ -277,8 +277,8 @@ def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
     """Return the costs (n,) in m of moving the hand link to n grasps, plus those of low clearance there.
 
     Args:
-        world: (n, 7) world poses of the hand link at the grasps.
-        hand: (7,) present world pose of the hand link.
+        world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.
+        hand: (7,) present world pose of the hand link, quaternion xyzw.
         occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
@@ -296,8 +296,8 @@ def compute_travel_costs(hand: Array, goals: Array) -> Array:
     A cost is the distance that the finger pads travel plus the weighted rotation of the hand link.
 
     Args:
-        hand: (7,) present pose of the hand link.
-        goals: (n, 7) poses of the hand link at the goals, in the same frame.
+        hand: (7,) present pose of the hand link, quaternion xyzw.
+        goals: (n, 7) poses of the hand link at the goals, in the same frame, quaternions xyzw.
     """
     to_pads = np.array([0.0, 0.0, _PAD_OFFSET, 0.0, 0.0, 0.0, 1.0])
     distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)

@@ -97,7 +97,7 @@ class GraspViews(NamedTuple):
         object_points: (n, N, 3) points of the object, repeated if few are visible (m).
         hand_points: (n, M, 3) points of the person's hand, then zeros (m).
         n_hand_points: (n,) numbers of points of the person's hand.
-        grasps: (n, K, 7) poses of the robot's hand link at good grasps, best first, then zeros.
+        grasps: (n, K, 7) poses (quaternion xyzw) of the robot's hand link at good grasps, best first, then zeros.
         quality: (n, K) qualities of the grasps from 0 to 1, then zeros.
         object_center: (n, 3) centers of the objects (m).
         object_velocity: (n, 3) velocities of the objects (m/s).
@@ -119,7 +119,7 @@ class Grasps:
     """Grasps of one object with their costs, in the object's frame.
 
     Attributes:
-        poses: (n, 7) poses of the Panda's hand link.
+        poses: (n, 7) poses of the Panda's hand link, quaternions xyzw.
         costs: (n,) costs of the grasps without a person's hand nearby (s).
         object_center: (3,) center of the object's bounding box (m).
     """
@@ -135,7 +135,7 @@ class LabelledFrame:
 
     Attributes:
         frame: Index of the frame in the recording (1 ms).
-        object_pose: (7,) pose of the object in the world.
+        object_pose: (7,) pose of the object in the world, quaternion xyzw.
         known: Known grasps of the object, n in number.
         quality: (n,) qualities of the grasps at this frame.
     """
@@ -197,7 +197,7 @@ class ViewRenderer:
         Args:
             object_name: Class name of the object.
             hand: Spheres that cover the person's hand in the world; None adds no copies.
-            object_pose: (7,) pose of the object in the world.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config = self._config.reactive
         found = load_graspable_object(self._context, object_name, config)
@@ -218,7 +218,7 @@ class ViewRenderer:
         Args:
             grasps: Grasps of the object.
             hand: Spheres that cover the person's hand in the world, or None without a hand.
-            object_pose: (7,) pose of the object in the world.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config, costs = self._config.reactive, grasps.costs
         if hand is None or not len(costs):
