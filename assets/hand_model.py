@@ -174,7 +174,7 @@ class HandGeometry:
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Compute positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges from joint positions.
 
-        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses are.
+        `dof` (..., 51) are base position (m), base angles, 45 finger angles (rad); poses are in that position's frame.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -235,7 +235,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return a right or left hand: the reference hand, scaled to a length and a breadth; raise `UnknownNameError`."""
+    """Return the reference hand, "right" or "left" (else `UnknownNameError`), scaled to a length and a breadth."""
     check_name("side", side, SIDES)
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])

@@ -99,7 +99,7 @@ def measure_processor(args: Args) -> str:
 
 
 def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.random.Generator) -> None:
-    """Step an environment `decisions` times with random joint targets near the start pose; none is in a cache."""
+    """Step an environment `decisions` times with random joint targets near the start pose, so that no cache helps."""
     shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     for _ in range(decisions):

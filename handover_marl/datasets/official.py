@@ -219,7 +219,7 @@ class OfficialDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note on hand and models that are not HandoverSim's own, such as "MANO hand, stand-in grasps"."""
+        """Return a note on models, e.g. "MANO hand, stand-in grasps": kind of hand, and files not of HandoverSim."""
         info = self.load_info(scene_id)
         parts = [self._origin(f"{name}/model_normalized_convex.obj") for name in info.object_names]
         hand = self._hand_origin(f"{info.subject}_{info.side}")

@@ -263,7 +263,7 @@ class CustomSceneFolder:
         return setup
 
     def check(self) -> CustomDataset:
-        """Check every file of the folder by loading all scenes, models and grasps.
+        """Check every file of the folder by loading all scenes, models and grasps; return the data set.
 
         Raises:
             DataNotFoundError, DataFormatError: A file is missing or damaged.

@@ -96,7 +96,7 @@ class MotionConfig:
 
     @property
     def world_from_frame(self) -> Array:
-        """Pose (7,) of the recording's frame in the world."""
+        """Pose (7,) of the recording's frame in the world: position (m) and quaternion xyzw."""
         return np.array(_FRAMES[self.frame] if isinstance(self.frame, str) else self.frame, dtype=np.float64)
 
 

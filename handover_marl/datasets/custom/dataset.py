@@ -63,12 +63,7 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes of a folder.
-
-    Args:
-        argument: Path of the folder; with `data_dir` the name of the data set in it instead.
-        data_dir: Path of the folder, or None.
-        robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
+    """Open the custom scenes in the folder `argument`; or in the folder `data_dir`, whose name must be `argument`.
 
     Raises:
         OptionError: The data set in the folder has another name than `argument`.

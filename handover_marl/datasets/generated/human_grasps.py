@@ -151,10 +151,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
 
 
 def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
-    """Return the indices of those of n open hands that are outside of the object.
-
-    The hands have poses `palms` in the object's frame and the open postures of `templates` with indices `rows` (n,).
-    """
+    """Return the indices of hands, in open postures `rows` (n,) of `templates`, that are outside of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
     points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
@@ -172,10 +169,7 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
 
 
 def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
-    """Return the smallest distance (n,) in m between the object and spheres that are fixed to each of n palms.
-
-    The palms have poses in the object's frame; the spheres have centers (k, 3) in the palm's frame and radii (k,) (m).
-    """
+    """Return smallest distances (n,) in m between the object and spheres that are fixed to each of n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 

@@ -116,10 +116,7 @@ def minimum_jerk(time: npt.ArrayLike) -> Array:
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw a timing in which the wrist has the peak speed `speed` (m/s) in the reach.
-
-    The reach is at most `entry_distance` long (m); the lift takes at least `lift_time` (s), if frames suffice.
-    """
+    """Draw a timing with a wrist's peak speed (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s)."""
     counts = FRAME_COUNTS
     n_frames = list(counts)[random.weighted_index(list(counts.values()))]
     onset = round(random.draw_quantile("hand_onset"))
@@ -279,7 +276,7 @@ def _cumulative_lengths(points: Array) -> Array:
 
 
 def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
-    """Return rotations that turn the hand at the grasp so that its fingers point along the path at progress (n,) 0."""
+    """Return rotations, fading with `progress` (n,), that turn the fingers of the grasping hand along the path."""
     travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     axis = np.cross(finger_direction, travel)
     sine = float(np.linalg.norm(axis))
@@ -301,10 +298,7 @@ def _compute_height_offsets(
 
 
 def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array:
-    """Return the positions (3, n) of the hand's joints and the handed-over object's corners in all keyframes together.
-
-    They are in the table's frame (m). Other objects must keep clear of them.
-    """
+    """Return the positions (3, n) of the hand's joints and the object's corners in all keyframes, table's frame (m)."""
     positions, rotations = motion.object_position, motion.object_rotation.as_matrix()
     moves = np.concatenate([[True], (positions[1:] != positions[:-1]).any(axis=1)])
     shown = slice(motion.hand_first, None)

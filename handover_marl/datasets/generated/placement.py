@@ -147,10 +147,7 @@ def compute_hull_corners(object_name: str) -> Array:
 
 
 def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw positions of the handed-over object from the distributions of DexYCB.
-
-    Returns start x, y (2,) on the table and handover position (3,), in the table's frame (m).
-    """
+    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), distributed as in DexYCB."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")

@@ -38,10 +38,7 @@ _TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 
 def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw positions of an object that is offered at the edge of the robot's reach.
-
-    Returns start x, y (2,) on the table and handover position (3,), in the table's frame (m).
-    """
+    """Draw start x, y (2,) and handover position (3,) at the edge of the robot's reach, in the table's frame (m)."""
     start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
     distance, azimuth = random.uniform(*REACH), random.uniform(-_MAX_AZIMUTH, _MAX_AZIMUTH)
     elevation = random.uniform(*_ELEVATION)

@@ -128,7 +128,7 @@ class ExpertPlan(NamedTuple):
     trajectory: Array
 
     def choose_goal(self, hand: Array) -> Array:
-        """Return the goal that is cheapest to reach from a present world pose (7,) of the hand link, (7,)."""
+        """Return the goal (7,) that is cheapest to reach from a present world pose (7,) of the hand link."""
         costs = self.costs + compute_travel_costs(hand, self.goals)
         costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
