@@ -154,7 +154,7 @@ class HandGeometry:
 
     Attributes:
         side: "left" or "right".
-        size: Length and breadth.
+        size: Length and breadth of the hand.
         scale: (3,) scale factors of the reference hand along x, y and z.
         palm_offset: (3,) position of the palm in the base's frame.
         joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the previous joint).

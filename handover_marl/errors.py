@@ -28,7 +28,7 @@ class UnknownNameError(HandoverError, ValueError):
         kind: Kind of the choice, e.g. "split".
         name: Unknown name.
         valid: Valid names.
-        hint: Further advice.
+        hint: Further advice at the end of the message; "" for none.
     """
 
     def __init__(self, kind: str, name: object, valid: Iterable[object], hint: str = "") -> None:

@@ -193,7 +193,7 @@ def build_grasp_validations(
         out: Output file (`.npz`).
         data_dir: Data folder in HandoverSim's layout with further objects; without it, the file's other records are
             kept.
-        workers: Number of worker processes.
+        workers: Number of worker processes; default: one per core.
     """
     records = {} if data_dir else dict(load_validation_records(out))
     folders = (None, data_dir) if data_dir else (None,)

@@ -169,7 +169,7 @@ class Dataset(ABC):
 
     @property
     def panda_urdf(self) -> Path:
-        """Path of the robot's URDF, by default the library's; raises `DataNotFoundError` if it is missing."""
+        """Path of the robot's URDF, by default the library's; a missing file raises `DataNotFoundError`."""
         return PANDA_URDF if self.robot == PANDA else CAMERA_PANDA_URDF
 
     @abstractmethod

@@ -138,7 +138,7 @@ class OfficialDataset(Dataset):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        data_dir: Data folder.
+        data_dir: Path of the data folder.
 
     Raises:
         OptionError: `data_dir` is not a path.

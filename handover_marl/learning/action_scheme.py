@@ -26,7 +26,7 @@ class ActionScheme(ABC):
     Attributes:
         name: Name of the scheme in policy files.
         agent: Agent that acts, "giver" or "receiver".
-        size: Number of outputs.
+        size: Number of network outputs that the scheme decodes.
         wait: Time at the start of an episode during which the agent does not act (s); may be changed
             only in schemes in which it is not zero by default.
         outputs: Current outputs (size,) of the network, float64; zeros at the start of an episode.
@@ -75,7 +75,7 @@ class ArrayScheme(ABC):
     Attributes:
         name: Name of the scheme in policy files.
         agent: Agent that acts, "giver" or "receiver".
-        size: Number of outputs.
+        size: Number of network outputs that the scheme decodes.
         wait: Time at the start of an episode during which the agent does not act (s); may be changed only in schemes
             in which it is not zero by default.
     """

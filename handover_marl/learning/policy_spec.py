@@ -177,7 +177,7 @@ class PolicySpec:
         actions: Action scheme that decodes outputs, see `handover_marl.encode`; always text in files.
         control_period: Time between two decisions (s).
         origin: Command, seed and budget of the training, for human readers.
-        obs_mode: Observation mode of a receiver.
+        obs_mode: Observation mode of a receiver, e.g. "state", see `handover_marl.parallel_env`.
     """
 
     agent: str

@@ -65,7 +65,7 @@ class JointDeltaScheme(JointScheme):
     The gripper closes while the last output exceeds 0.
 
     Attributes:
-        step: Joint increment at output 1 (rad).
+        step: Increment of a joint's position at output 1 (rad).
     """
 
     name, size = "joint_delta", ARM_DOF + 1
@@ -86,9 +86,9 @@ class CartesianDeltaScheme(JointScheme):
     unreachable poses as near as it can. The motors complete 63 % of a motion in 0.1 s.
 
     Attributes:
-        max_output_translation: Translation at output 1 (m).
-        max_output_rotation: Rotation at output 1 (rad).
-        damping: Damping factor of the least squares.
+        max_output_translation: Translation of the hand link at output 1 (m).
+        max_output_rotation: Rotation of the hand link at output 1 (rad).
+        damping: Damping factor of the least squares; a larger one limits motions near singular poses more.
     """
 
     name, size = "cartesian_delta", 7

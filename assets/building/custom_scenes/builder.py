@@ -64,12 +64,12 @@ class CustomSceneFolder:
     Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
 
     Args:
-        folder: The folder.
+        folder: Path of the folder.
         name: Name of the data set in results; default: the name of the folder.
 
     Raises:
         OptionError: `folder` is not a path, or the folder has another name.
-        ResultsError: The folder has other files.
+        ResultsError: The folder has files, but no `scenes.json`.
         DataFormatError: The file `scenes.json` is damaged.
     """
 
@@ -113,7 +113,7 @@ class CustomSceneFolder:
         Args:
             name: Class name of the object.
             mesh: Mesh file of any format that trimesh reads, or a mesh. Recorded poses are poses of its frame.
-            config: Units, mass, friction and color.
+            config: Units of the mesh, and mass, friction and color of the object; default: those of `MeshConfig()`.
             grasps: Number of robot grasps to find in simulation; 0 for none.
             seed: Random seed of the grasps.
             workers: Number of worker processes; default: one per core. The result does not depend on it.
@@ -175,7 +175,7 @@ class CustomSceneFolder:
                 `handover_marl.assets.building.custom_scenes.motion_tables`.
             object_name: Class of the object that is handed over: a class of the folder or a YCB class.
             subject: Name of the person, for splits.
-            config: Frames and units.
+            config: Frames and units of the recording; default: those of `MotionConfig()`.
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
             hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
@@ -244,7 +244,7 @@ class CustomSceneFolder:
             by: "object" or "person", which are then in one split only, or "random".
             val: Names of the objects or persons in the val split; or a share (0 to 1) of the objects, persons or
                 scenes, which are then drawn at random.
-            test: Names or share for the test split.
+            test: Names or share, likewise, for the test split.
             seed: Random seed of drawn shares.
 
         Returns:

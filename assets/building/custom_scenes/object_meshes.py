@@ -83,8 +83,8 @@ class ObjectMesh:
 
     Attributes:
         mesh: Surface in the object's frame (m).
-        parts: Convex parts (m).
-        mass: Mass (kg).
+        parts: Convex parts that together approximate the mesh, in the object's frame (m).
+        mass: Mass of the object (kg).
         repairs: Changes that were made to the mesh.
     """
 

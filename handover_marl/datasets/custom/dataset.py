@@ -93,7 +93,7 @@ class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
     Args:
-        folder: The folder.
+        folder: Path of the folder.
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:

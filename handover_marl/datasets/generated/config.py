@@ -54,7 +54,7 @@ class GeneratedConfig:
         objects: Number of procedural objects from which scenes are drawn.
         people: Number of people that hand over procedural objects; the shipped objects are handed over by
             the ten people of the synthetic scenes.
-        left: Share (0 to 1) of left hands.
+        left: Share (0 to 1) of scenes in which the giver uses the left hand.
         clutter_min: Smallest number of other objects on the table.
         clutter_max: Largest number of other objects on the table.
         boxes: Weight of boxes among the procedural objects.

@@ -88,7 +88,7 @@ class GeneratedDataset(HandoverGenerator):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        config: Configuration.
+        config: Configuration of the scenes.
 
     Raises:
         OptionError: The configuration's text is wrong, or a value is out of range.

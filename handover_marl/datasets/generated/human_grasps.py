@@ -64,11 +64,11 @@ def draw_human_grasps(
 
     Args:
         random: Stream of random numbers.
-        solid: Object.
+        solid: Object to grasp.
         up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
             is clear of the table for one of the axes with a weight.
         size: Size of the hand.
-        side: Side of the hand.
+        side: Side of the hand, "right" or "left".
         n_pairs: Number of surface points from which grasps are tried in one round.
         n_closed: Largest number of hands whose fingers are closed in one round.
         n_grasps: Number of grasps at which the search ends.

@@ -101,8 +101,8 @@ class SimulatedGiver:
     Attributes:
         class_id: Class number of the object.
         subject: Name of the person.
-        hand: Geometry of the hand.
-        hand_urdf: URDF of the hand.
+        hand: Geometry of the person's hand.
+        hand_urdf: URDF file of the person's hand.
         corners: (n, 3) corners of the object's hull (m).
         up_axes: Weights of the object's axes that point up on the table: +x, -x, +y, -y, +z, -z.
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels

@@ -81,7 +81,7 @@ class HandoverGenerator(Dataset):
     """Base class of generated data sets.
 
     Attributes:
-        scene_format: Format of the scene number in names.
+        scene_format: Format of the scene number in names of scenes, such as "03d".
     """
 
     scene_format: str

@@ -149,7 +149,7 @@ class Solid:
         parts: Surfaces of the polyhedra in the object's frame.
 
     Attributes:
-        parts: The surfaces.
+        parts: Surfaces of the polyhedra, as passed.
         corners: (n, 3) vertices of all parts (m).
     """
 

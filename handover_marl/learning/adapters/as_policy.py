@@ -65,7 +65,7 @@ def as_receiver(
             processes, is a policy already, or a package is missing.
         UnknownNameError: There are no such features, no such action scheme or observation mode.
         DataNotFoundError: A file does not exist.
-        DataFormatError: A file is damaged or does not fit.
+        DataFormatError: A file is damaged, or its policy is for the other agent or other spaces.
         UnsafeFileError: A file contains code, or names a module, and is not trusted.
     """
     parse_obs_mode(obs_mode)

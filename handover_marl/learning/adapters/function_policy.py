@@ -29,7 +29,7 @@ class FunctionPolicy(Policy):
         spec: Agent, and encoding of inputs and outputs.
         name: Name of the policy in tables and errors.
         label: Unique label of the policy in result files.
-        digest: Hash of function and encoding.
+        digest: Hash of function and encoding, which becomes `weights_hash`.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
 
@@ -124,7 +124,7 @@ class TorchFunction:
             (1, m) outputs.
 
     Attributes:
-        module: The module.
+        module: The module, as passed.
     """
 
     def __init__(self, module: Any) -> None:

@@ -99,7 +99,7 @@ class GaddpgNetwork(SavedNetwork):
 
     Attributes:
         features: Encoder of clouds with channels xyz in the hand link's frame (m) and a zero.
-        policy: Head of the actor.
+        policy: Head of the actor, which computes action and grasp pose.
     """
 
     kind, uses_int8 = "gaddpg", True

@@ -63,7 +63,7 @@ class ImitationBatches:
     """Data set of imitation states from which batches are selected.
 
     Args:
-        states: Stored states.
+        states: States of the data set.
         max_neighbors: Largest number of points of a group; further points are dropped.
     """
 

@@ -142,7 +142,7 @@ class GraspExpert:
     """Planner of the motions that the network of the receiver `gaddpg` imitates.
 
     Args:
-        context: Robot and objects.
+        context: Robot, and objects with their known grasps.
         arm: Model of the arm as the receiver `gaddpg` controls it.
         config: Configuration of the selection of grasps.
     """

@@ -57,7 +57,7 @@ class LabelledClouds(NamedTuple):
 
     Attributes:
         clouds: Inputs of the network.
-        targets: Good grasps.
+        targets: Good grasps, which the network should predict.
         object_center: (B, 3) centers of the objects (m).
         object_motion: (B, 3) displacements of the objects within the prediction time (m).
     """
@@ -147,7 +147,7 @@ class ViewBatches:
     """Data set of rendered views as tensors, from which batches are selected.
 
     Args:
-        views: Arrays of the views.
+        views: Rendered views with their good grasps.
         device: Device of the tensors.
     """
 

@@ -74,7 +74,7 @@ class GraspViewConfig:
     """Configuration of the rendered views of a set of scenes.
 
     Attributes:
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Name of the data set, see `handover_marl.datasets.open_dataset`.
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         robot: Robot model that carries the camera: panda or panda_camera.
         count: Number of views to render per scene; views that show too little of the object are discarded.
@@ -152,7 +152,7 @@ class ViewRenderer:
     Grasps are validated in simulation at first use.
 
     Args:
-        config: Data set and number of the views.
+        config: Data set, number of the views per scene, and costs of grasps.
 
     Raises:
         HandoverError: The dataset cannot be opened.
