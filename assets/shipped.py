@@ -100,7 +100,7 @@ def read_palette_files() -> dict[str, bytes]:
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files; an error names the feature that needs it, and gives advice what to do.
+    """Return PyBullet's folder of model files; an error names the `feature` that needs PyBullet, and adds `advice`.
 
     Raises:
         OptionError: PyBullet is not installed.

@@ -115,7 +115,7 @@ class ArrayScheme(ABC):
         return self._arrays.full(len(rows), True, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use network outputs (r, size), clipped to [-1, 1], in the episodes `rows` until their next call."""
+        """Use outputs (r, size), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
         xp = self._arrays.xp
         self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
 
@@ -133,7 +133,7 @@ class RawScheme(ArrayScheme):
     """Identity scheme: the outputs are the actions in physical units and are not clipped."""
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Use network outputs (r, size), without clipping, in the episodes `rows` until their next call."""
+        """Use outputs (r, size), without clipping, in the episodes with indices `rows` until their next call."""
         xp = self._arrays.xp
         self._outputs[rows] = xp.astype(outputs, xp.float64)
 

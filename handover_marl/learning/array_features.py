@@ -206,10 +206,10 @@ class GraspFeatures(ReceiverFeatures):
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 8) of the grasps of lowest cost in the episodes `rows`; zeros without known grasps.
+        """Return grasp features (r, 8) in the episodes with indices `rows`; zeros where no grasp is known.
 
-        The features are, in the gripper frame: translation to the grasp (3, times `GRASP_SCALE`), rotation vector to
-        it (3, rad), clearance to the person's hand there (1, dm), and whether grasps of the object are known (1).
+        The features are, in the gripper frame: translation to the grasp of lowest cost (3, times `GRASP_SCALE`),
+        rotation vector to it (3, rad), clearance to the person's hand there (1, dm), and whether grasps are known (1).
         """
         grasps, clearances, exists = self._selector.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])

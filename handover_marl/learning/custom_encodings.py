@@ -119,7 +119,7 @@ class CustomFeatures(ArrayFeatures):
             reset()
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, size), float32, of the episodes `rows`; observations have arrays (r, ...).
+        """Return the feature vectors (r, size), float32, of the episodes with indices `rows`.
 
         Raises:
             EncodingError: The features fail, or return anything but `size` finite float32 numbers.
@@ -186,7 +186,7 @@ class CustomScheme(ArrayScheme):
         return self._arrays.asarray(needs, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Pass network outputs (r, size) to the schemes of the episodes `rows`, which by default clip to [-1, 1]."""
+        """Pass outputs (r, size) to the schemes of the episodes with indices `rows`; most clip to [-1, 1]."""
         for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
             _run(self._what, self._schemes[row].set_outputs, own)
 

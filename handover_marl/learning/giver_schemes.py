@@ -44,7 +44,7 @@ class DeviationScheme(GiverScheme):
         self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions (r, 8) of the episodes `rows`: their outputs in physical units, within the bounds."""
+        """Return actions (r, 8) of the episodes with indices `rows`: outputs in physical units, within the bounds."""
         xp = self._arrays.xp
         return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
 
@@ -109,7 +109,7 @@ class HandoverPoseScheme(GiverScheme):
         self._decided[rows] = True
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions (r, 8) of the episodes `rows`: move to the chosen pose, or withdraw after release."""
+        """Return actions (r, 8) of the episodes with indices `rows`: to the chosen pose, or away after the release."""
         xp = self._arrays.xp
         new = xp.nonzero(self._decided[rows] & ~self._chosen[rows])[0]
         if len(new):

@@ -56,7 +56,7 @@ class NetworkArrayPolicy:
         self._scheme.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return actions (r, 8) or (r, 9) of the episodes `rows`; evaluate the network where the scheme needs it.
+        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the network where needed.
 
         Raises:
             ActionError: An action, or an output of an adapted policy, is not finite.

@@ -178,7 +178,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         self._closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return for each of the r episodes `rows` whether the time `wait` is over, (r,)."""
+        """Return whether the time `wait` is over, (r,), in each of the r episodes with indices `rows`."""
         xp = self._arrays.xp
         return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait
 

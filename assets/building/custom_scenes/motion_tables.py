@@ -122,7 +122,7 @@ class MotionTable:
 
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
-    """Read recorded poses from a CSV or NPZ file, or from arrays (T, ...) with the names of an NPZ file.
+    """Read recorded poses in the form of `config` from a CSV or NPZ file, or from arrays named as in NPZ files.
 
     Raises:
         DataNotFoundError: The file does not exist.

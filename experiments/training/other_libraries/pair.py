@@ -48,7 +48,7 @@ def make_env(args: PairArgs) -> EncodedEnv:
 
 
 def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -> None:
-    """Write both networks as policy files, evaluate them together on validation scenes, and print the outcomes."""
+    """Write the networks of a script as policy files, evaluate them on validation scenes, and print the outcomes."""
     for agent, network in networks.items():
         origin = describe_origin(f"other_libraries/{script}", args)
         path = Path(args.out) / f"{agent}.npz"

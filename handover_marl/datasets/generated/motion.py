@@ -110,7 +110,7 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -
 
 
 def minimum_jerk(time: npt.ArrayLike) -> Array:
-    """Return the progress (0 to 1) of a minimum-jerk motion at fractions of its duration, clipped to 0 to 1."""
+    """Return the progress, 0 to 1, of a minimum-jerk motion at fractions of its duration, clipped to [0, 1]."""
     t = np.clip(np.asarray(time, dtype=np.float64), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
@@ -173,7 +173,7 @@ class _HandoverPath:
         return positions, Rotation.from_quat(multiply_quaternions(self._first, turns))
 
     def min_duration(self, speed: float) -> float:
-        """Return the shortest duration (s) of the path for a peak speed (m/s) of the wrist."""
+        """Return the shortest duration (s) of the path in which the wrist is at most as fast as `speed` (m/s)."""
         position, rotation = self.sample(minimum_jerk(_SAMPLES))
         wrist = position + rotation.apply(self._wrist)
         fastest = float(np.linalg.norm(np.diff(wrist, axis=0), axis=1).max()) / float(_SAMPLES[1])

@@ -62,7 +62,7 @@ class EvaluationArgs(SetupArgs):
 
     @property
     def evaluation_options(self) -> dict[str, Any]:
-        """Keyword arguments of `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
+        """Keyword arguments with these values for `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
         names = ("setup", "dataset", "data_dir", "physics", "workers")
         return {name: getattr(self, name) for name in names}
 

@@ -74,7 +74,7 @@ class ImitationBatches:
         return len(self._states.remaining)
 
     def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
-        """Draw a batch of `count` states with replacement; vary hand poses and remaining decisions at random."""
+        """Draw a batch of `count` states with replacement; vary poses of the robot's hand and remaining decisions."""
         return self.select(rng.integers(len(self), size=count), rng)
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:

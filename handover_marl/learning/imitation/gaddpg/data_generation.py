@@ -81,7 +81,7 @@ StateRow = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating], int]
 
 
 def stack_states(rows: list[StateRow]) -> ImitationStates:
-    """Return the imitation states as arrays, from a list with the values of each state."""
+    """Return imitation states as arrays, from the points (n, 3), goal (7,) and remaining decisions of each state."""
     columns: list[tuple[npt.DTypeLike, tuple[int, ...]]]
     columns = [(np.float16, (_N_POINTS, 3)), (np.int32, ()), (np.float32, (7,)), (np.int32, ())]
     padded: list[tuple[Any, ...]] = [
