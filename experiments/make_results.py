@@ -338,7 +338,7 @@ def make_difference_table(
 
 
 def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str, wait_s: float) -> str:
-    """Return the success rate of a receiver on a test split of DexYCB, with interval, episodes and version."""
+    """Return the success rate of a receiver on a test split of DexYCB as text, with interval, episodes and version."""
     chosen = select_evaluations(evaluations, (receiver,))
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
     low, high = compute_wilson_interval(one.success, one.episodes)

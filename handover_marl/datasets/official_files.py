@@ -54,7 +54,7 @@ def list_required_files() -> tuple[str, ...]:
 
 
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
-    """Return STAND_IN for a content that is marked so, ORIGINAL for the known checksum of `path`, else UNKNOWN."""
+    """Return STAND_IN if the content is marked so, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
     if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)

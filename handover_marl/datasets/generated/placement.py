@@ -318,7 +318,7 @@ def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.b
 
 
 def make_ycb_clutter_item(class_id: int) -> ClutterItem:
-    """Return an object of a YCB class to be placed on the table."""
+    """Return an object of a YCB class number, to be placed on the table beside the handed-over object."""
     return class_id, compute_hull_corners(CLASS_NAMES[class_id]), UP_AXES[class_id]
 
 

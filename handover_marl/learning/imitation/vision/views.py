@@ -336,7 +336,7 @@ def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
 
 
 def read_object_pose(scene: Scene, frame: int) -> Array:
-    """Return the world pose (7,) of the handed-over object in a frame (1 ms) of a recording."""
+    """Return the handed-over object's world pose (7,), quaternion xyzw, in a frame (1 ms) of a recording."""
     dof = scene.object_dof[frame, 0].astype(np.float64)
     return np.concatenate([dof[:3], Rotation.from_euler("XYZ", dof[3:]).as_quat()])
 
