@@ -150,11 +150,11 @@ _RADII: Final = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class HandGeometry:
-    """Dimensions (m) of one hand in the link frames of its zero pose.
+    """Dimensions (m) of one human hand in the link frames of its zero pose.
 
     Attributes:
         side: "left" or "right".
-        size: Length and breadth.
+        size: Length and breadth of the hand.
         scale: (3,) scale factors of the reference hand along x, y and z.
         palm_offset: (3,) position of the palm in the base's frame.
         joint_origins: (15, 3) positions of the finger joints in their parent's frame (the palm or the previous joint).
@@ -172,9 +172,9 @@ class HandGeometry:
     radii: FloatArray
 
     def compute_link_poses(self, dof: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges.
+        """Compute positions (..., 16, 3) in m and rotations (..., 16, 3, 3) of palm and phalanges from joint positions.
 
-        `dof` (..., 51) are base position (m), base angles and 45 finger angles (rad), in whose frame the poses are.
+        `dof` (..., 51) are base position (m), base angles, 45 finger angles (rad); poses are in that position's frame.
         """
         joints = np.asarray(dof, dtype=np.float64)
         rotations = matrices_from_euler(joints[..., 3:].reshape(*joints.shape[:-1], 16, 3))
@@ -188,10 +188,9 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the keypoints (..., 21, 3) (m) of the hand by forward kinematics.
+        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions, see `compute_link_poses`.
 
-        The keypoints are the wrist, then three joints and the fingertip of index, middle, little and
-        ring finger and thumb.
+        They are the wrist, then three joints and the fingertip of index, middle, little and ring finger and thumb.
         """
         positions, rotations = self.compute_link_poses(dof)
         directions = self.tips / np.linalg.norm(self.tips, axis=1, keepdims=True)
@@ -218,7 +217,7 @@ def matrices_from_euler(angles: npt.ArrayLike) -> FloatArray:
 
 
 def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return joint origins (3, 3) and bone ends (3, 3) (m) of the reference hand by digit."""
+    """Return positions (3, 3) of the joints and ends (3, 3) of the bones (m) of the reference hand by digit."""
     bones = {}
     for name in DIGIT_ORDER:
         digit, thumb = DIGITS[name], name == "thumb"
@@ -236,7 +235,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return the reference hand scaled to a length and a breadth; raises `UnknownNameError`."""
+    """Return the reference hand, "right" or "left" (else `UnknownNameError`), scaled to a length and a breadth."""
     check_name("side", side, SIDES)
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
@@ -266,12 +265,12 @@ def make_hand_geometry(subject: int, side: Side) -> HandGeometry:
 
 
 def format_hand_name(subject: int, side: Side) -> str:
-    """Return the folder name of a hand, `synthetic-subject-NN_<side>`."""
+    """Return the folder name `synthetic-subject-NN_SIDE` of the hand model of a subject, numbered from 1."""
     return f"synthetic-subject-{subject:02d}_{side}"
 
 
 def find_hand_urdf(subject: int, side: Side) -> Path:
-    """Return the path of a hand's URDF; raises `UnknownNameError`."""
+    """Return the path of the URDF of a subject's left or right hand; raise `UnknownNameError` if there is none."""
     check_name("subject", subject, SUBJECTS)
     check_name("side", side, SIDES)
     return HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
@@ -290,7 +289,7 @@ _FINGER_LIMITS = (np.pi, np.pi / 2, np.pi)
 
 
 def format_hand_urdf(model: HandGeometry, name: str, color: tuple[float, float, float], folder: str) -> str:
-    """Return the URDF of a hand with HandoverSim's 53 links, in a color (red, green, blue), with a folder of meshes."""
+    """Return the text of a hand's URDF with HandoverSim's 53 links, an RGB color (0 to 1) and a folder of meshes."""
     return render_urdf(
         TEMPLATES_PACKAGE,
         "hand.urdf",

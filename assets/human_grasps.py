@@ -38,7 +38,7 @@ WRIST_DISTANCE_QUANTILES: Final[MappingProxyType[str, tuple[float, ...]]] = Mapp
 
 @dataclass(frozen=True, eq=False)
 class HumanGrasps:
-    """Grasps of one object by one subject's hand; all n are sorted by wrist distance.
+    """Grasps of one object by one subject's hand, in the object's frame; all n are sorted by wrist distance.
 
     Attributes:
         object_from_base: (n, 7) poses of the hand's base, xyz (m) and quaternion xyzw.
@@ -63,12 +63,12 @@ class HumanGrasps:
 
     @property
     def finger_direction(self) -> npt.NDArray[np.float64]:
-        """Unit vectors (n, 3) along straight fingers in the object's frame."""
+        """Unit vectors (n, 3) along straight fingers of each grasp, from palm to fingertips, in the object's frame."""
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
         return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
 
     def compute_hand_dof(self, rows: int | slice = slice(None)) -> npt.NDArray[np.float64]:
-        """Return the hand's joint positions (51,) in a grasp, or (n, 51) in several, of an object at the origin.
+        """Return the hand's joint positions in grasps, (n, 51), or (51,) for one index, in the object's frame.
 
         These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
         """
@@ -78,7 +78,7 @@ class HumanGrasps:
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of an object, such as "025_mug", by the "left" or "right" hand of a subject, 1 to 10.
+    """Load the grasps of an object, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10.
 
     Raises:
         UnknownNameError: The object, the subject or the side does not exist.

@@ -64,20 +64,20 @@ GADDPG_WEIGHTS = DATA_ROOT / "gaddpg.npz"
 
 
 def find_object_urdf(name: str) -> Path:
-    """Return the path of the URDF of a YCB class, such as "025_mug"; raises `UnknownNameError`."""
+    """Return the path of the URDF of a YCB class, such as "025_mug"; raise `UnknownNameError` for other names."""
     check_name("object", name, CLASS_NAMES.values())
     return OBJECTS_ROOT / name / URDF_NAME
 
 
 @functools.cache
 def format_object_urdf(mass: float = MASS, friction: float = FRICTION) -> str:
-    """Return the URDF of an object (mass in kg): six base joints, then a link with the meshes of its folder."""
+    """Return the text of an object's URDF (mass in kg): six base joints, then a link with the meshes of its folder."""
     names = {"visual": VISUAL_NAME, "collision": COLLISION_NAME}
     return render_urdf(TEMPLATES_PACKAGE, "object.urdf", **names, mass=mass, friction=friction)
 
 
 def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
-    """Return meshes (color name, vertices in m, faces) as one OBJ text, for a folder with the palette.
+    """Return meshes (color name, vertices (v, 3) in m, faces (f, 3)) as one OBJ text, for a folder with the palette.
 
     PyBullet draws one texture per OBJ file and ignores vertex colors, so the texture coordinates of every face are
     the center of a color's cell in a small image.
@@ -95,12 +95,12 @@ def format_visual(colored: Iterable[tuple[str, Array, Faces]]) -> str:
 
 
 def read_palette_files() -> dict[str, bytes]:
-    """Return the image and the material file of the colors, which all shipped objects have, by name."""
+    """Return the contents, by file name, of the image and the material file of the colors that `format_visual` uses."""
     return {name: (OBJECTS_ROOT / "025_mug" / name).read_bytes() for name in ("palette.png", "palette.mtl")}
 
 
 def find_bullet_data(feature: str, advice: str) -> Path:
-    """Return PyBullet's folder of model files; errors name the feature that needs it, and what to do instead.
+    """Return PyBullet's folder of model files; an error names the `feature` that needs PyBullet, and adds `advice`.
 
     Raises:
         OptionError: PyBullet is not installed.
@@ -121,7 +121,7 @@ def find_vision_weights(setup: str) -> Path:
 
 
 def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
-    """Load the gripper poses (100, 4, 4) of a YCB class in the object's frame (m), None for a class without grasps.
+    """Load gripper poses (100, 4, 4) at robot grasps of a YCB class in the object's frame (m); None without grasps.
 
     Raises:
         UnknownNameError: The class does not exist.

@@ -61,7 +61,11 @@ class Args(SetupArgs):
 
 
 def measure_processor(args: Args) -> str:
-    """Return a table of the speed of small random motions in wall-clock time, by engine and size of the batch."""
+    """Measure environments on the processor during small random motions, and return a table of their speed.
+
+    The table has a row for each engine and size of the batch: physics steps per second of wall-clock time, and its
+    ratio to the speed of the engine "fast".
+    """
     where: dict[str, Any] = {"data_dir": args.data_dir, "dataset": args.dataset}
     where["control_period"] = args.control_period
     envs: dict[str, HandoverEnv | ParallelVectorEnv] = {
@@ -95,7 +99,7 @@ def measure_processor(args: Args) -> str:
 
 
 def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.random.Generator) -> None:
-    """Step environments with random joint targets near the start pose, which no cached rollout has."""
+    """Step an environment `decisions` times with random joint targets near the start pose, so that no cache helps."""
     shape = (env.num_envs,) if isinstance(env, ParallelVectorEnv) else ()
     start = np.array(PandaConfig().start_joints, dtype=np.float32)
     for _ in range(decisions):
@@ -105,7 +109,7 @@ def step_randomly(env: HandoverEnv | ParallelVectorEnv, decisions: int, rng: np.
 
 
 def measure_warp(args: Args, count: int) -> tuple[float, float]:
-    """Return the physics steps and the decisions per second of a number of environments with MuJoCo Warp."""
+    """Return the physics steps and the decisions per second of `count` environments with MuJoCo Warp."""
     # Images are rendered only for observations that are returned.
     is_encoded = args.obs_mode == STATE
     envs = handover_marl.vector_env(

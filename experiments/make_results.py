@@ -155,21 +155,21 @@ class Evaluation:
 
     @cached_property
     def report(self) -> Report:
-        """Report of the stored outcomes."""
+        """Report on the stored outcomes of all scenes; `path` must not be empty."""
         return handover_marl.evaluate(FOLDER / self.path)
 
     @property
     def conditions(self) -> str:
-        """Physics, giver and data."""
+        """Text with physics, giver and data, for captions of tables."""
         return f"exact physics, giver `replay`, {self.data}"
 
     def format_rate(self, name: str) -> str:
-        """Return the rate of an outcome, a field of this class, with its 95 % Wilson interval (%), as text."""
+        """Return the rate (%) of an outcome, such as "success", with its 95 % Wilson interval, as text."""
         return format_percent_rate(getattr(self, name), self.episodes, digits=2)
 
 
 def read_evaluations() -> list[Evaluation]:
-    """Return the evaluations of `evaluations.json`."""
+    """Return all evaluations that are stored in `evaluations.json`."""
     return [Evaluation(**entry) for entry in json.loads(EVALUATIONS.read_text())]
 
 
@@ -244,7 +244,7 @@ def add_evaluation(folder: Path, purpose: str) -> None:
 
 
 def format_row(one: Evaluation) -> list[str]:
-    """Return the cells of the table row of an evaluation that was made with this library."""
+    """Return the cells of the table row, in the order of `HEADER`, of an evaluation that was made with this library."""
     start = [f"`{one.receiver}`", one.setup, f"{one.wait_s:g}", str(one.episodes)]
     score, version = f"{one.as_percent:.1f}", one.version
     if one.path:
@@ -257,7 +257,7 @@ def format_row(one: Evaluation) -> list[str]:
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result, of a setup with some number of test episodes."""
+    """Return the cells of the table row of a published result of a setup, in the order of `HEADER`."""
     rates = [f"{value:.2f}" for value in (row.success, row.contact, row.drop, row.timeout)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]
@@ -267,7 +267,7 @@ def format_published_row(row: PublishedResult, setup: str, episodes: int) -> lis
 def select_evaluations(
     evaluations: Iterable[Evaluation], receivers: tuple[str, ...], dataset: str = "dexycb"
 ) -> list[Evaluation]:
-    """Return the evaluations of some receivers on one data set, which must have equal data."""
+    """Return the evaluations of some receivers on one data set; raise `SystemExit` if their data differ."""
     chosen = [one for one in evaluations if one.name in receivers and one.dataset == dataset]
     if len({one.data for one in chosen}) > 1:
         raise SystemExit(f"evaluations of {receivers} are of different data: {sorted({one.data for one in chosen})}")
@@ -338,7 +338,7 @@ def make_difference_table(
 
 
 def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str, wait_s: float) -> str:
-    """Return the success rate of a receiver on a test split of DexYCB, with interval, episodes and version."""
+    """Return the success rate of a receiver on a test split of DexYCB as text, with interval, episodes and version."""
     chosen = select_evaluations(evaluations, (receiver,))
     (one,) = [one for one in chosen if (one.receiver, one.setup, one.wait_s) == (receiver, setup, wait_s)]
     low, high = compute_wilson_interval(one.success, one.episodes)
@@ -347,7 +347,7 @@ def format_success(evaluations: Iterable[Evaluation], receiver: str, setup: str,
 
 
 def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
-    """Return Markdown items with the scenes in which a receiver failed on test splits of DexYCB, where stored."""
+    """Return a Markdown list of the scenes in which a receiver failed on test splits of DexYCB, where stored."""
     lines = []
     for one in select_evaluations(evaluations, (receiver,)):
         if one.path:
@@ -357,7 +357,7 @@ def make_failure_list(evaluations: Iterable[Evaluation], receiver: str) -> str:
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table with header and rows as Markdown text."""
+    """Return a table with a header and rows of cells as Markdown text."""
     head, *lines = (f"| {' | '.join(line)} |" for line in (header, *rows))
     return "\n".join([head, f"|{'---|' * len(header)}", *lines])
 

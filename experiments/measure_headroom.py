@@ -56,14 +56,17 @@ class Args(EvaluationArgs):
 
 
 def compute_best_of(successes: npt.NDArray[np.bool_], k: int) -> npt.NDArray[np.float64]:
-    """Return the probability (s,) that one of k draws succeeds in each scene, of n draws (s, n) without replacement."""
+    """Return the probability (s,) that one of k draws succeeds in each of s scenes, from successes (s, n) of n draws.
+
+    The k draws are chosen at random among the n draws, without replacement.
+    """
     n, failures = successes.shape[1], (~successes).sum(axis=1)
     best: npt.NDArray[np.float64] = 1.0 - comb(failures, k) / comb(n, k)
     return best
 
 
 def play(args: Args, receiver: str, giver: str, folder: str) -> npt.NDArray[np.bool_]:
-    """Return which draws (s, n) of a giver succeed with a receiver."""
+    """Return whether each of n draws of a giver succeeds with a receiver in each of s scenes, (s, n)."""
     scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, args.split), args.n_scenes)
     columns = []
     for seed in range(args.draws):
@@ -101,7 +104,7 @@ def main(args: Args) -> dict[tuple[str, str], npt.NDArray[np.bool_]]:
 
 
 def draw_figure(found: dict[tuple[str, str], npt.NDArray[np.bool_]], numbers: list[int], path: Path) -> None:
-    """Draw the success of the best of K draws, one curve for each receiver and quantity."""
+    """Plot the success rate of the best of K draws over the numbers K, one curve for each receiver and quantity."""
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6.5, 4.0), layout="constrained")

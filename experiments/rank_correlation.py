@@ -3,11 +3,10 @@
     python experiments/rank_correlation.py --real study.csv
     python experiments/rank_correlation.py --real study.csv --simulated results/yang results/omg results/mine
 
-`study.csv` has a line for each receiver: its name and its success rate, in percent or as a
-fraction. By default, simulated rates are HandoverSim's published ones (Table II, test split of
-`--setup`), under the names in that table; with `--simulated` they are read from result folders.
-The script prints both rates side by side with the rank correlations and a note on the small number of
-receivers.
+`study.csv` has a line for each receiver: its name and its success rate, in percent or as a fraction. By default,
+simulated rates are HandoverSim's published ones (Table II, test split of `--setup`), under the names in that table;
+with `--simulated` they are read from result folders. The script prints both rates side by side with the rank
+correlations and a note on the small number of receivers.
 """
 
 from collections.abc import Sequence
@@ -54,7 +53,7 @@ def read_success_rates(path: Path) -> dict[str, float]:
 
 
 def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
-    """Return the simulated success rate (%) of every receiver, and its table cell, by name."""
+    """Return the simulated success rate (%) of every receiver, and the text of its table cell, by its name."""
     if not args.simulated:
         return {row.method: (row.success, f"{row.success:.2f}") for row in PUBLISHED[args.setup]}
     found = {}
@@ -66,7 +65,7 @@ def load_simulated_rates(args: Args) -> dict[str, tuple[float, str]]:
 
 
 def compute_rank_correlation(first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
-    """Compute Spearman's rho of two rankings, and the share of all orders of the second with at least this rho."""
+    """Return Spearman's rho of two lists of rates, and the share of orders of the second with at least this rho."""
 
     def compute_rho(permuted: npt.NDArray[np.float64]) -> float:
         return float(stats.spearmanr(first, permuted).statistic)

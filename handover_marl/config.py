@@ -75,12 +75,12 @@ class CheckedConfig:
 
 
 def bounded(default: float | tuple[float, ...], low: float, high: float = math.inf) -> Any:
-    """Return the field of a `CheckedConfig` with a default, whose numbers must be from `low` to `high`."""
+    """Return a dataclass field of a `CheckedConfig` with this default, whose numbers must be from `low` to `high`."""
     return field(default=default, metadata={"limits": (low, high)})
 
 
 def check_config(name: str, value: object, config_class: type) -> None:
-    """Check that a value is a configuration of a class.
+    """Check that a value is a configuration of a class; `name` is that of the argument, for the error.
 
     Raises:
         OptionError: It is something else, such as the class itself.
@@ -259,8 +259,7 @@ class ProtocolConfig(CheckedConfig):
         region_upper: Upper corner of the grasp region in a finger link's frame (m), exclusive.
         goal_center: Center of the spherical goal region, world frame (m).
         goal_radius: Largest distance of the Panda's hand link from the goal's center (m).
-        success_steps: Consecutive physics steps for which the gripper must hold the object at
-            the goal.
+        success_steps: Consecutive physics steps for which the gripper must hold the object at the goal.
         drop_height: World z (m) of the object's origin below which the object counts as dropped.
         horizon_steps: Physics steps after which an episode times out.
     """
@@ -299,7 +298,7 @@ class WorldConfig(CheckedConfig):
     initial_joint_noise: float = field(default=0.0, repr=False, metadata={"limits": (0.0, 0.3)})
 
     def draw_initial_joints(self, seed: int) -> tuple[float, ...]:
-        """Draw the robot's nine joint positions at the start of an episode (rad, m).
+        """Draw the robot's joint positions (9,) at the start of an episode: 7 arm joints (rad) and 2 fingers (m).
 
         Args:
             seed: Seed of the draw; without noise the positions do not depend on it.

@@ -28,7 +28,7 @@ class UnknownNameError(HandoverError, ValueError):
         kind: Kind of the choice, e.g. "split".
         name: Unknown name.
         valid: Valid names.
-        hint: Further advice.
+        hint: Further advice at the end of the message; "" for none.
     """
 
     def __init__(self, kind: str, name: object, valid: Iterable[object], hint: str = "") -> None:
@@ -60,13 +60,13 @@ class UnknownArgumentError(HandoverError, TypeError):
 
 
 def suggest_name(name: object, valid: Iterable[str]) -> str:
-    """Return a question with the valid name that is most similar to a misspelt one; "" if none is similar."""
+    """Return "did you mean 'NAME'?" with the valid name most similar to a misspelt one, or "" if none is similar."""
     similar = difflib.get_close_matches(name, list(valid), n=1) if isinstance(name, str) else []
     return f"did you mean {similar[0]!r}?" if similar else ""
 
 
 def check_name(kind: str, name: object, valid: Iterable[object]) -> None:
-    """Check that a choice exists.
+    """Check that a choice exists; raise an error with all valid ones otherwise.
 
     Args:
         kind: Kind of the choice, e.g. "split".
@@ -90,7 +90,7 @@ class SceneError(HandoverError, ValueError):
 
 
 class ActionError(HandoverError, ValueError):
-    """Error for an action of the wrong shape or type, or with values that are not finite."""
+    """Error for a policy's or caller's action of the wrong shape or type, or with values that are not finite."""
 
 
 class RewardError(HandoverError, ValueError):
@@ -102,7 +102,7 @@ class EncodingError(HandoverError, ValueError):
 
 
 class ResetNeededError(HandoverError, RuntimeError):
-    """Error for `step`, `render` or `state` of an environment that needs `reset` first."""
+    """Error for a call of `step`, `render` or `state` on an environment that must be reset first."""
 
 
 class SimulationError(HandoverError, RuntimeError):

@@ -17,7 +17,7 @@ _CONSTRUCTORS = "handover_marl.envs.constructors"
 
 
 def register_environments() -> None:
-    """Register the two-agent environment with PettingZoo and the single-agent ones with Gymnasium."""
+    """Register the two-agent environment with PettingZoo and the single-agent ones with Gymnasium, by their IDs."""
     # gymnasium.make() does not accept a ParallelEnv.
     pettingzoo.register("parallel", PETTINGZOO_ID, f"{_CONSTRUCTORS}:parallel_env")
     pettingzoo.register("aec", PETTINGZOO_ID, f"{_CONSTRUCTORS}:env")

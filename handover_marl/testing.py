@@ -32,11 +32,11 @@ _STEPS = 4000
 def check_receiver(
     receiver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a receiver meets the requirements of evaluations.
+    """Check that a receiver meets the requirements of evaluations, by running it in a few scenes.
 
-    The receiver can be constructed and sent to worker processes; its actions are valid; it does
-    not modify its observations; and its actions depend on seed and scene only, not on earlier
-    episodes, on the process or on global random generators.
+    The receiver can be constructed and sent to worker processes; its actions are valid; it does not modify its
+    observations; and its actions depend on seed and scene only, not on earlier episodes, on the process or on global
+    random generators.
 
     Args:
         receiver: Receiver, as in `handover_marl.benchmark`.
@@ -54,7 +54,7 @@ def check_receiver(
 def check_giver(
     giver: PolicyLike, dataset: Dataset | None = None, scenes: Sequence[int] = _SCENES, steps: int = _STEPS
 ) -> None:
-    """Check that a giver meets the requirements of evaluations; the receiver is `yang2021`.
+    """Check that a giver meets the requirements of evaluations, see `check_receiver`; the receiver is `yang2021`.
 
     Args:
         giver: Giver, as in `handover_marl.crossplay`.
@@ -70,7 +70,7 @@ def check_giver(
 
 
 class _DecisionRecorder(EpisodeCallback):
-    """Recorder of one agent's actions and the steps of its decisions."""
+    """Callback that records one agent's actions and the physics steps of its decisions."""
 
     def __init__(self, agent: str) -> None:
         self.decisions: list[tuple[int, Action]] = []

@@ -62,7 +62,7 @@ _N_ROBOT_GRASPS = 100  # of each of the library's objects
 
 
 def build_human_grasps(out: Path = GRASPS_FILE) -> None:
-    """Build all grasps and write them, indexed by object, side, subject and grasp.
+    """Build the human grasps of all objects and write them to a file, by object, side, subject and grasp.
 
     Args:
         out: Output file (`.npz`).
@@ -88,7 +88,7 @@ def build_human_grasps(out: Path = GRASPS_FILE) -> None:
 def make_human_grasps(
     name: str, solid: Solid, size: HandSize, side: Side, *seed: int
 ) -> dict[str, npt.NDArray[np.generic]]:
-    """Return 20 grasps of a YCB class by one hand, as arrays of the output file."""
+    """Return 20 grasps of a YCB class by one hand, as arrays by their names in the file of `build_human_grasps`."""
     random = RandomStream(*seed)
     grasps = draw_human_grasps(random, solid, _ANY_AXIS, size, side, **_SEARCH)
     if grasps is None:
@@ -107,7 +107,7 @@ def make_human_grasps(
 
 
 def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: int) -> npt.NDArray[np.intp]:
-    """Return the indices of varied and firm grasps, sorted by wrist distance.
+    """Return the indices (count,) of varied and firm grasps of a YCB class, sorted by wrist distance.
 
     The k-th grasp is the best grasp for a wrist distance that is drawn between the quantiles k/count and (k+1)/count
     of DexYCB.
@@ -129,7 +129,7 @@ def select_grasps(random: RandomStream, grasps: HumanGrasps, name: str, count: i
 
 
 def build_robot_grasps(out: Path = GRASPS_PATH) -> None:
-    """Build the grasps of all objects and write them to one file.
+    """Build the robot grasps of all objects and write them to one file.
 
     Args:
         out: Output file (`.npz`).
@@ -144,7 +144,7 @@ def make_robot_grasps(
 ) -> tuple[Array, int]:
     """Sample grasps of an object and keep up to `count` that hold it while it is shaken in simulation.
 
-    The most different ones are simulated first. The result does not depend on the number of workers.
+    The most different ones are simulated first. The result depends on `seed` but not on the number of workers.
 
     Returns:
         Gripper poses (n, 4, 4) in the object's frame (m), and the number of candidates that were simulated.
@@ -187,13 +187,13 @@ def _make_validation(urdf: Path) -> Callable[[tuple[int, Array]], list[bool]]:
 def build_grasp_validations(
     out: Path = VALIDATION_PATH, data_dir: Path | None = None, workers: int | None = None
 ) -> None:
-    """Validate the grasps of all objects and write one file.
+    """Validate the robot grasps of all objects in simulation and write the results to one file.
 
     Args:
         out: Output file (`.npz`).
         data_dir: Data folder in HandoverSim's layout with further objects; without it, the file's other records are
             kept.
-        workers: Number of worker processes.
+        workers: Number of worker processes; default: one per core.
     """
     records = {} if data_dir else dict(load_validation_records(out))
     folders = (None, data_dir) if data_dir else (None,)
@@ -206,7 +206,7 @@ def build_grasp_validations(
 
 
 def _validate_object(task: tuple[Path | None, str, str]) -> tuple[str, ValidationRecord] | None:
-    """Return the name and the record of an object's validation, or None if it has no grasps."""
+    """Validate the robot grasps of an object: return the name and the record of the result, None without grasps."""
     data_dir, robot, name = task
     data = open_dataset("dexycb" if data_dir else "synthetic", data_dir, robot)
     known = load_hand_poses(data.load_grasps, name)

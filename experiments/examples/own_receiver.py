@@ -38,8 +38,7 @@ class ServoReceiver(Receiver):
 
     Args:
         context: Robot, task and known grasps of the objects.
-        tolerance: Change (m) per decision of the distance from gripper to object below which the
-            gripper has arrived.
+        tolerance: Change (m) per decision of the distance from gripper to object below which the gripper has arrived.
         max_distance: Largest distance (m) from gripper to object at which the gripper closes.
     """
 
@@ -62,7 +61,7 @@ class ServoReceiver(Receiver):
         self._last_distance, self._is_closed = np.inf, False
 
     def act(self, observation: dict[str, Any]) -> np.ndarray:
-        """Return target positions of the seven arm joints (rad) and two fingers (m)."""
+        """Return the target positions (9,) of the seven arm joints (rad) and the two fingers (m)."""
         # Positions are in the world frame; the first object is the one to be handed over.
         distance = float(np.linalg.norm(observation["gripper_pose"][:3] - observation["object_poses"][0, :3]))
         has_arrived = abs(distance - self._last_distance) < self._tolerance and distance < self._max_distance

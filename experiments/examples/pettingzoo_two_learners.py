@@ -44,7 +44,7 @@ class Args:
 
 
 class Learner:
-    """Actor-critic learner of one agent."""
+    """Actor-critic learner of one agent; it stores the steps of episodes until `update`."""
 
     def __init__(self, n_inputs: int, n_outputs: int) -> None:
         hidden, last = nn.Linear(n_inputs, 64), nn.Linear(64, n_outputs)
@@ -57,7 +57,7 @@ class Learner:
         self._steps, self._returns = list[tuple[torch.Tensor, torch.Tensor]](), list[float]()
 
     def act(self, features: np.ndarray) -> np.ndarray:
-        """Sample an action from the policy and store it for the next update."""
+        """Sample outputs for a feature vector from the policy, and store both for the next update."""
         inputs = torch.as_tensor(features)
         with torch.no_grad():
             action: torch.Tensor = Normal(self._actor(inputs), self._log_std.exp()).sample()

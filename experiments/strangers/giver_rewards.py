@@ -33,12 +33,12 @@ class PreferenceReward:
     holding: float = 0.0
 
     def reset(self, transition: Transition) -> None:
-        """Start an episode without events."""
+        """Start an episode: store the gripper's first position and clear the measured events."""
         self._gripper = transition.state["gripper_pose"][:3].astype(np.float64)
         self._held, self._preference = 0.0, 0.0
 
     def __call__(self, transition: Transition) -> dict[str, dict[str, float]]:
-        """Return the terms `task` and `preference` of the giver."""
+        """Return the giver's terms of a step: `task`, 1 at a success, and `preference`, the weighted events then."""
         state = transition.state
         if state["holding"][0] and not state["released"][0]:
             self._held += transition.duration

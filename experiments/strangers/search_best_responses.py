@@ -66,7 +66,7 @@ class Args(EvaluationArgs):
 
 
 def draw_policy(rng: np.random.Generator) -> str:
-    """Return the receiver `reactive` with random settings, whose logarithms are uniformly distributed."""
+    """Return the receiver `reactive` with random settings as text, their logarithms uniform within `SEARCH_SPACE`."""
     drawn = {key: float(np.exp(rng.uniform(*np.log(limits)))) for key, limits in SEARCH_SPACE.items()}
     return "reactive:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in drawn.items())
 
@@ -97,13 +97,13 @@ def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> hando
 def evaluate_draw(
     args: EvaluationArgs, giver: str, receiver: str, split: str, scenes: tuple[int, ...], folder: Path
 ) -> handover_marl.Report:
-    """Evaluate a pair in scenes of a split in this process, and write the result folder."""
+    """Evaluate a giver with a receiver in scenes of a split in this process, and write the result folder."""
     options = args.evaluation_options | {"workers": 1, "progress": False, "out": str(folder)}
     return handover_marl.evaluate_pair(giver, receiver, split=split, scenes=scenes, **options)
 
 
 def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], handover_marl.Report]) -> str:
-    """Return the table of the best responses, one row for each partner."""
+    """Return the table of the best responses, one row for each partner, from reports by partner's index and search."""
     rows = []
     for number, partner in enumerate(partners):
         responses = [found[key] for key in sorted(found) if key[0] == number]
@@ -115,7 +115,7 @@ def format_results(partners: tuple[Partner, ...], found: dict[tuple[int, int], h
 
 
 def list_partners(args: Args) -> tuple[Partner, ...]:
-    """Return the givers of the search; givers outside of the population have no family."""
+    """Return the givers of the search as partners; givers outside of the population have no family."""
     if not args.givers:
         population = load_population(args.population)
         chosen = population.select("giver", args.partners)

@@ -4,12 +4,11 @@ The script needs the extras `train`, `planning` and `vision`.
 
     python experiments/training/train_gaddpg.py --data-dir DIR --out runs/gaddpg
 
-The training follows Wang et al. (CoRL 2021): objects are at rest without a hand, the expert is the planner
-`omg`, and the network is trained by behavior cloning with an auxiliary loss of goals. In later rounds the
-network acts and the expert labels the states (DAgger). Only the evaluation on the validation split simulates physics.
-The folder gets `gaddpg.npz`, the best network (`--receiver gaddpg:weights=runs/gaddpg/gaddpg.npz
---robot panda_camera`), TensorBoard logs, the expert's plans, the states, and a checkpoint, from which `--resume`
-continues.
+The training follows Wang et al. (CoRL 2021): objects are at rest without a hand, the expert is the planner `omg`, and
+the network is trained by behavior cloning with an auxiliary loss of goals. In later rounds the network acts and the
+expert labels the states (DAgger). Only the evaluation on the validation split simulates physics. The folder gets
+`gaddpg.npz`, the best network (`--receiver gaddpg:weights=runs/gaddpg/gaddpg.npz --robot panda_camera`), TensorBoard
+logs, the expert's plans, the states, and a checkpoint, from which `--resume` continues.
 """
 
 from dataclasses import dataclass, field
@@ -56,8 +55,7 @@ class Args(ImitationArgs):
         rounds: Number of rounds in which the network acts (DAgger), evenly spread over the training.
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
-        waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate
-            selects the network.
+        waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate selects the network.
         expert: Configuration of the expert's choice of goal grasps.
         approach: Configuration of the network's approach to a grasp; slower than the expert's,
             since the giver may still move.
@@ -87,7 +85,7 @@ class Args(ImitationArgs):
 
 
 def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]:
-    """Return the rollouts of a round: of the expert in the first one, of the network in later ones."""
+    """Return the rollouts of the round `number`: of the expert in round 0, of the network in later ones."""
     numbers = sorted(plans)[max(1, len(plans) // HELD_OUT_STRIDE) :] or sorted(plans)
     repetitions = [number] if number > 0 else [-1 - episode for episode in range(args.episodes)]
     if number > 0:
@@ -103,7 +101,7 @@ def make_tasks(args: Args, plans: ExpertPlans, number: int) -> list[RolloutTask]
 
 
 def main(args: Args) -> Path:
-    """Train in all rounds; return the path of the best network's weights."""
+    """Train in all rounds; return the path of the weights of the network that was best on the validation split."""
     data = args.open_dataset(PANDA_CAMERA)
     scenes = list_shared_scenes(data, args.setups)
     torch.manual_seed(args.seed)

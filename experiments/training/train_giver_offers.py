@@ -86,7 +86,7 @@ class Args(SetupArgs):
 
 
 class Offers(NamedTuple):
-    """Decisions of n episodes, and what came of them.
+    """Decisions of a giver in n episodes, and the outcomes of these episodes.
 
     Attributes:
         features: Features (n, 39) at the decision.
@@ -112,26 +112,26 @@ class Offers(NamedTuple):
 
 
 class Critics(nn.Module):
-    """Ensemble of networks that predict the success and the time of offers."""
+    """Ensemble of networks that predict success and time of offers from the features and outputs of a decision."""
 
     def __init__(self, n_features: int, n_outputs: int, args: Args) -> None:
         super().__init__()
         self.members = nn.ModuleList(make_mlp(n_features + n_outputs, 2, args.width) for _ in range(args.critics))
 
     def compute_scores(self, member: nn.Module, features: torch.Tensor, outputs: torch.Tensor) -> torch.Tensor:
-        """Return the expected AS (...) of offers by one network: success probability times the time that is saved."""
+        """Return the expected average success (...) of offers by one network: success probability times saved time."""
         logits, duration = member(torch.cat([features, outputs], dim=-1)).unbind(-1)
         scores: torch.Tensor = logits.sigmoid() * (1.0 - duration.clamp(0.0, 1.0))
         return scores
 
     def compute_cautious_scores(self, features: torch.Tensor, outputs: torch.Tensor, caution: float) -> torch.Tensor:
-        """Return the mean (...) of all networks' scores, minus their standard deviation times `caution`."""
+        """Return the mean (...) of all networks' scores of offers, minus their standard deviation times `caution`."""
         scores = torch.stack([self.compute_scores(member, features, outputs) for member in self.members])
         return scores.mean(0) - caution * scores.std(0)
 
 
 class Collector:
-    """Collector of offers from environments of one receiver in a process."""
+    """Collector of offers from environments with one receiver, which are simulated in a process of their own."""
 
     def __init__(self, number: int, args: Args, rounds: int) -> None:
         self.args, self.receiver = args, number % len(args.receivers)
@@ -157,7 +157,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(self, critics: Critics | None) -> list[Offers]:
-        """Return the offers of one round, which are random without critics."""
+        """Return the offers of one round, random ones without critics, else each the best of many by one critic."""
         steps = max(1, self.args.round_episodes // self.args.num_envs)
         return [self._step(critics) for _ in range(steps)]
 
@@ -187,7 +187,7 @@ class Collector:
 
 
 def update(critics: Critics, optimizer: torch.optim.Optimizer, offers: Offers, args: Args, seed: int) -> float:
-    """Update the critics on random batches of all episodes; return the last loss."""
+    """Update the critics by gradient steps on random batches of all episodes; return their mean last loss."""
     inputs = torch.as_tensor(np.concatenate([offers.features, offers.outputs], axis=1))
     successes = torch.as_tensor(offers.successes)
     durations = torch.as_tensor(offers.steps / ProtocolConfig().horizon_steps).float()
@@ -208,7 +208,7 @@ def update(critics: Critics, optimizer: torch.optim.Optimizer, offers: Offers, a
 
 
 def train_actor(critics: Critics, offers: Offers, args: Args) -> nn.Module:
-    """Train a network that maximizes the critics' score at the observed features."""
+    """Train and return a network that maximizes the critics' cautious score of its outputs at the observed features."""
     features = torch.as_tensor(offers.features)
     actor = make_mlp(features.shape[1], offers.outputs.shape[1], args.width, 0.01)
     optimizer = torch.optim.Adam(actor.parameters(), args.learning_rate)
@@ -226,7 +226,10 @@ def train_actor(critics: Critics, offers: Offers, args: Args) -> nn.Module:
 
 
 def train(args: Args, folder: Path) -> tuple[Critics, Offers]:
-    """Collect offers and train critics until the number of episodes is reached."""
+    """Collect offers and train critics until the number of episodes is reached; return the critics and all offers.
+
+    The offers are also in `folder`, from which a resumed run continues.
+    """
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
     path, rounds = folder / OFFERS, []
@@ -261,7 +264,7 @@ def train(args: Args, folder: Path) -> tuple[Critics, Offers]:
 
 
 def join(parts: list[Offers]) -> Offers:
-    """Return the offers of several rounds as one."""
+    """Concatenate the offers of several parts."""
     return Offers(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 

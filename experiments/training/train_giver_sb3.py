@@ -4,12 +4,11 @@ The script needs the extra `train`.
 
     python experiments/training/train_giver_sb3.py --data-dir DIR --out runs/giver
 
-An episode is one decision: the handover pose of the object
-(`handover_marl.learning.giver_schemes.HandoverPoseScheme`); the rest of the person's motion is
-scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains from scratch),
-then learns on nine tenths of a training split in fast physics, with evaluations on the validation
-split. The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `progress.csv`, TensorBoard
-logs, and a checkpoint, from which `--resume` continues.
+An episode is one decision: the handover pose of the object (`handover_marl.learning.giver_schemes.HandoverPoseScheme`);
+the rest of the person's motion is scripted. The policy first imitates the giver `cooperative` (`--teacher ''` trains
+from scratch), then learns on nine tenths of a training split in fast physics, with evaluations on the validation split.
+The folder gets `policy.npz` (`--givers learned:runs/giver/policy.npz`), `progress.csv`, TensorBoard logs, and a
+checkpoint, from which `--resume` continues.
 """
 
 import functools
@@ -73,7 +72,7 @@ def main(args: Args) -> Path:
 
 
 def imitate(args: Args, model: PPO) -> None:
-    """Train the policy to imitate the teacher's first decision in each of many episodes, if there is a teacher."""
+    """Train the model's policy to imitate the teacher's first decision in many episodes, if there is a teacher."""
     if not args.teacher:
         return
     inputs, targets = map(torch.as_tensor, record_first_decisions(args))
@@ -91,7 +90,7 @@ def imitate(args: Args, model: PPO) -> None:
 
 
 def record_first_decisions(args: Args, workers: int | None = None) -> tuple[Vectors, Vectors]:
-    """Return the features (n, m) of the first decision in n episodes, and the outputs nearest to the teacher's action.
+    """Return features (n, m) of n episodes' first decisions, and the outputs (n, 7) nearest to the teacher's actions.
 
     Args:
         args: Arguments of the training.

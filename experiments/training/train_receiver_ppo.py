@@ -104,7 +104,7 @@ class ActorCritic(nn.Module):
 
 
 class Batch(NamedTuple):
-    """Decisions of k steps of n environments: tensors (k, n, ...)."""
+    """Decisions of k steps of n environments, with their advantages and targets of the value: tensors (k, n, ...)."""
 
     features: torch.Tensor
     actions: torch.Tensor
@@ -114,14 +114,14 @@ class Batch(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Decisions of a collector, and whether the episodes that ended meanwhile were successes."""
+    """Decisions of one collector, and for each episode that ended meanwhile whether it was a success."""
 
     batch: Batch
     outcomes: list[bool]
 
 
 class Collector:
-    """Collector of decisions from environments in a process, whose episodes continue in the next rollout."""
+    """Collector of decisions from environments in a process; episodes continue from one rollout to the next."""
 
     def __init__(self, number: int, args: Args) -> None:
         self.args, self.outcomes = args, list[bool]()
@@ -148,7 +148,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(self, model: ActorCritic) -> Rollout:
-        """Return the decisions and outcomes of one rollout."""
+        """Take `args.rollout` steps with the policy; return the decisions, and the outcomes of episodes that ended."""
         self.outcomes = []
         steps = [self._step(model) for _ in range(self.args.rollout)]
         features, actions, log_probs, values, rewards, continues = map(torch.stack, zip(*steps, strict=True))
@@ -177,7 +177,10 @@ class Collector:
 def compute_advantages(
     rewards: torch.Tensor, values: torch.Tensor, continues: torch.Tensor, last_values: torch.Tensor, args: Args
 ) -> torch.Tensor:
-    """Return generalized advantage estimates (k, n) of k steps (Schulman et al., ICLR 2016)."""
+    """Return generalized advantage estimates (k, n) of k steps of n environments (Schulman et al., ICLR 2016).
+
+    `continues` (k, n) is 0 in steps that end an episode, else 1; `last_values` (n,) are those after the last step.
+    """
     advantages, advantage, next_values = torch.zeros_like(rewards), torch.zeros_like(last_values), last_values
     for step in reversed(range(len(rewards))):
         error = rewards[step] + args.discount * next_values * continues[step] - values[step]
@@ -187,7 +190,7 @@ def compute_advantages(
 
 
 def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, args: Args) -> None:
-    """Update the networks by PPO (Schulman et al., 2017)."""
+    """Update both networks by PPO (Schulman et al., 2017) on a batch of decisions, in `args.epochs` passes."""
     count = batch.advantages.numel()
     rows = Batch(*(part.reshape(count, *part.shape[2:]) for part in batch))
     for _ in range(args.epochs):
@@ -205,7 +208,7 @@ def update(model: ActorCritic, optimizer: torch.optim.Optimizer, batch: Batch, a
 
 
 def train(args: Args) -> ActorCritic:
-    """Train a receiver until the limit of decisions or of time is reached."""
+    """Train a receiver until the limit of decisions or of time is reached, and return its networks."""
     started, learning_s = time.monotonic(), 0.0
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)  # The networks are small, and the other cores simulate.

@@ -5,10 +5,9 @@ The script needs the extra `train`, and by default MuJoCo; `--physics fast` does
     python experiments/training/train_receiver_sb3.py --data-dir DIR --out runs/receiver
 
 The policy learns when to close the gripper, and to correct the approach to a grasp
-(`handover_marl.learning.receiver_schemes.GraspServoScheme`), from the sparse reward, on nine tenths
-of a training split, with evaluations without exploration noise on the validation split. The folder
-gets `policy.npz` (`--receivers learned:runs/receiver/policy.npz`), `progress.csv`, TensorBoard logs, and a
-checkpoint, from which `--resume` continues.
+(`handover_marl.learning.receiver_schemes.GraspServoScheme`), from the sparse reward, on nine tenths of a training
+split, with evaluations without exploration noise on the validation split. The folder gets `policy.npz` (`--receivers
+learned:runs/receiver/policy.npz`), `progress.csv`, TensorBoard logs, and a checkpoint, from which `--resume` continues.
 """
 
 import functools
@@ -50,7 +49,7 @@ def main(args: Args) -> Path:
 
 
 def explore_gripper(initial_std: float, model: PPO) -> None:
-    """Explore more than in the motion when the gripper closes: random closing succeeds now and then."""
+    """Set the initial deviation of the output that closes the gripper: random closing succeeds now and then."""
     with torch.no_grad():
         model.policy.log_std[-1] = math.log(initial_std)
 

@@ -4,12 +4,11 @@ The script needs the extras `train`, `planning` and `vision`.
 
     python experiments/training/train_vision.py --data-dir DIR --out runs/vision
 
-The script renders views of a training split from random poses of the wrist camera, validates the objects'
-grasps in simulation if that was not done yet, and trains the network to predict good grasps. With
-`--extra-datasets generated:n=1000,seed=7`, the training scenes of other data sets are used too. At the end the
-receiver is evaluated on the validation split in fast physics. The folder gets `vision.npz`
-(`--receiver vision:weights=runs/vision/vision.npz`), TensorBoard logs, the views, and a checkpoint, from which
-`--resume` continues.
+The script renders views of a training split from random poses of the wrist camera, validates the objects' grasps in
+simulation if that was not done yet, and trains the network to predict good grasps. With `--extra-datasets
+generated:n=1000,seed=7`, the training scenes of other data sets are used too. At the end the receiver is evaluated on
+the validation split in fast physics. The folder gets `vision.npz` (`--receiver vision:weights=runs/vision/vision.npz`),
+TensorBoard logs, the views, and a checkpoint, from which `--resume` continues.
 """
 
 import re
@@ -56,7 +55,7 @@ class Args(ImitationArgs):
 
 
 def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int]) -> GraspViews:
-    """Return the views of scenes of a data set; generate missing ones."""
+    """Return the views of scenes of a data set; render those that are not in the folder of the run."""
     folder, data_dir = run.folder / "views", args.data_dir
     if dataset != args.dataset:
         folder, data_dir = folder / re.sub(r"\W+", "-", dataset), None
@@ -66,7 +65,7 @@ def load_views(args: Args, run: ImitationRun, dataset: str, scenes: Sequence[int
 
 
 def main(args: Args) -> Path:
-    """Train; return the path of the network's weights."""
+    """Train; return the path of the weights of the best network."""
     data = args.open_dataset(args.robot)
     setup = data.resolve_setup(args.setup)
     scenes = data.list_scenes(setup, "train")[:: args.stride]
@@ -81,7 +80,7 @@ def main(args: Args) -> Path:
     held_out = GraspViews._make(part[:: -(-len(part) // N_HELD_OUT)] for part in others)
 
     def load_all(number: int) -> GraspViews:
-        """Return the views of all data sets."""
+        """Return the views of the training scenes of all data sets; there is only the round 0."""
         return join_samples([load_views(args, run, name, ids) for name, ids in training.items()])
 
     return run.train(

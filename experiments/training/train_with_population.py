@@ -10,10 +10,9 @@
 | `history` | as `population`, with the features of the receiver's last four decisions (`close_stack`) |
 
 `fictitious_co_play` simplifies the method of Strouse et al. (NeurIPS 2021): the two policies of a pair are trained one
-after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated
-`cooperative`; there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in
-`OUT/pairs`. The script needs the extra `train`. The same command continues an interrupted run
-after the last written policy.
+after the other, the receiver with `replay`, and then the giver with this receiver, after it has imitated `cooperative`;
+there are no untrained partners. The policies are `OUT/EGO_METHOD/SEED.npz`, the pairs are in `OUT/pairs`. The script
+needs the extra `train`. The same command continues an interrupted run after the last written policy.
 """
 
 from dataclasses import dataclass, field, replace
@@ -78,7 +77,7 @@ class Args(SetupArgs):
             raise OptionError(f"out must be a path without commas and equals signs, got {self.out}")
 
     def open_folder(self, name: str, free: tuple[str, ...]) -> Path:
-        """Return a folder of `out`, after a check that it holds no policies of other arguments except `free` ones."""
+        """Return a folder in `out`, after a check that its policies have the same arguments, except those in `free`."""
         path = self.out / name
         return open_run_folder(path, self, path.exists(), self.open_dataset().name, free)
 
@@ -138,7 +137,7 @@ def train_pairs(args: Args) -> Path:
 
 
 def main(args: Args) -> list[Path]:
-    """Train a policy with every seed, and return the policy files.
+    """Train a policy with every seed, and return the paths of the policy files.
 
     Raises:
         ResultsError: The folder holds policies of other arguments.

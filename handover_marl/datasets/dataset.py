@@ -22,7 +22,7 @@ TABLE_HEIGHT = np.float32(config.TABLE_HEIGHT)
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """Description of a handover scene without its motion.
+    """Description of a handover scene: giver and objects, without their motion.
 
     Attributes:
         scene_id: Number of the scene; for official scenes it is 100 * subject + 5 * object + trial.
@@ -106,7 +106,7 @@ class Scene:
         return (self.assets.table, self.assets.panda, *self.assets.objects, self.assets.hand)
 
     def is_hand_present(self, frames: npt.NDArray[np.int_]) -> npt.NDArray[np.bool_]:
-        """Return for each of the given frames whether the human hand is visible."""
+        """Return for each frame index (n,), 1 ms each, whether the human hand is visible, (n,)."""
         if self.hand_first is None or self.hand_last is None:
             return np.zeros(frames.shape, dtype=bool)
         return (self.hand_first <= frames) & (frames <= self.hand_last)
@@ -169,7 +169,7 @@ class Dataset(ABC):
 
     @property
     def panda_urdf(self) -> Path:
-        """Path of the robot's URDF, by default the library's; raises `DataNotFoundError` if it is missing."""
+        """Path of the robot's URDF, by default the library's; a missing file raises `DataNotFoundError`."""
         return PANDA_URDF if self.robot == PANDA else CAMERA_PANDA_URDF
 
     @abstractmethod
@@ -181,11 +181,10 @@ class Dataset(ABC):
         """Load a scene by its number, with its motion."""
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps of an object class, by default the library's.
+        """Load the robot grasps of an object class, e.g. "025_mug", by default the library's.
 
         Returns:
-            (n, 4, 4) gripper poses in the object's frame (m), or None for a class that is too large
-            for the gripper.
+            (n, 4, 4) gripper poses in the object's frame (m), or None for a class that is too large for the gripper.
 
         Raises:
             DataNotFoundError: The grasp file is missing.
@@ -193,7 +192,7 @@ class Dataset(ABC):
         return load_object_grasps(object_name)
 
     def find_object_urdf(self, object_name: str) -> Path:
-        """Return the path of an object class's URDF, by default the library's.
+        """Return the path of the URDF of an object class, e.g. "025_mug"; by default the library's file.
 
         Raises:
             DataNotFoundError: The file is missing.
@@ -210,10 +209,10 @@ class Dataset(ABC):
 
     @abstractmethod
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return a text that changes with the scene's motion, models or robot grasps."""
+        """Return a text that identifies a scene's content: it changes with the motion, models or robot grasps."""
 
     def describe_models(self, scene_id: int) -> str:
-        """Return a note for results on the origin of a scene's models; empty for the user's and the library's."""
+        """Return a note for results on the origin of a scene's models, e.g. "stand-in hand"; "" if there is none."""
         return ""
 
     def find_side(self, scene_id: int) -> str:
@@ -221,7 +220,7 @@ class Dataset(ABC):
         return self.load_info(scene_id).side
 
     def resolve_setup(self, setup: str | None) -> str:
-        """Return the name of a setup; None is the default.
+        """Return the name of a setup, after a check that it exists; None gives the default setup.
 
         Raises:
             UnknownNameError: The data set has no such setup.
@@ -246,7 +245,7 @@ class Dataset(ABC):
             raise SceneError(f"scene {scene_id} does not exist; scenes are numbered 0 to {self.n_scenes - 1}")
 
     def find_assets(self, info: SceneInfo, hand: Path) -> SceneAssets:
-        """Find the URDF files of a scene's bodies, with the library's table.
+        """Return the URDF files of a scene's bodies, with the library's table and the URDF `hand` of the person's hand.
 
         Raises:
             DataNotFoundError: A file is missing.

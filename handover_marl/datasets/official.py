@@ -47,8 +47,7 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
     """Read the meta file of a scene.
 
     Returns:
-        Description of the scene, and the indices of its objects in the pose file, the handed-over
-        one first.
+        Description of the scene, and the indices of its objects in the pose file, the handed-over one first.
 
     Raises:
         DataFormatError: The file lacks a key or has an invalid object or hand.
@@ -65,7 +64,9 @@ def _read_scene_info(path: Path, scene_id: int) -> tuple[SceneInfo, list[int]]:
 
 
 def _read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Read the motion of the objects (T, n, 6), in the order from `_read_scene_info`, and of the hand (T, 51).
+    """Read a scene's motion at 1 kHz in the table's frame (m, rad): of n objects (T, n, 6), and of the hand (T, 51).
+
+    `order` are the indices in the file of the objects in the result, from `_read_scene_info`.
 
     Raises:
         DataFormatError: The file is damaged or has another number of objects.
@@ -87,7 +88,9 @@ def _read_scene_motion(path: Path, order: list[int]) -> tuple[npt.NDArray[np.flo
 
 
 def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any]) -> None:
-    """Check class numbers, index of the handed-over object and hand (["right"] or ["left"]) of a meta file.
+    """Check the objects and the hand in a meta file, whose path is for errors.
+
+    `ids` are class numbers, `grasped` is the index of the handed-over object; `sides` must be ["right"] or ["left"].
 
     Raises:
         DataFormatError: A scene cannot have these objects or hands.
@@ -107,7 +110,7 @@ def check_scene_meta(path: Path, ids: list[int], grasped: int, sides: list[Any])
 
 
 def load_grasps(path: Path) -> npt.NDArray[np.float64]:
-    """Load the gripper poses (n, 4, 4) `object_from_gripper` (m) of a grasp file.
+    """Load the gripper poses (n, 4, 4) in the object's frame (m) from a grasp file of HandoverSim (.npy).
 
     Raises:
         UnsafeFileError: The pickle uses something other than arrays and plain values.
@@ -135,7 +138,7 @@ class OfficialDataset(Dataset):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        data_dir: Data folder.
+        data_dir: Path of the data folder.
 
     Raises:
         OptionError: `data_dir` is not a path.
@@ -188,7 +191,7 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps of a YCB class."""
+        """Load the robot grasps (n, 4, 4) of a YCB class, see `Dataset.load_grasps`; None for one without grasps."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path)
 
@@ -216,7 +219,7 @@ class OfficialDataset(Dataset):
         return digest.hexdigest()[:16]
 
     def describe_models(self, scene_id: int) -> str:
-        """Return the kind of hand model, and the models that are not HandoverSim's own."""
+        """Return a note on models, e.g. "MANO hand, stand-in grasps": kind of hand, and files not of HandoverSim."""
         info = self.load_info(scene_id)
         parts = [self._origin(f"{name}/model_normalized_convex.obj") for name in info.object_names]
         hand = self._hand_origin(f"{info.subject}_{info.side}")

@@ -23,7 +23,7 @@ PANDA_FILES = {
 }
 #: Text among the first bytes of a stand-in file.
 STAND_IN: Final = "handover_marl stand-in"
-#: Hand links (from 1) with a reduced collision mesh: roots of middle, little and ring finger.
+#: Numbers (from 1) of human hand links with a reduced collision mesh: roots of middle, little and ring finger.
 REDUCED_COLLISION_LINKS = (5, 8, 11)
 N_HAND_MESHES = 16
 # Scenes run without textures, and without the camera's body, which HandoverSim's URDFs name at a
@@ -33,7 +33,7 @@ _HEADER_BYTES = 1000
 
 
 class FileOrigin(Enum):
-    """Origin of a model or grasp file."""
+    """Origin of a model or grasp file: HandoverSim's file, a stand-in of this library, or unknown."""
 
     ORIGINAL = "original"
     STAND_IN = "stand-in"
@@ -42,7 +42,7 @@ class FileOrigin(Enum):
 
 @cache
 def read_third_party_checksums() -> MappingProxyType[str, str | None]:
-    """Return the SHA-256 of every third-party file by its path in `assets/`; None if unknown."""
+    """Return the SHA-256 (hexadecimal) of every third-party file by its path in `assets/`; None if it is unknown."""
     text = (files(__package__) / "third_party.sha256").read_text()
     pairs = [line.split(maxsplit=1) for line in text.splitlines() if line and not line.startswith("#")]
     return MappingProxyType({path: None if known == "-" else known for known, path in pairs})
@@ -54,7 +54,7 @@ def list_required_files() -> tuple[str, ...]:
 
 
 def classify_file_origin(path: str, content: bytes) -> FileOrigin:
-    """Return the origin of a third-party file from its path in `assets/` and its content."""
+    """Return STAND_IN if the content is marked so, ORIGINAL if it has the known checksum of `path`, else UNKNOWN."""
     if STAND_IN.encode() in content[:_HEADER_BYTES]:
         return FileOrigin.STAND_IN
     known = read_third_party_checksums().get(path)
@@ -94,7 +94,7 @@ def _is_open(mesh: bytes) -> bool:
 
 
 def find_origin(assets: Path, path: str) -> FileOrigin:
-    """Return the origin of a third-party file by its path in `assets/`; UNKNOWN if unreadable."""
+    """Return the origin of a third-party file by its path in the folder `assets`; UNKNOWN if it cannot be read."""
     try:
         return classify_file_origin(path, read_plain_file(assets / path))
     except (OSError, ValueError):
@@ -107,7 +107,10 @@ def is_stand_in_file(path: Path) -> bool:
 
 
 def describe_origins(kind: str, *origins: FileOrigin) -> list[str]:
-    """Return ["stand-in KIND"] or ["KIND of unknown origin"], or [] if all files of the kind are HandoverSim's."""
+    """Return a note on files of a kind, e.g. "grasps", from the origin of each file, as a list of one or no text.
+
+    It is "stand-in KIND" if a file is a stand-in, else "KIND of unknown origin" if an origin is unknown.
+    """
     if FileOrigin.STAND_IN in origins:
         return [f"stand-in {kind}"]
     return [f"{kind} of unknown origin"] if FileOrigin.UNKNOWN in origins else []

@@ -26,7 +26,7 @@ DATA_FOLDER_ADVICE = (
 
 
 class DatasetKind(NamedTuple):
-    """Kind of data sets.
+    """Kind of data sets, such as DexYCB or generated scenes, and its texts in reports and errors.
 
     Attributes:
         title: Name in reports; reports show `TITLE: ARGUMENT` if the data set's name has an argument.
@@ -102,7 +102,7 @@ def _open_dexycb(data_dir: str | None, robot: str) -> Dataset:
 
 
 def _split_name(name: str) -> tuple[str, str]:
-    """Return the kind and the argument of a data set's name.
+    """Return the kind and the argument of a data set's name: "own:FOLDER" gives ("own", "FOLDER"); "" for no argument.
 
     Raises:
         UnknownNameError: There is no such kind, or the argument is missing or superfluous.
@@ -115,7 +115,7 @@ def _split_name(name: str) -> tuple[str, str]:
 
 
 def format_dataset_title(name: str) -> str:
-    """Return a data set's name in reports, such as "DexYCB"; an unknown name is returned unchanged."""
+    """Return a data set's title in reports, such as "DexYCB" for "dexycb"; return an unknown name unchanged."""
     try:
         kind, argument = _split_name(name)
     except UnknownNameError:
@@ -144,7 +144,7 @@ class DataLocation:
 
     @classmethod
     def from_data_dir(cls, data_dir: str | os.PathLike[str] | None, dataset: str = "dexycb") -> "DataLocation":
-        """Return the location for the arguments `data_dir` and `dataset` on this machine."""
+        """Return the location on this machine, for the arguments `data_dir` and `dataset` of an evaluation."""
         # The variable names the folder of DexYCB only.
         environment = os.environ.get(DATA_DIR_VARIABLE) if dataset == "dexycb" else None
         return cls(_resolve_path(data_dir), _resolve_path(environment))
@@ -163,7 +163,9 @@ class DataLocation:
 
 
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
-    """Check that a scene here equals the scene on the main machine; an expected fingerprint "" accepts any.
+    """Check that a scene is the same on this machine as on the machine that started the evaluation.
+
+    `found` and `expected` are the fingerprints here and there, see `Dataset.compute_fingerprint`; "" accepts any.
 
     Raises:
         DataFormatError: The fingerprints differ.

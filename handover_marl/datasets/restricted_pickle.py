@@ -1,6 +1,6 @@
 """Unpickling of arrays from untrusted files: grasp files of HandoverSim and hand models of MANO.
 
-Such a pickle gets the functions and classes in `ARRAY_NAMES`, and those that the caller allows, no others.
+Such a pickle can use the functions and classes in `ARRAY_NAMES`, and those that the caller allows, no others.
 """
 
 import functools
@@ -14,7 +14,7 @@ import numpy as np
 from handover_marl.errors import UnsafeFileError
 from handover_marl.execution.files import shorten_text
 
-#: What a pickle may call or create, by the module and name that it asks for.
+#: Functions and classes that a pickle may use, by the module and name that it asks for.
 AllowedNames: TypeAlias = Mapping[tuple[str, str], Callable[..., object]]
 
 # NumPy's functions that make arrays; their modules have other names in other versions.
@@ -51,9 +51,7 @@ class _RestrictedUnpickler(pickle.Unpickler):
 
 
 def load_restricted(data: bytes, allowed: AllowedNames = ARRAY_NAMES) -> Any:
-    """Load a pickle of any protocol, with functions and classes that it may use besides those in `ARRAY_NAMES`.
-
-    Nothing is imported.
+    """Load an untrusted pickle, which can use nothing but the functions and classes in `ARRAY_NAMES` and `allowed`.
 
     Raises:
         UnsafeFileError: The pickle asks for another name; the message follows "the pickle".

@@ -38,7 +38,7 @@ _LATER_SUBJECTS = frozenset(range(2, 10))
 
 @dataclass(frozen=True)
 class _Filter:
-    """Subjects, objects, trials and hand (None for both) of the scenes of a split."""
+    """Subjects, objects, trials and hand ("right" or "left", None for both) of the scenes of a split."""
 
     subjects: frozenset[int] = frozenset(range(10))
     objects: frozenset[int] = _ALL_OBJECTS
@@ -100,12 +100,14 @@ def _is_in_split(scene: int, selected: _Filter, find_side: Callable[[int], str])
 
 
 def get_prescribed_side(scene: int) -> Literal["left", "right"]:
-    """Return the giver's hand in a scene whose trial is in `PRESCRIBED_SIDE_TRIALS`."""
+    """Return the giver's hand in a scene by its number; the trial must be in `PRESCRIBED_SIDE_TRIALS`."""
     return "right" if scene % 5 < 2 else "left"
 
 
 def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, where: str) -> tuple[int, ...]:
-    """Return the chosen scenes (None: all) of a split in ascending order without repetitions.
+    """Return the chosen `scenes` (None: all) among the numbers of a split, in ascending order without repetitions.
+
+    `where` is the name of the split, for errors.
 
     Raises:
         SceneError: The split or `scenes` is empty, or `scenes` has something other than the split's scene numbers.
@@ -131,7 +133,7 @@ def choose_scenes(split_ids: tuple[int, ...], scenes: Iterable[int] | None, wher
 
 
 def select_scenes_evenly(scene_ids: Sequence[int], n: int) -> tuple[int, ...]:
-    """Return at most n scenes, evenly spaced over a split.
+    """Return at most n of the scene numbers of a split, evenly spaced over their order.
 
     Raises:
         OptionError: n is not a whole number of at least 1.

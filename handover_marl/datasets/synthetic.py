@@ -39,7 +39,7 @@ class SyntheticDataset(HandoverGenerator):
     scene_format = "03d"
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate an existing scene."""
+        """Generate the scene with an existing number."""
         return _generate_scene(scene_id)
 
     def find_side(self, scene_id: int) -> str:
@@ -48,7 +48,7 @@ class SyntheticDataset(HandoverGenerator):
         return _find_side(scene_id)
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return the version of the scene generator."""
+        """Return the version of the scene generator, which determines all scenes."""
         return f"synthetic-{VERSION}"
 
 

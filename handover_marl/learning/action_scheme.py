@@ -26,7 +26,7 @@ class ActionScheme(ABC):
     Attributes:
         name: Name of the scheme in policy files.
         agent: Agent that acts, "giver" or "receiver".
-        size: Number of outputs.
+        size: Number of network outputs that the scheme decodes.
         wait: Time at the start of an episode during which the agent does not act (s); may be changed
             only in schemes in which it is not zero by default.
         outputs: Current outputs (size,) of the network, float64; zeros at the start of an episode.
@@ -45,7 +45,7 @@ class ActionScheme(ABC):
         self.reset()
 
     def reset(self) -> None:
-        """Clear the state of the previous episode."""
+        """Clear the state of the previous episode; the outputs become zero."""
         self.outputs: npt.NDArray[np.float64] = np.zeros(self.size)
 
     def needs_outputs(self, observation: Observation) -> bool:
@@ -53,27 +53,29 @@ class ActionScheme(ABC):
         return True
 
     def set_outputs(self, outputs: Outputs) -> None:
-        """Store new network outputs (size,), clipped to [-1, 1]."""
+        """Use network outputs (size,), clipped to [-1, 1], until the next call."""
         self.outputs = np.clip(np.asarray(outputs, dtype=np.float64), -1.0, 1.0)
 
     @abstractmethod
     def compute_action(self, observation: Observation) -> Action:
-        """Return the agent's action for the current outputs, an element of its action space."""
+        """Decode the current outputs: return the action, float32, (8,) of a giver or (9,) of a receiver."""
 
 
 class ArrayScheme(ABC):
     """Decoder of network outputs into one agent's actions, in each of n episodes.
 
+    Methods act on r of the n episodes: `rows` are their indices, and all other arrays have one row for each of them.
+
     Args:
         context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
+        selector: Selector of the grasps that some schemes and features use.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
 
     Attributes:
         name: Name of the scheme in policy files.
         agent: Agent that acts, "giver" or "receiver".
-        size: Number of outputs.
+        size: Number of network outputs that the scheme decodes.
         wait: Time at the start of an episode during which the agent does not act (s); may be changed only in schemes
             in which it is not zero by default.
     """
@@ -95,32 +97,35 @@ class ArrayScheme(ABC):
         self.allocate(context, count)
 
     def allocate(self, context: PolicyContext, count: int) -> None:  # noqa: B027
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the constants and the arrays (n, ...) that a subclass needs for n = `count` episodes; called once."""
 
     def reset(self, row: int) -> None:
-        """Clear the state of the previous episode.
+        """Clear the state of a finished episode, so that the next one can use its row.
 
         Args:
-            row: Index of the episode.
+            row: Index of the episode among the n episodes.
         """
         self._outputs[row] = 0.0
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether the network must be evaluated now, in each of r episodes."""
+        """Return whether the network must be evaluated now, (r,), in each of the r episodes with indices `rows`.
+
+        The other episodes keep their previous outputs. `observation` has arrays (r, ...).
+        """
         return self._arrays.full(len(rows), True, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store new network outputs (r, size), clipped to [-1, 1]."""
+        """Use outputs (r, size), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
         xp = self._arrays.xp
         self._outputs[rows] = xp.astype(outputs, xp.float64).clip(-1.0, 1.0)
 
     @abstractmethod
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the agent's actions (r, ...) for the current outputs, float32.
+        """Decode the current outputs of r episodes: return actions, float32, (r, 8) of givers or (r, 9) of receivers.
 
         Args:
             rows: Indices (r,) of the episodes.
-            observation: Arrays (r, ...) of the agent's observations.
+            observation: Arrays (r, ...) of the agent's observations in these episodes.
         """
 
 
@@ -128,18 +133,18 @@ class RawScheme(ArrayScheme):
     """Identity scheme: the outputs are the actions in physical units and are not clipped."""
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store new network outputs (r, size) without clipping."""
+        """Use outputs (r, size), without clipping, in the episodes with indices `rows` until their next call."""
         xp = self._arrays.xp
         self._outputs[rows] = xp.astype(outputs, xp.float64)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the current outputs as the actions, float32."""
+        """Return the current outputs (r, size) of the episodes with indices `rows` as their actions, float32."""
         xp = self._arrays.xp
         return xp.astype(self._outputs[rows], xp.float32)
 
 
 class SingleScheme(ActionScheme):
-    """Action scheme that takes and returns the values of one episode, without the axis of episodes.
+    """Action scheme of one episode that wraps an `ArrayScheme`: its arrays have no axis of episodes.
 
     Args:
         scheme: Scheme of n = 1 episode.
@@ -164,7 +169,7 @@ class SingleScheme(ActionScheme):
         self.scheme.wait = wait
 
     def reset(self) -> None:
-        """Clear the state of the previous episode."""
+        """Clear the state of the previous episode; the outputs become zero."""
         self.scheme.reset(0)
 
     def needs_outputs(self, observation: Observation) -> bool:
@@ -176,6 +181,6 @@ class SingleScheme(ActionScheme):
         self.scheme.set_outputs(ONLY_ROW, np.asarray(outputs)[None])
 
     def compute_action(self, observation: Observation) -> Action:
-        """Return the agent's action for the current outputs, an element of its action space."""
+        """Decode the current outputs: return the action, float32, (8,) of a giver or (9,) of a receiver."""
         action: Action = self.scheme.compute_actions(ONLY_ROW, add_episode_axis(observation))[0]
         return action

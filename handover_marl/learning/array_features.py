@@ -32,20 +32,20 @@ from handover_marl.geometry.ycb import LARGEST_YCB_CLASS
 from handover_marl.learning.grasp_selector import LowestCostGraspSelector
 from handover_marl.policies.policy import PolicyContext
 
-#: Scale of positions, and of the translation to a grasp (1/m).
+#: Factors by which features scale positions, and translations to a grasp (1/m).
 SCALE, GRASP_SCALE = 10.0, 5.0
-#: Number of decisions in stacked features.
+#: Number of decisions whose features `StackedFeatures` contains.
 N_STACKED = 4
 
 
 class ArrayFeatures(ABC):
-    """Function from observations of r episodes to feature vectors, float32.
+    """Function from observations in r of n episodes to feature vectors, float32.
 
     Args:
         context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
+        selector: Selector of the grasps that some features contain.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
 
     Attributes:
         name: Name of the features in policy files.
@@ -73,18 +73,18 @@ class ArrayFeatures(ABC):
         self.allocate(count)
 
     def allocate(self, count: int) -> None:  # noqa: B027
-        """Create what features store of n episodes."""
+        """Create the arrays (n, ...) in which a subclass stores values of n = `count` episodes; called once."""
 
     def reset(self, row: int) -> None:  # noqa: B027
-        """Clear the values that are stored from the previous episode.
+        """Clear the stored values of a finished episode, so that the next one can use its row.
 
         Args:
-            row: Index of the episode.
+            row: Index of the episode among the n episodes.
         """
 
     @abstractmethod
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, m).
+        """Return the feature vectors (r, size), float32, of r of the n episodes.
 
         Args:
             rows: Indices (r,) of the episodes.
@@ -93,7 +93,7 @@ class ArrayFeatures(ABC):
 
 
 def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArray]:
-    """Return the frames at the objects' recorded positions 0.5 s later, with x towards the gripper.
+    """Return the frames of r planned handovers, at the objects' positions 0.5 s later in the givers' recordings.
 
     Returns:
         Origins (r, 3) in the world (m), and axes as columns (r, 3, 3) in the world: x points horizontally towards the
@@ -110,14 +110,14 @@ def compute_handover_frames(observation: Observation) -> tuple[AnyArray, AnyArra
 
 
 def rotate_to_frame(axes: AnyArray, vectors: AnyArray) -> AnyArray:
-    """Transform vectors (r, ..., 3) from the world to frames whose axes are the columns of (r, 3, 3)."""
+    """Rotate vectors (r, ..., 3) from the world to r frames, whose axes are the columns of `axes` (r, 3, 3)."""
     matrix = axes.reshape(len(axes), *[1] * (vectors.ndim - 2), 3, 3)
     parts = [vectors[..., axis, None] * matrix[..., axis, :] for axis in range(3)]
     return parts[0] + parts[1] + parts[2]
 
 
 def rotate_to_world(axes: AnyArray, vectors: AnyArray) -> AnyArray:
-    """Transform vectors (r, 3) to the world from frames whose axes are the columns of (r, 3, 3)."""
+    """Rotate vectors (r, 3) to the world from r frames, whose axes are the columns of `axes` (r, 3, 3)."""
     return rotate_to_frame(axes.swapaxes(1, 2), vectors)
 
 
@@ -133,7 +133,7 @@ class GiverFeatures(ArrayFeatures):
     name, agent, size = "giver", "giver", 18 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 39)."""
+        """Return the features (r, 39) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         origins, axes = compute_handover_frames(observation)
         xp, wrists = get_namespace(origins), widen(observation["replay_wrist_poses"][:, -1, :3])
         later = normalize_quaternions(widen(observation["replay_object_poses"][:, -1, 3:]))
@@ -158,17 +158,16 @@ class GiverFeatures(ArrayFeatures):
 class ReceiverFeatures(ArrayFeatures):
     """Features (56) from which a receiver can take an object to the goal.
 
-    In the gripper frame: positions of the object, the person's wrist, the mean of the person's
-    fingers and the goal, the object's orientation, and the world's vertical. Then follow the robot's
-    finger joints and their velocities, its arm joints, whether the object was released, the elapsed
-    share of the episode, whether a hand is present, and the YCB class of the object (one-hot;
-    zeros for another class).
+    In the gripper frame: positions of the object, the person's wrist, the mean of the person's fingers and the goal,
+    the object's orientation, and the world's vertical. Then follow the robot's finger joints and their velocities, its
+    arm joints, whether the object was released, the elapsed share of the episode, whether a hand is present, and the
+    YCB class of the object (one-hot; zeros for another class).
     """
 
     name, agent, size = "receiver", "receiver", 35 + LARGEST_YCB_CLASS
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 56)."""
+        """Return the features (r, 56) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         gripper, items = widen(observation["gripper_pose"]), widen(observation["object_poses"])
         xp, axes = get_namespace(gripper), matrices_from_quaternions(gripper[:, 3:])
         keypoints = widen(observation["hand_keypoints"])
@@ -193,21 +192,25 @@ class ReceiverFeatures(ArrayFeatures):
 
 
 class GraspFeatures(ReceiverFeatures):
-    """Features (64): those of `ReceiverFeatures`, and of the known grasp of lowest cost (8).
+    """Features (64): those of `ReceiverFeatures` (56), and of the known grasp of lowest cost (8).
 
-    In the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
+    The latter are, in the gripper frame: translation to the grasp (3, scaled), rotation vector to it (3), clearance
     of the gripper to the person's hand at the grasp (1, scaled), and whether grasps of the object are known (1).
     """
 
     name, size = "grasp", ReceiverFeatures.size + 8
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 64), those of the grasp last."""
+        """Return the features (r, 64) of the episodes with indices `rows`, those of the grasp last."""
         vectors = [super().__call__(rows, observation), self.compute_grasps(rows, observation)]
         return get_namespace(vectors[0]).concat(vectors, axis=1)
 
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return features (r, 8) of the known grasps of lowest cost; zeros if no grasp of an object is known."""
+        """Return grasp features (r, 8) in the episodes with indices `rows`; zeros where no grasp is known.
+
+        The features are, in the gripper frame: translation to the grasp of lowest cost (3, times `GRASP_SCALE`),
+        rotation vector to it (3, rad), clearance to the person's hand there (1, dm), and whether grasps are known (1).
+        """
         grasps, clearances, exists = self._selector.select(rows, observation)
         xp, gripper = get_namespace(grasps), widen(observation["gripper_pose"])
         grasps = xp.where(exists[:, None], grasps, self._arrays.asarray(IDENTITY.copy()))
@@ -237,7 +240,7 @@ class GraspProximityFeatures(GraspFeatures):
     position_scale, angle_scale = 0.03, 0.2
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the features (r, 12) of grasps and grippers."""
+        """Return the features (r, 12) of the episodes with indices `rows`, whose observations have arrays (r, ...)."""
         grasp = self.compute_grasps(rows, observation)
         xp = get_namespace(grasp)
         translation, rotation, exists = grasp[:, :3], grasp[:, 3:6], grasp[:, 7:]
@@ -259,17 +262,17 @@ class StackedFeatures(GraspProximityFeatures):
     name, size = "close_stack", N_STACKED * GraspProximityFeatures.size
 
     def allocate(self, count: int) -> None:
-        """Create the stacks of n episodes."""
+        """Create the stacks of n = `count` episodes, filled with zeros."""
         arrays = self._arrays
         self._stacks = arrays.zeros((count, N_STACKED, GraspProximityFeatures.size), "float32")
         self._times = arrays.full(count, -1.0)
 
     def reset(self, row: int) -> None:
-        """Forget the decisions of the previous episode."""
+        """Fill the stack at index `row` with zeros, since a new episode starts there."""
         self._stacks[row], self._times[row] = 0.0, -1.0
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the stacked features (r, N_STACKED * size), those of the present decision first."""
+        """Return features (r, N_STACKED * 12) of the episodes with indices `rows`; a new time means a new decision."""
         times = widen(observation["time"][:, 0])
         later = rows[times != self._times[rows]]
         self._stacks[later, 1:] = self._stacks[later, :-1]
@@ -288,7 +291,7 @@ class FlatFeatures(ArrayFeatures):
     keys: ClassVar[tuple[str, ...]]
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the complete observations as vectors (r, n)."""
+        """Return the observations of the episodes with indices `rows` as vectors (r, size)."""
         parts = [observation[key].reshape(len(rows), -1) for key in self.keys]
         return get_namespace(*parts).concat(parts, axis=1)
 
@@ -301,14 +304,14 @@ class FlatGiverFeatures(FlatFeatures):
 
 
 class FlatReceiverFeatures(FlatFeatures):
-    """Complete states that the receiver observes as vectors."""
+    """Complete observations of the receiver in the mode "state" as vectors."""
 
     name, agent = "flat_receiver", "receiver"
     keys, size = tuple(state_space()), spaces.flatdim(state_space())
 
 
 def _relative_columns(axes: AnyArray, rotations: AnyArray) -> AnyArray:
-    """Return the first two columns of rotations (r, 3, 3) in frames (r, 3, 3), row by row, (r, 6)."""
+    """Return the first two columns of rotations (r, 3, 3) in frames with these axes (r, 3, 3), row by row, (r, 6)."""
     return rotate_to_frame(axes, rotations.swapaxes(1, 2))[:, :2].swapaxes(1, 2).reshape(len(axes), 6)
 
 

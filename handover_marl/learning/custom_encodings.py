@@ -25,10 +25,10 @@ Vector = npt.NDArray[np.float32]
 
 
 def declare_size(size: int) -> Callable[[_Function], _Function]:
-    """Return a decorator that declares the number of features, or of outputs of an action scheme.
+    """Return a decorator that declares the size of a user-defined feature function or action scheme.
 
     Args:
-        size: Number of features that the function returns, or of outputs that it decodes.
+        size: Number of features that the function returns, or of network outputs that it decodes.
 
     Raises:
         OptionError: The size is not an integer of at least 1.
@@ -43,7 +43,7 @@ def declare_size(size: int) -> Callable[[_Function], _Function]:
 
 
 def is_reference(choice: object) -> bool:
-    """Return whether a choice is text of the form `module:name`."""
+    """Return whether a choice of features or of an action scheme is text of the form `module:name`."""
     return isinstance(choice, str) and ":" in choice
 
 
@@ -72,8 +72,7 @@ class FeatureExtractor(ABC):
         """Return the features (size,) of an observation, finite float32 numbers.
 
         Args:
-            observation: Element of the agent's observation space: world frame, m, rad, s, quaternions
-                xyzw.
+            observation: Element of the agent's observation space: world frame, m, rad, s, quaternions xyzw.
         """
 
 
@@ -86,14 +85,14 @@ SchemeLike: TypeAlias = str | type[ActionScheme] | SchemeFunction
 
 
 class CustomFeatures(ArrayFeatures):
-    """User-defined features, one function for each episode; called one after another with NumPy arrays, and checked.
+    """User-defined features of n episodes: one function for each, called one after another; results are checked.
 
     Args:
         agent: "giver" or "receiver".
         choice: Class, instance, or function that declares its size.
         context: Robot, task and known grasps of the objects.
         count: Number n of episodes.
-        arrays: Creator of the feature vectors.
+        arrays: Factory of the feature vectors; the functions themselves get and return NumPy arrays.
         name: Name of the features; default: the name of the class or function.
 
     Raises:
@@ -114,13 +113,13 @@ class CustomFeatures(ArrayFeatures):
         self.size = _check_size(self._what, getattr(self._functions[0], "size", None), "features")
 
     def reset(self, row: int) -> None:
-        """Clear the values that the features store from the previous episode, if there are any."""
+        """Call `reset` of the features of the episode at index `row`, if they have this method."""
         reset = getattr(self._functions[row], "reset", None)
         if callable(reset):
             reset()
 
     def __call__(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the feature vectors (r, m).
+        """Return the feature vectors (r, size), float32, of the episodes with indices `rows`.
 
         Raises:
             EncodingError: The features fail, or return anything but `size` finite float32 numbers.
@@ -145,14 +144,14 @@ class _FunctionScheme(ActionScheme):
 
 
 class CustomScheme(ArrayScheme):
-    """User-defined action schemes, one for each episode; called one after another, and their actions are checked.
+    """User-defined action scheme of n episodes: one instance for each, called one after another; actions are checked.
 
     Args:
         agent: "giver" or "receiver".
         choice: Subclass of `ActionScheme`, or function from outputs and observation to an action.
         context: Robot, task and known grasps of the objects.
         count: Number n of episodes.
-        arrays: Creator of the actions.
+        arrays: Factory of the actions; the schemes themselves get and return NumPy arrays.
         name: Name of the scheme; default: the name of the class or function.
 
     Raises:
@@ -177,22 +176,22 @@ class CustomScheme(ArrayScheme):
         self.wait = self._schemes[0].wait
 
     def reset(self, row: int) -> None:
-        """Clear the state of the previous episode."""
+        """Clear the state of the scheme of the episode at index `row`."""
         _run(self._what, self._schemes[row].reset)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether the network must be evaluated now, in each of r episodes."""
+        """Return whether the network must be evaluated now, (r,), for the r episodes with indices `rows`."""
         own = _split_episodes(rows, observation)
         needs = [bool(_run(self._what, self._schemes[row].needs_outputs, one)) for row, one in own]
         return self._arrays.asarray(needs, "bool")
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store new network outputs (r, size), clipped to [-1, 1] unless a user-defined class does otherwise."""
+        """Pass outputs (r, size) to the schemes of the episodes with indices `rows`; most clip to [-1, 1]."""
         for row, own in zip(rows.tolist(), to_numpy(outputs), strict=True):
             _run(self._what, self._schemes[row].set_outputs, own)
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the agent's actions (r, ...) for the current outputs.
+        """Return the actions of the episodes with indices `rows`, float32: (r, 8) of givers or (r, 9) of receivers.
 
         Raises:
             EncodingError: A scheme fails, or returns anything but a finite float32 action.
@@ -206,7 +205,7 @@ class CustomScheme(ArrayScheme):
 
 
 def _check_size(name: str, size: object, unit: str = "") -> int:
-    """Return a declared number of features or outputs."""
+    """Check a declared number of features or outputs, and return it; `name` and `unit` are for errors."""
     if size is None:
         raise OptionError(
             f"{name} must declare the number of {unit}; add the class attribute size, or @declare_size(n) above a "
@@ -224,7 +223,7 @@ def _get_name(choice: object) -> str:
 
 
 def _make_instances(kind: str, agent: str, choice: Any, context: PolicyContext, count: int) -> list[Any]:
-    """Return a function or scheme for each episode, which share no memory."""
+    """Return a function or scheme for each of `count` episodes, without shared memory: instances, or copies."""
     what, declared = f"{kind} {_get_name(choice)!r}", getattr(choice, "agent", None)
     if isinstance(declared, str) and declared != agent:
         raise OptionError(f"{what} must be for the {agent}, got some for the {declared}; change its attribute agent")
@@ -265,7 +264,7 @@ def _run(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _split_episodes(rows: AnyArray, observation: Observation) -> Iterator[tuple[int, Observation]]:
-    """Yield the indices (r,) of episodes with a copy of the observation of each as NumPy arrays."""
+    """Yield the index of each of r episodes, from `rows`, with a copy of its observation as NumPy arrays."""
     own = {key: to_numpy(values) for key, values in observation.items()}
     for number, row in enumerate(rows.tolist()):
         yield row, {key: values[number].copy() for key, values in own.items()}

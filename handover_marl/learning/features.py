@@ -31,7 +31,7 @@ _FEATURES = {features.name: features for features in _ALL}
 
 
 class AgentFeatures:
-    """Features of one agent in one episode, without the axis of episodes; made by `make_features`.
+    """Function from one observation of an agent to a feature vector, without an axis of episodes; see `make_features`.
 
     Args:
         features: Features of n = 1 episode.
@@ -47,11 +47,11 @@ class AgentFeatures:
         self.space = spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
 
     def reset(self) -> None:
-        """Clear the values that are stored from the previous episode."""
+        """Clear the values that features with memory stored in the previous episode."""
         self._features.reset(0)
 
     def __call__(self, observation: Observation) -> Vector:
-        """Return the features (size,) of an observation.
+        """Return the features (size,) of an observation, float32.
 
         Raises:
             EncodingError: User-defined features fail, or return anything but an element of their space.
@@ -61,7 +61,7 @@ class AgentFeatures:
 
 
 def list_features(agent: str) -> tuple[str, ...]:
-    """Return the names of an agent's built-in features.
+    """Return the names of the built-in features of an agent, "giver" or "receiver".
 
     Raises:
         UnknownNameError: There is no such agent.
@@ -71,7 +71,7 @@ def list_features(agent: str) -> tuple[str, ...]:
 
 
 def count_features(agent: str, name: str) -> int:
-    """Return the length of an agent's feature vector; user-defined features have `make_features(...).size`.
+    """Return the length of one of the feature vectors `list_features(agent)`; others have `make_features(...).size`.
 
     Raises:
         UnknownNameError: The agent is unknown or has no features of that name.
@@ -111,9 +111,9 @@ def make_array_features(
         agent: "giver" or "receiver".
         choice: Features, see `make_features`.
         context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
+        selector: Selector of the grasps that some features contain.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
     """
     list_features(agent)
     if isinstance(choice, str) and not is_reference(choice):

@@ -27,40 +27,38 @@ class GiverScheme(ArrayScheme):
 
     @abstractmethod
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, size) in [-1, 1] whose actions are nearest to givers' actions (r, 8)."""
+        """Return the outputs (r, size) in [-1, 1] that are decoded to the actions nearest to givers' actions (r, 8)."""
 
 
 class DeviationScheme(GiverScheme):
     """Deviation from the recorded motion: the giver's action Box(8), scaled to [-1, 1].
 
-    The giver follows the recording if all outputs are 0, and releases the object if the last output
-    exceeds 0.5.
+    The giver follows the recording if all outputs are 0, and releases the object if the last output exceeds 0.5.
     """
 
     name, size = "deviation", GIVER_ACTION_SIZE
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the bounds of the actions; the constructor calls this once."""
         space, arrays = giver_action_space(context.config.giver), self._arrays
         self._low, self._high = arrays.asarray(space.low, "float64"), arrays.asarray(space.high, "float64")
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions (r, 8): the outputs in physical units, within the actions' bounds."""
+        """Return actions (r, 8) of the episodes with indices `rows`: outputs in physical units, within the bounds."""
         xp = self._arrays.xp
         return xp.astype((self._outputs[rows] * self._high).clip(self._low, self._high), xp.float32)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 8) of givers' actions, divided by their bounds."""
+        """Return the outputs (r, 8) for givers' actions (r, 8): the actions divided by their upper bounds."""
         return (actions / self._high).clip(-1.0, 1.0)
 
 
 class HandoverPoseScheme(GiverScheme):
-    """Scheme with one decision per episode: handover pose, and withdrawal after the release.
+    """Scheme in which the network decides once per episode: handover pose, and withdrawal after the release.
 
-    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before
-    that time the giver follows the recording; afterwards it holds the chosen pose until the object
-    is released, because robots take resting objects best. If the gripper does not approach for two
-    seconds, `HandoverPoseVariation` varies the pose.
+    Outputs are requested when the recorded hand is about to stop at its own handover pose. Before that time the giver
+    follows the recording; afterwards it holds the chosen pose until the object is released, because robots take resting
+    objects best. If the gripper does not approach for two seconds, `HandoverPoseVariation` varies the pose.
 
     | outputs | meaning at 1, in the frame of `compute_handover_frames` |
     |---|---|
@@ -83,21 +81,21 @@ class HandoverPoseScheme(GiverScheme):
     latest_decision_s = 2.5
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the arrays with the decision in each of n = `count` episodes; the constructor calls this once."""
         arrays = self._arrays
         self._pose_variation = HandoverPoseVariation(count, arrays)
         self._decided, self._chosen, self._withdrawn = (arrays.zeros(count, "bool") for _ in range(3))
         self._shift, self._turn, self._withdrawal = (arrays.zeros((count, 3)) for _ in range(3))
 
     def reset(self, row: int) -> None:
-        """Clear the decision of the previous episode; the giver follows the recording."""
+        """Clear the decision of the finished episode at index `row`; the giver follows the recording again."""
         super().reset(row)
         self._decided[row] = self._chosen[row] = self._withdrawn[row] = False
         self._shift[row] = self._turn[row] = 0.0
         self._pose_variation.reset(row)
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether each recorded hand is about to stop and no outputs were set yet."""
+        """Return for the r episodes `rows` whether the recorded hand is about to stop, without outputs so far, (r,)."""
         xp, coming = self._arrays.xp, observation["replay_wrist_poses"][:, 2:, :3]
         moves = xp.astype(xp.max(xp.abs(coming - coming[:, -1:]), axis=(1, 2)), xp.float64)
         is_arriving = moves < self.arrival_tolerance
@@ -106,12 +104,12 @@ class HandoverPoseScheme(GiverScheme):
         return ~self._decided[rows] & can & (is_arriving | is_late)
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store the outputs (r, 7) of these episodes, clipped to [-1, 1]."""
+        """Use outputs (r, 7), clipped to [-1, 1], as the decisions of the episodes with indices `rows`."""
         super().set_outputs(rows, outputs)
         self._decided[rows] = True
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the actions (r, 8): deviation to the chosen poses, or withdrawal after the release."""
+        """Return actions (r, 8) of the episodes with indices `rows`: to the chosen pose, or away after the release."""
         xp = self._arrays.xp
         new = xp.nonzero(self._decided[rows] & ~self._chosen[rows])[0]
         if len(new):
@@ -129,9 +127,9 @@ class HandoverPoseScheme(GiverScheme):
         return make_giver_actions(len(rows), displacement=displacement, rotation=rotation, arrays=self._arrays)
 
     def outputs_from_actions(self, actions: AnyArray, observation: Observation) -> AnyArray:
-        """Return the outputs (r, 7) that choose the handover poses of givers' actions (r, 8).
+        """Return the outputs (r, 7) that choose the same handover poses as givers' actions (r, 8).
 
-        An action contains no withdrawal, so its output is 0: half of the full withdrawal.
+        An action contains no withdrawal, so output 6 is 0: half of the full withdrawal.
         """
         xp, displacement, turn = self._arrays.xp, actions[:, 1:4], widen(actions[:, 4:7])
         center, axes, rotated = self._rotate_about_wrists(turn, observation)
@@ -149,13 +147,13 @@ class HandoverPoseScheme(GiverScheme):
         self._turn[rows], self._chosen[rows] = turn, True
 
     def _rotate_about_wrists(self, turns: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Return origins (r, 3) and axes (r, 3, 3) of the handover frames, and the origins rotated about the wrists."""
+        """Return origins and axes of the handover frames, and the origins rotated by `turns` about the wrists."""
         center, axes = compute_handover_frames(observation)
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])
         return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
-        """Set the displacement of the hands that begin to withdraw."""
+        """Store the displacements, beyond `shift` and away from the gripper, of hands that begin to withdraw, (r,)."""
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal

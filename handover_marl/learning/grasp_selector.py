@@ -17,7 +17,7 @@ from handover_marl.receivers.grasp_library import GraspTable, load_hand_poses
 
 Array = npt.NDArray[np.float64]
 
-#: Clearance beyond which more clearance makes no difference (m).
+#: Largest clearance that is computed: larger ones are set to this (m).
 MAX_CLEARANCE = 0.2
 
 #: Extent of the gripper along the hand link's z axis, from behind its palm to the fingertips (m).
@@ -30,19 +30,19 @@ _FIRST_CANDIDATES = 24
 class LowestCostGraspSelector:
     """Selector of the known grasp of lowest cost, for each of n episodes.
 
-    The cost of a grasp is the gripper's translation plus weighted rotation plus missing clearance to the person's
-    hand. Inverse kinematics is not solved, so the grasp may be out of reach. Grasps rotated by half a turn about the
-    approach axis are candidates too. Selections are kept until the observation changes, since features and action
-    schemes query the same ones.
+    The cost of a grasp (m) is the distance from the gripper's present position to the grasp, plus the weighted angle
+    between both orientations, plus the weighted missing clearance to the person's hand. Inverse kinematics
+    is not solved, so the grasp may be out of reach. Grasps rotated by half a turn about their z axis are candidates
+    too. Selections are kept until the observation changes, since features and action schemes query the same ones.
 
     Args:
         context: Context of a policy, with the objects and their grasps.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
 
     Attributes:
         rotation_weight: Weight of the gripper's rotation in the cost (m/rad).
-        desired_clearance: Desired distance of the hand's joints from the gripper's axis (m).
+        desired_clearance: Desired distance of the joints of the person's hand from the gripper's axis (m).
         clearance_weight: Weight of the amount by which the clearance is below the desired one.
     """
 
@@ -58,15 +58,16 @@ class LowestCostGraspSelector:
         self._table = GraspTable(functools.partial(_load_grasps, context), arrays)
 
     def select(self, rows: AnyArray, observation: Observation) -> tuple[AnyArray, AnyArray, AnyArray]:
-        """Select a grasp of the object to hand over in episodes.
+        """Select a grasp of the object to hand over in each of r episodes.
 
         Args:
             rows: Indices (r,) of the episodes.
             observation: Arrays (r, ...) of their observations.
 
         Returns:
-            World poses (r, 7) of the hand link at the grasps; distances (r,) of the person's hand
-            from the gripper there (m); and whether there is a grasp, (r,).
+            World poses (r, 7) of the hand link at the grasps; distances (r,) in m of the person's hand from the
+            gripper there, at most `MAX_CLEARANCE`; and whether a grasp of the object is known, (r,). Without a
+            known grasp the other values have no meaning.
         """
         xp = self._arrays.xp
         inputs = xp.concat(
@@ -109,7 +110,7 @@ class LowestCostGraspSelector:
         self._clearances[rows[known]] = clearances
 
     def _compute_motion_costs(self, grasps: AnyArray, gripper: AnyArray) -> AnyArray:
-        """Return the costs (r, g) of the gripper's motions to grasps (r, g, 7), all in the object's frame."""
+        """Return the costs (r, g) in m of moving grippers (r, 7) to grasps (r, g, 7), both in the objects' frames."""
         xp = get_namespace(grasps)
         x, y, z, w = (grasps[..., 3 + axis] * gripper[:, None, 3 + axis] for axis in range(4))
         angles = 2.0 * xp.acos(xp.abs(x + y + z + w).clip(None, 1.0))
@@ -119,16 +120,16 @@ class LowestCostGraspSelector:
     def _find_best(
         self, costs: AnyArray, index: AnyArray, joints: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return the best grasp (r,) of each episode and the person's clearance there.
+        """Return the index (r,) of the best grasp in each episode, and the clearance (r,) of the hand there (m).
 
         Clearances are computed for the grasps of lowest cost first. The others are not needed if the
         best of these costs less than any other grasp without its clearance.
 
         Args:
-            costs: Costs (r, g) without the clearance.
-            index: Index (r,) of each object class.
+            costs: Costs (r, g) of g grasps without the clearance.
+            index: Index (r,) of each object class in the table of grasps.
             joints: Joints (r, 16, 3) of the persons' hands in the objects' frames (m).
-            present: Whether there is a hand, (r,).
+            present: Whether there is a person's hand, (r,).
         """
         xp, arrays, (count, number) = self._arrays.xp, self._arrays, costs.shape
         best, clearances = arrays.zeros(count, "int64"), arrays.zeros(count)
@@ -152,7 +153,7 @@ class LowestCostGraspSelector:
         return best, clearances
 
     def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the smallest distances (r, k) in m of hand joints to the gripper's axis at k grasps."""
+        """Return the smallest distances (r, k) in m of hand joints (r, 16, 3) to the gripper's axis at k grasps."""
         xp = get_namespace(joints)
         origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))
@@ -163,13 +164,13 @@ class LowestCostGraspSelector:
 
 
 def _sort_by_cost(costs: AnyArray, place: int) -> AnyArray:
-    """Return the indices (r, g) of grasps in an order in which those before a place cost at most what others cost."""
+    """Return indices (r, g) that sort `costs` (r, g) partly: the first `place` ones have the lowest costs of a row."""
     return costs.argsort(dim=1) if is_tensor(costs) else np.argpartition(costs, place, axis=1)
 
 
 @functools.lru_cache(maxsize=1024)
 def _load_grasps(context: PolicyContext, object_class: int) -> tuple[Array, Array] | None:
-    """Return hand link poses (n, 7) and z axes (n, 3) of a class's grasps and their half turns, in its frame."""
+    """Return poses (n, 7) and z axes (n, 3) of the hand link at a class's grasps and their half turns, in its frame."""
     poses = load_hand_poses(context.grasps, context.object_names[object_class])
     if poses is None:
         return None

@@ -21,13 +21,13 @@ from handover_marl.policies.policy import Policy
 
 
 class NetworkArrayPolicy:
-    """Policy on arrays that evaluates one network for all episodes in one call; see `ArrayPolicy`.
+    """Policy on arrays (n, ...) that evaluates one network for several of n episodes in one call; see `ArrayPolicy`.
 
     Args:
         policy: Policy of a single episode, whose function is a `DenseNetwork`, with built-in features and scheme.
         count: Number n of episodes.
-        check: Function that checks an action that is not finite, and raises an error.
-        arrays: Creator of the arrays.
+        check: Function that is called with an action that is not finite, and raises an error.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
     """
 
     def __init__(
@@ -44,19 +44,19 @@ class NetworkArrayPolicy:
         self._network: DenseNetwork = network.copy_to(arrays)
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Do nothing: a network needs no preparation."""
+        """Do nothing: a network needs no preparation for the objects with these names."""
 
     def count_hold_steps(self, rows: AnyIndices) -> int:
-        """Return the number of physics steps for which actions are held."""
+        """Return the number of physics steps for which each action is held, the same for all episodes `rows`."""
         return self._hold_steps
 
     def start(self, row: int, seed: int | None) -> None:
-        """Clear the state of the previous episode."""
+        """Start an episode: clear what features and action scheme stored at index `row`; `seed` is not used."""
         self._features.reset(row)
         self._scheme.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, ...); evaluate the network for episodes whose action scheme needs outputs.
+        """Return actions (r, 8) or (r, 9) of the episodes with indices `rows`; evaluate the network where needed.
 
         Raises:
             ActionError: An action, or an output of an adapted policy, is not finite.
@@ -77,7 +77,7 @@ class NetworkArrayPolicy:
         return outputs
 
     def _find_not_finite(self, vectors: AnyArray) -> list[int]:
-        """Return the indices of vectors (r, k) with a number that is not finite."""
+        """Return the indices of those of r vectors, (r, k), that have a number that is not finite."""
         xp = self._arrays.xp
         found: list[int] = xp.nonzero(~xp.all(xp.isfinite(vectors), axis=1))[0].tolist()
         return found
@@ -86,17 +86,17 @@ class NetworkArrayPolicy:
 def make_network_array_policy(
     policy: Policy, count: int, check: Callable[[object], Actions], arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> NetworkArrayPolicy | None:
-    """Return the version on arrays of a policy with a dense network, built-in features and a built-in action scheme.
+    """Convert a policy of one episode to a policy of n episodes, which runs on arrays.
 
     Args:
         policy: Policy of a single episode.
-        count: Number of episodes.
-        check: Function that checks an action.
-        arrays: Creator of the arrays.
+        count: Number n of episodes.
+        check: Function that is called with an action that is not finite, and raises an error.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
 
     Returns:
-        The policy, or None for other policies: PyTorch modules and user-defined encodings are evaluated
-        episode by episode.
+        The policy on arrays; None unless `policy` has a dense network, built-in features and a built-in action
+        scheme. Other policies, e.g. with a PyTorch module, are evaluated episode by episode.
     """
     # A subclass may act in another way, so it has no version on arrays.
     if not isinstance(policy, FunctionPolicy) or type(policy) not in (LearnedPolicy, FunctionPolicy):

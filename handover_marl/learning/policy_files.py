@@ -27,7 +27,7 @@ _DEFAULT_PERIOD = 0.1  # s, as that of environments
 
 
 def check_policy_path(path: Path) -> None:
-    """Check the path of a policy file to write, before a training.
+    """Check that a policy file can have this path, so that a training does not fail at its end.
 
     Raises:
         OptionError: The path does not end in .npz.
@@ -37,7 +37,7 @@ def check_policy_path(path: Path) -> None:
 
 
 def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
-    """Write a policy file (.npz).
+    """Write a network, and the encoding of its inputs and outputs by text, to a policy file (.npz).
 
     Raises:
         OptionError: The path does not end in .npz.
@@ -63,7 +63,7 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
         path: Policy file.
         agent: Agent that the policy must control, "giver" or "receiver".
         trust: Whether code in the file may run, and modules that it names may be imported.
-        **given: Values for `complete_spec`.
+        **given: Fields of `PolicySpec` that replace those in the file; None keeps the latter, see `complete_spec`.
 
     Returns:
         Encoding, network from features to outputs, and unique label of the policy in result files: file name and a
@@ -97,13 +97,13 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
 def complete_spec(
     where: object, agent: str | None, recorded: Mapping[str, Any], given: Mapping[str, Any]
 ) -> PolicySpec:
-    """Return the encoding of a policy: what the caller gives, else what its training has recorded.
+    """Return the encoding of a policy: each field as the caller gives it, else as the training recorded it.
 
     Args:
-        where: Policy, for errors.
+        where: File or name of the policy, for errors.
         agent: Agent that the policy must control; None for the recorded one.
-        recorded: Fields of `PolicySpec` that are known from the training.
-        given: Fields of `PolicySpec` that the caller chooses, or None.
+        recorded: Fields of `PolicySpec` by name that the training recorded.
+        given: Fields of `PolicySpec` by name that the caller chooses; None as a value means not chosen.
 
     Raises:
         DataFormatError: The policy was trained for the other agent.
@@ -128,7 +128,7 @@ def complete_spec(
 
 
 def _read_zip(path: Path, content: bytes, trust: bool) -> tuple[dict[str, Any], DenseNetwork]:
-    """Return what a file of Stable-Baselines3, which contains pickles, records of its training, and its network."""
+    """Return the recorded fields of `PolicySpec` and the network in a file of Stable-Baselines3, which has pickles."""
     if not trust:
         raise UnsafeFileError(
             f"{path}: a file of Stable-Baselines3 can run code; pass trust=True (--trust) if you know where it comes "

@@ -1,4 +1,4 @@
-"""Multilayer perceptron with normalized inputs and bounded outputs, and its encoding."""
+"""Multilayer perceptron with normalized inputs and bounded outputs, and the encoding of a policy that uses it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,9 +13,9 @@ from handover_marl.geometry.arrays import AnyArray, ArrayFactory, get_namespace,
 
 Array = npt.NDArray[np.float32]
 
-#: Features and action scheme of policies from other libraries: flat observations, physical units.
+#: Features and action scheme by agent for policies from other libraries: flat observations, physical units.
 RAW_ENCODINGS = {"giver": ("flat_giver", "giver"), "receiver": ("flat_receiver", "receiver")}
-#: Features of functions that take observations as they are.
+#: Value of `PolicySpec.features` for functions that take observations as they are.
 OBSERVATION = "observation"
 #: Activations by name, functions of an array namespace and an array.
 ACTIVATIONS: dict[str, Callable[[Any, AnyArray], AnyArray]] = {
@@ -73,7 +73,7 @@ class OutputBounds:
     is_scaled: bool
 
     def __call__(self, outputs: AnyArray) -> AnyArray:
-        """Return the action (n_outputs,) or (r, n_outputs) within the bounds."""
+        """Scale or clip outputs (n_outputs,) or (r, n_outputs) to the bounds; return them in the same shape."""
         if not self.is_scaled:
             return outputs.clip(self.low, self.high)
         return self.low + (outputs + 1.0) / 2.0 * (self.high - self.low)
@@ -136,7 +136,7 @@ class DenseNetwork:
         return int(self.weights[-1].shape[0])
 
     def copy_to(self, arrays: ArrayFactory) -> "DenseNetwork":
-        """Return a copy whose inputs and outputs are arrays of another kind, such as tensors on a GPU."""
+        """Return a copy whose weights, inputs and outputs are arrays of the factory, e.g. tensors on a GPU."""
         copy, scaling, bounds = arrays.asarray, self.normalization, self.bounds
         return replace(
             self,
@@ -173,11 +173,11 @@ class PolicySpec:
 
     Attributes:
         agent: Agent that the policy controls, "giver" or "receiver".
-        features: Features, see `handover_marl.encode`, or `OBSERVATION`; a name in files.
-        actions: Action scheme that decodes outputs, see `handover_marl.encode`; a name in files.
+        features: Features that are the inputs, see `handover_marl.encode`, or `OBSERVATION`; always text in files.
+        actions: Action scheme that decodes outputs, see `handover_marl.encode`; always text in files.
         control_period: Time between two decisions (s).
         origin: Command, seed and budget of the training, for human readers.
-        obs_mode: Observation mode of a receiver.
+        obs_mode: Observation mode of a receiver, e.g. "state", see `handover_marl.parallel_env`.
     """
 
     agent: str

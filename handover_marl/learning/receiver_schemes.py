@@ -32,16 +32,16 @@ class RawReceiverScheme(RawScheme):
 
 
 class JointScheme(ArrayScheme):
-    """Base class of schemes whose actions are target joint positions within the limits."""
+    """Base class of schemes whose actions are target joint positions within the robot's joint limits."""
 
     agent = "receiver"
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the joint limits; the constructor calls this once."""
         self._low, self._high = self._arrays.asarray(LOWER_LIMITS), self._arrays.asarray(UPPER_LIMITS)
 
     def _limit_targets(self, arm: AnyArray, closed: AnyArray) -> AnyArray:
-        """Return target positions (r, 9) from those of arms (r, 7) in rad and whether grippers close, (r,)."""
+        """Return limited joint targets (r, 9) from those of arms (r, 7) in rad, and whether grippers close, (r,)."""
         xp = self._arrays.xp
         clipped = arm.clip(self._low[:ARM_DOF], self._high[:ARM_DOF])
         fingers = xp.where(closed, CLOSED, OPEN)[:, None]
@@ -54,7 +54,7 @@ class JointPositionScheme(JointScheme):
     name, size = "joints", PANDA_DOF
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         xp, low = self._arrays.xp, self._low
         return xp.astype(low + (self._outputs[rows] + 1.0) / 2.0 * (self._high - low), xp.float32)
 
@@ -65,30 +65,30 @@ class JointDeltaScheme(JointScheme):
     The gripper closes while the last output exceeds 0.
 
     Attributes:
-        step: Joint increment at output 1 (rad).
+        step: Increment of a joint's position at output 1 (rad).
     """
 
     name, size = "joint_delta", ARM_DOF + 1
     step = 0.2
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         outputs = self._outputs[rows]
         arm = observation["robot_joint_position"][:, :ARM_DOF] + self.step * outputs[:, :ARM_DOF]
         return self._limit_targets(arm, outputs[:, ARM_DOF] > 0.0)
 
 
 class CartesianDeltaScheme(JointScheme):
-    """Scheme of motions of the hand link in its own frame, and an output that closes the gripper.
+    """Scheme of motions of the Panda's hand link in its own frame, and an output that closes the gripper.
 
-    The gripper closes while the last output exceeds 0. Joint increments follow from the motion by
-    damped least squares on the Jacobian, so that the arm approaches singular and unreachable poses as
-    near as it can. The motors complete 63 % of a motion in 0.1 s.
+    Outputs are translation (3), rotation vector (3) and gripper, which closes while the last output exceeds 0. Joint
+    increments follow from the motion by damped least squares on the Jacobian, so that the arm approaches singular and
+    unreachable poses as near as it can. The motors complete 63 % of a motion in 0.1 s.
 
     Attributes:
-        max_output_translation: Translation at output 1 (m).
-        max_output_rotation: Rotation at output 1 (rad).
-        damping: Damping factor of the least squares.
+        max_output_translation: Translation of the hand link at output 1 (m).
+        max_output_rotation: Rotation of the hand link at output 1 (rad).
+        damping: Damping factor of the least squares; a larger one limits motions near singular poses more.
     """
 
     name, size = "cartesian_delta", 7
@@ -96,7 +96,7 @@ class CartesianDeltaScheme(JointScheme):
     max_output_rotation, damping = 0.3, 0.05
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the joint limits, the scales of the outputs and the arm's kinematics; called once."""
         super().allocate(context, count)
         arrays = self._arrays
         self._damping = arrays.asarray(self.damping**2 * np.eye(6))
@@ -104,7 +104,7 @@ class CartesianDeltaScheme(JointScheme):
         self._robot = ArmKinematics(read_tree(context.panda_urdf))
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         outputs = self._outputs[rows]
         translations = outputs[:, :3] * self._max_translation
         rotations = outputs[:, 3:6] * self.max_output_rotation
@@ -124,7 +124,7 @@ class CartesianDeltaScheme(JointScheme):
 
 
 class GraspServoScheme(CartesianDeltaScheme):
-    """Scheme that moves to the known grasp of lowest cost, which the outputs correct, and then to the goal.
+    """Scheme that moves to the known grasp of lowest cost, with corrections by the outputs, and then to the goal.
 
     The arm stays at the waiting pose during `wait`. Then it approaches the grasp chosen by
     `handover_marl.learning.grasp_selector` along the grasp's z axis: the farther the gripper is from
@@ -160,7 +160,7 @@ class GraspServoScheme(CartesianDeltaScheme):
     standoff_per_offset, standoff_per_angle, max_standoff = 3.0, 0.3, 0.15
 
     def allocate(self, context: PolicyContext, count: int) -> None:
-        """Create what a scheme needs besides the outputs of its n episodes."""
+        """Create the goal, the waiting pose, and whether the gripper closes in each of n = `count` episodes."""
         super().allocate(context, count)
         arrays = self._arrays
         self._goal = arrays.asarray(context.protocol.goal_center)
@@ -168,22 +168,22 @@ class GraspServoScheme(CartesianDeltaScheme):
         self._closed = arrays.zeros(count, "bool")
 
     def reset(self, row: int) -> None:
-        """Clear the state of the previous episode: the gripper is open and the arm waits."""
+        """Clear the state of the finished episode at index `row`: the gripper is open and the arm waits."""
         super().reset(row)
         self._closed[row] = False
 
     def set_outputs(self, rows: AnyArray, outputs: AnyArray) -> None:
-        """Store new network outputs (r, 7), clipped to [-1, 1]."""
+        """Use network outputs (r, 7), clipped to [-1, 1], in the episodes with indices `rows` until their next call."""
         super().set_outputs(rows, outputs)
         self._closed[rows] |= self._outputs[rows, 6] > self.close_threshold
 
     def needs_outputs(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return whether the waiting time is over, in each of r episodes."""
+        """Return whether the time `wait` is over, (r,), in each of the r episodes with indices `rows`."""
         xp = self._arrays.xp
         return xp.astype(observation["time"][:, 0], xp.float64) >= self.wait
 
     def compute_actions(self, rows: AnyArray, observation: Observation) -> AnyArray:
-        """Return the target positions (r, 9) of arms and fingers (rad, m)."""
+        """Return the target positions (r, 9) of arms and fingers (rad, m) in the episodes with indices `rows`."""
         xp = self._arrays.xp
         actions = xp.tile(self._waiting, (len(rows), 1))
         acts = xp.nonzero(self.needs_outputs(rows, observation))[0]
@@ -208,7 +208,7 @@ class GraspServoScheme(CartesianDeltaScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return the target positions (r, 3) in the world (m) and the target orientations (r, 4)."""
+        """Return target positions (r, 3) in m and orientations (r, 4) as quaternions xyzw in the world."""
         xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
         orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
         standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
@@ -219,7 +219,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         return xp.where(released, self._goal, position), xp.where(released, present, orientation)
 
     def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
-        """Return the standoffs (r,) in m for offsets (r, 3) from the grasps (m, world frame)."""
+        """Return standoffs (r,) in m from the grasps, for positions (r, 3) relative to the grasps (m, world frame)."""
         xp = self._arrays.xp
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))

@@ -30,12 +30,12 @@ _SCHEMES = {scheme.name: scheme for scheme in _ALL}
 
 
 def list_schemes(agent: str) -> tuple[str, ...]:
-    """Return the names of an agent's action schemes."""
+    """Return the names of the built-in action schemes of an agent, "giver" or "receiver"."""
     return tuple(name for name, scheme in _SCHEMES.items() if scheme.agent == agent)
 
 
 def count_outputs(agent: str, name: str) -> int:
-    """Return the number of outputs that a built-in action scheme decodes.
+    """Return the number of outputs that a built-in action scheme, one of `list_schemes(agent)`, decodes.
 
     The number of outputs of a user-defined scheme is `make_scheme(...).size`.
 
@@ -78,9 +78,9 @@ def make_array_scheme(
         agent: "giver" or "receiver".
         choice: Action scheme, see `make_scheme`.
         context: Robot, task and known grasps of the objects.
-        selector: Selector of grasps.
+        selector: Selector of the grasps that some schemes approach.
         count: Number n of episodes.
-        arrays: Creator of the arrays.
+        arrays: Factory of NumPy arrays, or of PyTorch tensors on a device.
     """
     if isinstance(choice, str) and not is_reference(choice):
         count_outputs(agent, choice)
@@ -90,7 +90,7 @@ def make_array_scheme(
 
 
 def outputs_from_action(scheme: ActionScheme, action: Action, observation: Observation) -> npt.NDArray[np.float32]:
-    """Return the outputs (size,) of a giver's scheme whose action is the nearest to a given one (8,).
+    """Return the outputs (size,) in [-1, 1] that a giver's scheme decodes to the action nearest to a given one (8,).
 
     Raises:
         OptionError: The scheme cannot be inverted.

@@ -64,12 +64,12 @@ class CustomSceneFolder:
     Every method checks its arguments first and writes the folder last, so that an error leaves it unchanged.
 
     Args:
-        folder: The folder.
+        folder: Path of the folder.
         name: Name of the data set in results; default: the name of the folder.
 
     Raises:
         OptionError: `folder` is not a path, or the folder has another name.
-        ResultsError: The folder has other files.
+        ResultsError: The folder has files, but no `scenes.json`.
         DataFormatError: The file `scenes.json` is damaged.
     """
 
@@ -94,7 +94,7 @@ class CustomSceneFolder:
 
     @property
     def dataset(self) -> str:
-        """Name that opens the scenes: `dataset=...` of all functions, `--dataset` of all commands."""
+        """Name that opens the scenes, `own:FOLDER`: `dataset=...` of all functions, `--dataset` of all commands."""
         return f"own:{self.folder}"
 
     def add_object(
@@ -113,7 +113,7 @@ class CustomSceneFolder:
         Args:
             name: Class name of the object.
             mesh: Mesh file of any format that trimesh reads, or a mesh. Recorded poses are poses of its frame.
-            config: Units, mass, friction and color.
+            config: Units of the mesh, and mass, friction and color of the object; default: those of `MeshConfig()`.
             grasps: Number of robot grasps to find in simulation; 0 for none.
             seed: Random seed of the grasps.
             workers: Number of worker processes; default: one per core. The result does not depend on it.
@@ -175,7 +175,7 @@ class CustomSceneFolder:
                 `handover_marl.assets.building.custom_scenes.motion_tables`.
             object_name: Class of the object that is handed over: a class of the folder or a YCB class.
             subject: Name of the person, for splits.
-            config: Frames and units.
+            config: Frames and units of the recording; default: those of `MotionConfig()`.
             recording: Name of the recording; default: the number of the scene.
             side: Hand of the person, "right" or "left".
             hand: Number of the shipped hand, 1 to 10; None for a scene without a hand. Its fingers follow the
@@ -244,7 +244,7 @@ class CustomSceneFolder:
             by: "object" or "person", which are then in one split only, or "random".
             val: Names of the objects or persons in the val split; or a share (0 to 1) of the objects, persons or
                 scenes, which are then drawn at random.
-            test: Names or share for the test split.
+            test: Names or share, likewise, for the test split.
             seed: Random seed of drawn shares.
 
         Returns:
@@ -263,7 +263,7 @@ class CustomSceneFolder:
         return setup
 
     def check(self) -> CustomDataset:
-        """Check every file of the folder by loading all scenes, models and grasps.
+        """Check every file of the folder by loading all scenes, models and grasps; return the data set.
 
         Raises:
             DataNotFoundError, DataFormatError: A file is missing or damaged.
@@ -283,7 +283,7 @@ class CustomSceneFolder:
 
     @contextlib.contextmanager
     def _change(self, subfolder: str = "") -> Iterator[SceneFile]:
-        """Lock the folder, which is created, against other processes, and read its present content."""
+        """Create and lock the folder in a `with` block, against other processes, and yield its present content."""
         try:
             (self.folder / subfolder).mkdir(parents=True, exist_ok=True)
             with exclusive_lock(self.folder):

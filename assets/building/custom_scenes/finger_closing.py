@@ -35,7 +35,7 @@ _SHIFTS = sorted(
 
 
 def close_hand(table: MotionTable, solid: Solid, hand: int, side: Side) -> tuple[MotionTable, Array]:
-    """Make finger angles (n, 45) in rad of a hand that is open at first and closed when the object is picked up.
+    """Make finger angles (n, 45) in rad of a shipped hand, by number, that closes until the object is picked up.
 
     Returns the recording too, with the wrist moved by up to `MAX_SHIFT` where the hand would be inside of the object.
 
@@ -66,8 +66,8 @@ def find_hand_grasp(
     """Find the finger joint angles of the open hand and of the hand closed on the object at a pose (7,) of the wrist.
 
     Of many open postures that do not touch the object, the posture is selected whose fingers touch the object most
-    when they close. If there is no such posture, the wrist is moved by as little as needed. `place` is the place in
-    the recording, for the `DataFormatError` if the wrist is not beside the object.
+    when they close. If there is no such posture, the wrist is moved by as little as needed. `hand` is the number of a
+    shipped hand; `place` names the row, for the `DataFormatError` if the wrist is not beside the object.
 
     Returns:
         Angles (45,) of the open and of the closed hand (rad), and translation (3,) of the wrist in its own frame (m).

@@ -1,4 +1,4 @@
-"""Tables of recorded poses: CSV and NPZ files at any rate, and their trajectories at 1 kHz.
+"""Tables of recorded poses, as CSV and NPZ files at any rate, and their conversion to trajectories at 1 kHz.
 
 A CSV file has one header line with the columns `time`, `object_x`, `object_y`, `object_z`, `object_qx`, `object_qy`,
 `object_qz`, `object_qw`, the same for `wrist` and for every other object by its class name, and optionally
@@ -96,18 +96,18 @@ class MotionConfig:
 
     @property
     def world_from_frame(self) -> Array:
-        """Pose (7,) of the recording's frame in the world."""
+        """Pose (7,) of the recording's frame in the world: position (m) and quaternion xyzw."""
         return np.array(_FRAMES[self.frame] if isinstance(self.frame, str) else self.frame, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionTable:
-    """Recorded poses in the world frame.
+    """Recorded poses of objects and of a person's wrist in the world frame, T rows.
 
     Attributes:
         time: (T,) times from 0 (s), ascending.
         bodies: Poses (T, 7) of `object` and of the other objects by class name: position (m), quaternion xyzw.
-        wrist: Poses (n, 7) of the wrist in the rows of `wrist_rows`, or None without a wrist.
+        wrist: Poses (n, 7) of the wrist, likewise, in the rows of `wrist_rows`; None without a wrist.
         wrist_rows: First row with the wrist, and the row after the last.
         fingers: (n, 45) finger joint angles (rad, intrinsic XYZ Euler angles) in these rows, or None.
         repairs: Changes that were made to the recording.
@@ -122,7 +122,7 @@ class MotionTable:
 
 
 def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config: MotionConfig) -> MotionTable:
-    """Read recorded poses from a CSV or NPZ file, or from arrays with the names of an NPZ file.
+    """Read recorded poses in the form of `config` from a CSV or NPZ file, or from arrays named as in NPZ files.
 
     Raises:
         DataNotFoundError: The file does not exist.
@@ -140,7 +140,7 @@ def read_motion_table(source: "str | Path | Mapping[str, npt.ArrayLike]", config
 
 
 def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
-    """Return the arrays of a file, and the configuration with the units and orders that the file itself states."""
+    """Return the arrays in a file by name, and the configuration with the units and orders that the file states."""
     if path.suffix.lower() not in (".csv", ".npz"):
         raise DataFormatError(f"{path}: a motion must be a .csv or .npz file, got {path.suffix!r}; convert it")
     with report_damage(path, "motion file", "give the path of a .csv or .npz file, or write it again"):
@@ -153,7 +153,7 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
 
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
-    """Return the poses of the rigid bodies in a CSV file of Motive, formats 1.2 to 1.25, and their units."""
+    """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
     rows = [row for row in csv.reader(text.splitlines()) if any(row)]
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
     try:
@@ -174,7 +174,7 @@ def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str
 
 
 def _parse_csv(path: Path, text: str) -> dict[str, Any]:
-    """Return the arrays of a CSV file; empty cells are NaN.
+    """Return the arrays in a CSV file by name; empty cells are NaN.
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
@@ -222,7 +222,7 @@ def _parse_cell(cell: str) -> float:
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
-    """Return checked and repaired poses; raise `ValueError` if they cannot be repaired."""
+    """Return the poses in arrays, checked and repaired; raise `ValueError` if they cannot be repaired."""
     for key in (TIME, OBJECT):
         if key not in arrays:
             raise ValueError(f"{key} is missing; a motion has {TIME}, {OBJECT} and optionally {WRIST}")
@@ -258,7 +258,7 @@ def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
 
 
 def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
-    """Return times from 0 (s), checked to ascend without a long gap."""
+    """Return times from 0 (s), checked to ascend without a long gap; append the filling of gaps to `repairs`."""
     if time.ndim != 1 or len(time) < 2:
         raise ValueError(f"time must have shape (T,) with at least 2 rows, got shape {time.shape}")
     seconds: Array = (time - time[0]) * _TIMES[config.time]
@@ -286,7 +286,7 @@ def _read_time(time: Array, config: MotionConfig, repairs: list[str]) -> Array:
 
 
 def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
-    """Return the poses (n, 7) of a body in the world frame, without gaps; `first` is the number of the first row."""
+    """Return the poses (n, 7) of the body `key` in the world frame, without gaps; `first` is their first row."""
     if config.quaternion == "wxyz":
         poses[:, 3:] = np.roll(poses[:, 3:], -1, axis=1)
     poses[:, :3] *= _LENGTHS[config.length]
@@ -305,7 +305,7 @@ def _read_poses(key: str, poses: Array, time: Array, first: int, config: MotionC
 
 
 def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionConfig, repairs: list[str]) -> Array:
-    """Interpolate rows with missing values that lie between valid rows."""
+    """Return the poses (n, 7) of the body `key`, with missing rows between valid rows interpolated."""
     is_valid = np.asarray(np.isfinite(poses).all(axis=1))
     valid, missing = np.flatnonzero(is_valid), np.flatnonzero(~is_valid)
     if not len(missing):
@@ -332,9 +332,10 @@ def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionCo
 def make_trajectory(
     table: MotionTable, others: Sequence[str], model: HandGeometry | None, fingers: Array | None
 ) -> dict[str, npt.NDArray[Any]]:
-    """Resample recorded poses of the object and others to 1 kHz, as arrays of `handover_marl.datasets.custom.dataset`.
+    """Resample recorded poses to 1 kHz, as arrays of a motion file, see `handover_marl.datasets.custom.dataset`.
 
-    Fingers are angles (n, 45) in rad in the rows with the wrist; `model` and `fingers` are None without a hand.
+    `others` are the other objects, in the order of the result; `fingers` (n, 45) are angles (rad) in the rows with the
+    wrist. `model` and `fingers` are None without a hand.
     """
     times = np.arange(np.floor(table.time[-1] / TIME_STEP + 1e-6) + 1.0) * TIME_STEP
     poses = [table.bodies[name] for name in (OBJECT, *others)]

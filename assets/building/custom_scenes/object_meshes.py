@@ -83,8 +83,8 @@ class ObjectMesh:
 
     Attributes:
         mesh: Surface in the object's frame (m).
-        parts: Convex parts (m).
-        mass: Mass (kg).
+        parts: Convex parts that together approximate the mesh, in the object's frame (m).
+        mass: Mass of the object (kg).
         repairs: Changes that were made to the mesh.
     """
 
@@ -146,7 +146,7 @@ def _read_mesh(source: "str | Path | trimesh.Trimesh") -> trimesh.Trimesh:
 
 
 def _repair_mesh(mesh: trimesh.Trimesh, config: MeshConfig, name: str) -> tuple[trimesh.Trimesh, list[str]]:
-    """Return a mesh in metres with repaired surface, and descriptions of the repairs."""
+    """Return a mesh in metres with a repaired surface, and descriptions of the repairs; `name` is for errors."""
     repairs: list[str] = []
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     if not len(faces) or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
@@ -205,7 +205,7 @@ def _check_solid(mesh: trimesh.Trimesh, name: str) -> None:
 
 
 def _canonicalize(mesh: trimesh.Trimesh) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Return rounded vertices and faces in an order that depends only on the shape."""
+    """Return vertices (v, 3), rounded to 1e-6 m, and faces (f, 3) in an order that depends only on the mesh's shape."""
     # Adding zero turns -0.0 into 0.0.
     rounded = np.round(np.asarray(mesh.vertices, dtype=np.float64), 6) + 0.0
     vertices, renumbered = np.unique(rounded, axis=0, return_inverse=True)

@@ -33,7 +33,7 @@ class PairArgs(RlArgs):
 
 
 def make_env(args: PairArgs) -> EncodedEnv:
-    """Make the training environment, whose observations and actions are vectors."""
+    """Make the training environment, in which both agents have feature vectors and scaled outputs, see `encode`."""
     env = handover_marl.parallel_env(
         setup=args.setup,
         split="train",
@@ -48,7 +48,7 @@ def make_env(args: PairArgs) -> EncodedEnv:
 
 
 def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -> None:
-    """Write both policies, evaluate them together on the validation split, and print the outcomes."""
+    """Write the networks of a script as policy files, evaluate them on validation scenes, and print the outcomes."""
     for agent, network in networks.items():
         origin = describe_origin(f"other_libraries/{script}", args)
         path = Path(args.out) / f"{agent}.npz"

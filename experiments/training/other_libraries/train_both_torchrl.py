@@ -22,7 +22,7 @@ from handover_marl.learning.training.run_folder import make_mlp
 
 
 def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:
-    """Make the loss of an agent's actor and critic."""
+    """Make PPO's loss of an agent, with its actor and its critic, which observes the features of both agents."""
     sizes = {each: env.observation_spec[each, "observation"].shape[-1] for each in AGENTS}
     spec = env.full_action_spec[agent, "action"]
     outputs = NormalParamExtractor(f"biased_softplus_{args.initial_std}")

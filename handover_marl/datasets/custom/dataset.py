@@ -44,13 +44,13 @@ _MAX_BYTES = 500_000_000
 
 #: Largest extent of an object, and distance of its centre from the origin of its frame (m).
 EXTENT, MAX_OFFSET = (0.005, 0.7), 0.7
-#: Duration of a motion (s).
+#: Smallest and largest duration of a motion (s).
 DURATION = (0.5, 60.0)
-#: Distance of bodies from the origin of the world, on the floor below the table (m).
+#: Largest distance of bodies from the origin of the world, on the floor below the table (m).
 MAX_DISTANCE = 3.0
-#: Speeds of bodies (m/s, rad/s).
+#: Largest speeds of bodies (m/s, rad/s).
 MAX_SPEED, MAX_TURN_SPEED = 12.0, 90.0
-#: Finger joint angles (rad).
+#: Largest finger joint angle (rad).
 MAX_FINGER_ANGLE: Final = 2.0 * np.pi
 _MAX_ANGLE = 1000.0  # rad; angles are unwrapped
 _MAX_REACH = 1.2  # m from the robot's base, where the handed-over object ends; the Panda reaches 0.855 m
@@ -63,7 +63,7 @@ _FRAME_ADVICE = "check frame: 'world' has its origin 0.92 m below the table's su
 
 
 def open_custom_dataset(argument: str, data_dir: str | None, robot: str) -> "CustomDataset":
-    """Open the custom scenes in the folder `data_dir`, where `argument` is their name, or in the folder `argument`.
+    """Open the custom scenes in the folder `argument`; or in the folder `data_dir`, whose name must be `argument`.
 
     Raises:
         OptionError: The data set in the folder has another name than `argument`.
@@ -93,7 +93,7 @@ class CustomDataset(Dataset):
     """Data set of the custom scenes in a folder, see `handover_marl.datasets.custom.scene_file`.
 
     Args:
-        folder: The folder.
+        folder: Path of the folder.
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
@@ -117,7 +117,7 @@ class CustomDataset(Dataset):
 
     @property
     def source_folder(self) -> Path:
-        """The folder."""
+        """Folder of the scenes, to pass as `data_dir` with the name, to open the data set again."""
         return self.folder
 
     @property
@@ -136,7 +136,7 @@ class CustomDataset(Dataset):
         return self.content.object_names
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split in ascending order; raises `UnknownNameError`."""
+        """Return the scene numbers of a split of a setup, ascending; raise `UnknownNameError` if there are none."""
         check_name("split", split, SPLITS)
         setup = self.resolve_setup(setup)
         if not self.n_scenes:
@@ -150,7 +150,7 @@ class CustomDataset(Dataset):
         return numbers
 
     def load_info(self, scene_id: int) -> SceneInfo:
-        """Return the description of a scene; raises `SceneError`."""
+        """Return the description of a scene by its number; raise `SceneError` if it does not exist."""
         self.check_scene_id(scene_id)
         scene = self.content.scenes[scene_id]
         ids = tuple(self._numbers[name] for name in scene.objects)
@@ -178,13 +178,13 @@ class CustomDataset(Dataset):
         return _require_file(self.folder / OBJECT_FOLDER / object_name / URDF_NAME)
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Load the robot grasps (n, 4, 4) of an object class, or None if it has none."""
+        """Load robot grasps of an object class: gripper poses (n, 4, 4) in its frame (m), or None if there are none."""
         if object_name in CLASS_NAMES.values():
             return super().load_grasps(object_name)
         return self._read_grasps(object_name)
 
     def check_scenes(self, scene_ids: tuple[int, ...]) -> None:
-        """Raise `DataNotFoundError` for the first missing file of the given scenes."""
+        """Check that all files of scenes exist and that the objects' grasps can be read; raise `DataNotFoundError`."""
         for scene_id in scene_ids:
             info = self.load_info(scene_id)
             self._find_scene_assets(info)
@@ -227,7 +227,7 @@ class CustomDataset(Dataset):
 def _read_motion(
     path: Path, bodies: Mapping[str, Array], has_hand: bool
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int] | tuple[None, None]]:
-    """Return the checked motion of objects and hand, and the first and last frame with the hand, None without one."""
+    """Return the checked motion of objects (T, n, 6) and hand (T, 51), and the first and last frame with the hand."""
     _require_file(path)
     with report_damage(path, "motion", "add the motion again"):
         arrays = read_arrays(path, ("object_dof", "hand_dof", "hand_span"), _MAX_BYTES)
@@ -266,7 +266,7 @@ def _require_file(path: Path) -> Path:
 
 
 def check_vertices(vertices: Array) -> None:
-    """Check the size and the place of an object by the vertices (v, 3) in its frame (m).
+    """Check the size of an object and its distance from the origin of its frame, by its vertices (v, 3) (m).
 
     Raises:
         DataFormatError: The object is too large, too small, or too far from the origin of its frame.
@@ -357,7 +357,7 @@ def check_hand(hand: npt.NDArray[np.floating], objects: npt.NDArray[np.floating]
 
 
 def _check_body(name: str, dof: npt.NDArray[np.floating]) -> Array:
-    """Return the poses (T, 7) of a body, checked to be near and not to jump."""
+    """Return the poses (T, 7) of a body with motion (T, 6) after a check that it is near and does not jump."""
     values = dof.astype(np.float64)
     poses: Array = np.concatenate([values[:, :3], quaternions_from_euler(values[:, 3:])], axis=1)
     distance = float(np.linalg.norm(poses[:, :3], axis=1).max())

@@ -30,7 +30,7 @@ ALL_SCENES: Final = "all"
 #: Names that setups of custom scenes cannot have.
 RESERVED_SETUPS: Final = (*SETUPS, ALL_SCENES)
 
-#: Masses (kg) and lateral friction of objects.
+#: Smallest and largest mass (kg) and lateral friction of objects.
 MASS, FRICTION = (1e-3, 20.0), (0.0, 10.0)
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
@@ -187,7 +187,7 @@ class SceneFile:
 
 
 def check_file_name(name: object, reserved: Collection[str] = ()) -> str:
-    """Return a name that can be part of a file name and is not reserved, or raise `ValueError`."""
+    """Check that a name can be part of a file name and is not reserved, and return it; else raise `ValueError`."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ValueError(f"must be 1 to 64 letters, digits, '_', '.' or '-', got {shorten_text(repr(name))}")
     if name in reserved:

@@ -1,4 +1,4 @@
-"""Writers of HandoverSim's folder `assets/`: hands from MANO, objects' URDFs and the table."""
+"""Writers of files in HandoverSim's folder `assets/`: hands from MANO, objects' URDFs and the table."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ _MAX_ANGLES = (math.pi, math.pi / 2, math.pi)
 
 
 def build_hand_urdf(joints: npt.NDArray[np.float64]) -> str:
-    """Return the text of a `mano.urdf`, 53 links, 16 with meshes, for MANO's joints (16, 3) of a hand at rest (m)."""
+    """Return the text of a `mano.urdf`, 53 links, 16 with meshes, for a hand with MANO's joints (16, 3) at rest (m)."""
     positions = [joints[0], *(joints[joint] - joints[PARENTS[joint]] for joint in range(1, len(joints)))]
     return render_urdf(
         __package__,
@@ -65,7 +65,9 @@ _COPIED_TABLE_FILES = ("table.obj", "table.mtl", "table.png")
 
 
 def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_ins: bool = False) -> None:
-    """Write files, given by relative path, that do not exist yet; existing ones must have the same content.
+    """Write files, given as content by path in the folder, if they do not exist; existing ones must be equal.
+
+    With `replace_stand_ins`, existing files that are marked as stand-ins are replaced.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -89,10 +91,10 @@ def write_missing_files(folder: Path, files: Mapping[str, bytes], replace_stand_
 
 
 def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Sequence[float] | Array) -> Path:
-    """Write the 33 files of a subject's hand of shape (10,) to the folder `<subject>_<side>/` in `assets/`.
+    """Write the 33 files of a subject's hand to `<subject>_<side>/` in `assets/`, and return the path of this folder.
 
-    They are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses the shape parameters of the
-    subject's first scene for both sides. Returns the path of the folder.
+    They are `mano.urdf` and `meshes/<visual or collision>/mesh1..16.obj`. HandoverSim uses MANO's shape parameters
+    `betas` (10,) of the subject's first scene for both sides.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -112,7 +114,7 @@ def write_hand_assets(assets: Path, subject: str, model: ManoModel, betas: Seque
 
 
 def write_object_assets(assets: Path) -> None:
-    """Write `<class>/model_normalized.urdf` of the 21 YCB classes.
+    """Write `<class>/model_normalized.urdf` of the 21 YCB classes to the folder `assets`.
 
     Raises:
         ResultsError: A file exists with other content, or cannot be written.
@@ -122,13 +124,13 @@ def write_object_assets(assets: Path) -> None:
 
 
 def find_table_folder() -> Path:
-    """Return the folder of PyBullet's table; raises `OptionError` if PyBullet is not installed."""
+    """Return the folder of PyBullet's table; raise `OptionError` if PyBullet is not installed."""
     advice = "import with Python 3.10 to 3.13: the folder then serves every Python"
     return find_bullet_data("HandoverSim's table, which is made of PyBullet's,", advice) / "table"
 
 
 def write_table_assets(assets: Path) -> None:
-    """Write the folder `table/` with HandoverSim's URDF, made from PyBullet's, and copies of its mesh and texture.
+    """Write the folder `table/` in `assets`: HandoverSim's URDF, made from PyBullet's, and PyBullet's mesh and texture.
 
     Raises:
         OptionError: PyBullet is not installed.

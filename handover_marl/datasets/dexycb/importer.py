@@ -169,7 +169,7 @@ def _find_mano_folder(mano: Path) -> Path:
 
 
 def _write_models(betas: BetasBySubject, models: dict[str, ManoModel], assets: Path) -> list[str]:
-    """Write all models; return the names of the hands' folders."""
+    """Write the objects' and the table's URDFs, and the hands' models, to `assets`; return the hands' folder names."""
     write_object_assets(assets)
     write_table_assets(assets)
     # HandoverSim uses the parameters of the subject's first recording for both hands.

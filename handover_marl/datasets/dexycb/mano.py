@@ -68,7 +68,7 @@ class ManoModel:
     hands_mean: Array
 
     def shape_vertices(self, betas: Sequence[float] | Array) -> Array:
-        """Return the vertices (778, 3) in m of a hand at rest with shape parameters (10,)."""
+        """Return the vertices (778, 3) in m of a hand at rest with MANO's shape parameters (10,)."""
         displacements = self.shapedirs[:, :, 0] * betas[0]
         for number in range(1, N_BETAS):
             displacements += self.shapedirs[:, :, number] * betas[number]
@@ -82,12 +82,12 @@ class ManoModel:
         return joints
 
     def locate_wrist(self, betas: Sequence[float] | Array) -> Array:
-        """Return the root joint (3,) (m) of a subject's hand at rest, its center of rotation."""
+        """Return the root joint (3,) in m, the center of rotation, of a hand at rest with shape parameters (10,)."""
         return np.asarray(self.regress_joints(self.shape_vertices(betas))[0])
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, which does not hold its side.
+    """Read the hand model MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, in which its `side` is not stated.
 
     Raises:
         UnknownNameError: `side` is neither "right" nor "left".
@@ -112,7 +112,7 @@ def read_mano_model(path: Path, side: str) -> ManoModel:
 
 
 def read_mano_models(folder: Path) -> dict[str, ManoModel]:
-    """Read MANO's models of both hands, by side; raises as `read_mano_model`."""
+    """Read MANO's models of both hands from a folder, by side; raise the errors of `read_mano_model`."""
     return {side: read_mano_model(folder / f"MANO_{side.upper()}.pkl", side) for side in SIDES}
 
 
@@ -141,7 +141,7 @@ _ALLOWED: AllowedNames = {
 
 
 def _extract_array(key: str, value: Any) -> npt.NDArray[Any]:
-    """Return the checked array of a key, from any of the accepted classes."""
+    """Return the array of a key of a model file as a read-only NumPy array; raise `ValueError` if it is malformed."""
     array = _evaluate(value)
     if array.shape != _SHAPES[key]:
         raise ValueError(f"{key} must have shape {_SHAPES[key]}, found {array.shape}")

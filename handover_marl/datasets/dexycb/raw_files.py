@@ -105,7 +105,7 @@ class RawSequence:
     Attributes:
         meta: Content of meta.yml, see `read_meta`.
         world_from_tag: (3, 4) [R | t] pose of the AprilTag in the world frame (m).
-        betas: MANO's ten shape parameters of the hand.
+        betas: MANO's ten shape parameters of the person's hand.
         objects: (F, n, 7) float32 quaternion xyzw and position (m) of the objects, in the order of `ycb_ids`.
         hand: (F, 51) float32 rotation vector (rad), 45 coefficients of the finger pose, translation
             (m); zero in frames without a hand.
@@ -138,7 +138,7 @@ def read_sequence(sequence: SequenceFolder) -> RawSequence:
 
 
 def read_betas(sequence: SequenceFolder, meta: dict[str, Any]) -> tuple[float, ...]:
-    """Read MANO's ten shape parameters of the hand of a recording with a content of meta.yml.
+    """Read MANO's ten shape parameters of the person's hand in a recording; `meta` is from `read_meta`.
 
     Raises:
         DataNotFoundError, DataFormatError: The calibration file is missing, or has no ten numbers.
@@ -164,7 +164,7 @@ def read_meta(sequence: SequenceFolder) -> dict[str, Any]:
 
 
 def _read_numbers(path: Path, count: int, *keys: str) -> Float64:
-    """Read numbers from a YAML file, below a key of the mapping below another key and so on."""
+    """Read a list of `count` numbers from a YAML file of nested mappings, in which `keys` lead to the list."""
     with report_damage(path, *_KIND_AND_ADVICE):
         values: Any = read_yaml(path, _MAX_YAML_BYTES)
         for key in keys:

@@ -63,7 +63,7 @@ def rotate_unfused(matrix: Float32, vector: Float32) -> Float32:
 
 
 def compute_norms(vectors: Float32) -> Float32:
-    """Return the lengths (n,) of vectors (n, 3) with the rounding of BLAS.
+    """Return the lengths (n,) of vectors (n, 3), rounded as the library BLAS rounds them.
 
     Squares are float32, their sum is float64 and is rounded to float32 before the root.
     """
@@ -97,7 +97,7 @@ def matrices_from_rotation_vectors(vectors: Float32) -> Float64:
 
 
 def scipy_euler_from_rotations(rotations: Rotation) -> Float64:
-    """Return Euler angles (n, 3) as SciPy computed them up to version 1.10.
+    """Return intrinsic XYZ Euler angles (n, 3) in rad of n rotations as SciPy computed them up to version 1.10.
 
     x and z are in [-pi, pi], y in [-pi/2, pi/2]. At y = +-pi/2, which may be exceeded by 5e-8, z is zero. Later
     versions choose other signs where x or z is +-pi, which would shift a whole column of unwrapped angles by 2 pi.
@@ -124,7 +124,7 @@ def scipy_euler_from_rotations(rotations: Rotation) -> Float64:
 
 
 def transforms3d_euler_from_matrices(matrices: Float64) -> Float64:
-    """Return Euler angles (n, 3) of rotation matrices (n, 3, 3) as transforms3d computes them.
+    """Return intrinsic XYZ Euler angles (n, 3) in rad of rotation matrices (n, 3, 3) as transforms3d computes them.
 
     y is in [-pi/2, pi/2]; x is zero where y is +-pi/2.
     """
@@ -163,12 +163,12 @@ class TagFrame:
         return cls(rotation, rotate_unfused(rotation, -pose[:, 3]))
 
     def transform_points(self, points: Float32) -> Float32:
-        """Return float32 points (n, 3) (m) in the tag's frame."""
+        """Transform points (n, 3) in m from DexYCB's world frame to the tag's frame, float32."""
         rotated: Float32 = rotate_fused(self.rotation, points[:, :, None])[:, :, 0] + self.translation
         return rotated
 
     def transform_rotations(self, rotations: Rotation) -> Float32:
-        """Return rotations in the tag's frame as float32 quaternions (n, 4).
+        """Transform n rotations from DexYCB's world frame to the tag's frame; return float32 quaternions xyzw (n, 4).
 
         As in HandoverSim, matrices are rounded to float32 before and after the product and not made orthogonal again.
         """
@@ -177,7 +177,7 @@ class TagFrame:
 
 
 def quaternions_from_matrices(matrices: npt.ArrayLike) -> Float64:
-    """Return unit quaternions (n, 4) of nearly orthogonal matrices (n, 3, 3) as SciPy up to 1.11.
+    """Return unit quaternions xyzw (n, 4) of nearly orthogonal matrices (n, 3, 3), as SciPy up to 1.11 computed them.
 
     The squared norm is summed from left to right, unlike in `geometry.poses`, whose order of sums
     depends on the machine.
@@ -211,12 +211,12 @@ class KeyframeSpan:
         return slice(STRIDE * self.first, STRIDE * self.last + 1)
 
     def interpolate_positions(self, keyframes: Float32) -> Float32:
-        """Return positions (T, 3) at 1 kHz by cubic splines through `keyframes` (n, 3)."""
+        """Return positions (T, 3) at 1 kHz in the span, by cubic splines through positions (n, 3) of its keyframes."""
         axes = [splev(self._times(), splrep(self._key_times(), column)) for column in keyframes.T]
         return np.stack(axes, axis=1).astype(np.float32)
 
     def interpolate_rotations(self, keyframes: Float32) -> Rotation:
-        """Return float32 quaternions at 1 kHz by slerp between keyframes (n_keyframes, 4) of any length but zero."""
+        """Return T rotations at 1 kHz in the span, by slerp between quaternions xyzw (n, 4) of any length but zero."""
         rotations = Slerp(self._key_times(), Rotation.from_quat(keyframes))(self._times())
         return Rotation.from_quat(rotations.as_quat().astype(np.float32))
 

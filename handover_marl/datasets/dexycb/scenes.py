@@ -30,9 +30,9 @@ from handover_marl.execution.reading import read_arrays
 
 
 def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
-    """Return the motion (T, 6) float32 of an object in the tag's frame at 1 kHz: position (m), unwrapped XYZ angles.
+    """Return an object's motion (T, 6) float32 in the tag's frame at 1 kHz: position (m), unwrapped XYZ Euler angles.
 
-    The keyframes (F, 7) float32 are in the world frame: quaternion xyzw, position (m).
+    The keyframes `poses` (F, 7) float32 are in DexYCB's world frame: quaternion xyzw, position (m).
     """
     span = KeyframeSpan(0, len(poses) - 1)
     quaternions = tag.transform_rotations(Rotation.from_quat(poses[:, :4]))
@@ -42,12 +42,12 @@ def compute_object_trajectory(poses: Float32, tag: TagFrame) -> Float32:
 
 
 def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wrist: Float64, base: Float64) -> Float32:
-    """Compute the joint trajectory (T, 51) float32 of the articulated hand in the tag's frame at 1 kHz.
+    """Compute the joint trajectory (T, 51) float32 of the person's articulated hand in the tag's frame at 1 kHz.
 
     It is base position (m), unwrapped base angles and finger angles (rad, intrinsic XYZ); zero without a hand. The
-    keyframes (F, 51) float32 are in the world frame: rotation vector (rad), 45 coefficients of the finger pose,
-    translation (m); rows without a hand, at both ends only, are zero. `wrist` and `base` are the root joint (3,) at
-    rest (m) for the hand's shape in this recording, and in the articulated body.
+    keyframes `poses` (F, 51) float32 are in DexYCB's world frame: rotation vector (rad), 45 coefficients of the finger
+    pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` and `base` are the root joint (3,)
+    at rest (m) for the hand's shape in this recording, and in the articulated body.
     """
     span = find_hand_span(poses)
     keyframes = poses[span.first : span.last + 1]
@@ -67,13 +67,13 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
 
 
 def find_hand_span(poses: Float32) -> KeyframeSpan:
-    """Return the range of keyframes with a hand, from the first to the last non-zero row of (F, 51)."""
+    """Return the range of keyframes with a hand: from the first to the last non-zero row of `poses` (F, 51)."""
     present = np.flatnonzero(poses.any(axis=1))
     return KeyframeSpan(int(present[0]), int(present[-1]))
 
 
 def compute_finger_poses(model: ManoModel, coefficients: Float32) -> Float32:
-    """Return the finger rotation vectors (n, 45) in rad for coefficients (n, 45) of principal components.
+    """Return the finger rotation vectors (n, 45) in rad for coefficients (n, 45) of MANO's principal components.
 
     The sums are float32, from left to right.
     """
@@ -130,9 +130,9 @@ def import_scene(
 ) -> None:
     """Import one recording: write the two files of its scene to `dex-ycb-cache/` in a data folder.
 
-    Existing files must be equal. Both files are in the frame of the AprilTag on the table at 1 kHz: `pose_y` (T, n, 6),
+    Existing files must be equal. The motion is in the frame of the AprilTag on the table at 1 kHz: `pose_y` (T, n, 6),
     position (m) and intrinsic XYZ Euler angles (rad) of the objects, and `pose_m` (T, 1, 51), joint positions of the
-    hand: 3 positions (m), 48 angles (rad). `first_betas` are from `find_first_betas`.
+    hand: 3 positions (m), 48 angles (rad). `models` are MANO's by side, `first_betas` from `find_first_betas`.
 
     Raises:
         DataNotFoundError, DataFormatError: A file of the recording is missing or damaged, or one of the scene differs.

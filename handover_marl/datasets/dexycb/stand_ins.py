@@ -46,7 +46,7 @@ def open_folder(source: Path) -> Iterator[Path]:
 
     Raises:
         DataNotFoundError: The source does not exist or is not a folder or plain file.
-        UnsafeFileError: The archive contains devices, links or paths to places outside itself.
+        UnsafeFileError: The archive contains devices, symbolic links or paths to places outside itself.
         DataFormatError: The archive is damaged, or the file is not an archive.
     """
     try:
@@ -99,7 +99,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
-        UnsafeFileError: The archive has devices, links or paths to places outside itself, or too much data.
+        UnsafeFileError: The archive has devices, symbolic links or paths to places outside itself, or too much data.
         DataFormatError: The source is damaged, or has none of the files.
         ResultsError: A file exists with other content, or cannot be written.
     """
@@ -121,7 +121,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
 
 def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
-    """Return the path in `assets/` of every third-party file by its path in the source."""
+    """Return, by relative path in the source, the path in `assets/` of every third-party file among these paths."""
     wanted = read_third_party_checksums()
     roots: defaultdict[Path, dict[Path, str]] = defaultdict(dict)
     for path in paths:
@@ -144,7 +144,7 @@ def _match_paths(source: Path, paths: Iterable[Path]) -> dict[Path, str]:
 
 
 def write_stand_ins(models: Path, assets: Path, workers: int, progress: bool) -> list[str]:
-    """Write stand-ins for missing third-party files if DexYCB's folder of object models exists; return faults.
+    """Write stand-ins for files missing in `assets` if DexYCB's `models` folder exists; return messages on failures.
 
     Raises:
         ResultsError: A file cannot be written.
@@ -194,7 +194,7 @@ def _write_convex_parts(assets: Path, name: str) -> str:
 
 
 def _write_panda(assets: Path) -> None:
-    """Write PyBullet's Panda for the missing variants of the robot."""
+    """Write PyBullet's Panda, marked as a stand-in, for those variants of the robot that `assets` lacks."""
     missing = [robot for robot, path in PANDA_FILES.items() if not (assets / path).exists()]
     if not missing:
         return

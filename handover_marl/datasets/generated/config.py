@@ -54,7 +54,7 @@ class GeneratedConfig:
         objects: Number of procedural objects from which scenes are drawn.
         people: Number of people that hand over procedural objects; the shipped objects are handed over by
             the ten people of the synthetic scenes.
-        left: Share (0 to 1) of left hands.
+        left: Share (0 to 1) of scenes in which the giver uses the left hand.
         clutter_min: Smallest number of other objects on the table.
         clutter_max: Largest number of other objects on the table.
         boxes: Weight of boxes among the procedural objects.
@@ -112,7 +112,7 @@ FAMILY_DEFAULTS: Final[Mapping[str, GeneratedConfig]] = MappingProxyType(
 
 
 def parse_generated_config(argument: str) -> GeneratedConfig:
-    """Return the configuration of a text such as "n=100000,seed=7,family=hard".
+    """Return the configuration that a text such as "n=100000,seed=7,family=hard" describes; other values are defaults.
 
     Raises:
         OptionError: The text has another form, or a value is out of range.
@@ -145,7 +145,7 @@ def parse_generated_config(argument: str) -> GeneratedConfig:
 
 
 def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int = 0) -> Seed:
-    """Return the seed of the random streams of a scene, object or person by its number, after failed attempts.
+    """Return the seed of the random streams of the scene, object or person `number`, after `attempt` failed attempts.
 
     Only the family and the seed of the configuration are used.
     """
@@ -153,7 +153,7 @@ def make_seed(config: GeneratedConfig, kind: ItemKind, number: int, attempt: int
 
 
 def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return indices into `SPLITS` of scene or object numbers (n,): a fixed hash of the number alone."""
+    """Return the splits of scenes (or objects) with numbers (n,), as indices into `SPLITS`: a hash of each number."""
     words = np.asarray(numbers, dtype=np.uint64) + np.uint64(_OBJECT_OFFSET if of_objects else 0)
     # SplitMix64 (Steele, Lea and Flood, 2014).
     with np.errstate(over="ignore"):
@@ -165,5 +165,5 @@ def find_splits(numbers: npt.ArrayLike, of_objects: bool = False) -> npt.NDArray
 
 
 def list_split(split: str, count: int, of_objects: bool = False) -> npt.NDArray[np.int64]:
-    """Return the numbers below `count` of the scenes or objects in a split, in ascending order."""
+    """Return the numbers from 0 to `count` - 1 of the scenes, or of the objects, in a split, in ascending order."""
     return np.flatnonzero(find_splits(np.arange(count), of_objects) == SPLITS.index(split))

@@ -66,7 +66,7 @@ Array = npt.NDArray[np.float64]
 
 #: Class number of the first procedural object.
 FIRST_CLASS: Final = max(CLASS_NAMES) + 1
-#: Classes of shipped objects that the gripper can span.
+#: Class numbers of the shipped objects that the gripper can span.
 GRASPABLE_CLASSES: Final = tuple(
     number for number in SCENE_CLASSES if CLASS_NAMES[number] not in CLASSES_WITHOUT_GRASPS
 )
@@ -88,7 +88,7 @@ class GeneratedDataset(HandoverGenerator):
         robot: Variant of the Panda, one of `handover_marl.geometry.panda.ROBOTS`.
 
     Attributes:
-        config: Configuration.
+        config: Configuration of the scenes.
 
     Raises:
         OptionError: The configuration's text is wrong, or a value is out of range.
@@ -125,7 +125,7 @@ class GeneratedDataset(HandoverGenerator):
         return True
 
     def list_scenes(self, setup: str | None, split: str) -> tuple[int, ...]:
-        """Return the scene numbers of a split in ascending order."""
+        """Return the scene numbers of a split ("train", "val" or "test") of the only setup in ascending order."""
         self.resolve_setup(setup)
         check_name("split", split, SPLITS)
         return tuple(list_split(split, self.config.n).tolist())
@@ -136,7 +136,7 @@ class GeneratedDataset(HandoverGenerator):
         return _draw_side(self.config, scene_id)
 
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate an existing scene.
+        """Generate the scene with an existing number.
 
         Raises:
             HandoverError: No grasp was found for many objects in a row.
@@ -151,7 +151,7 @@ class GeneratedDataset(HandoverGenerator):
         return _write_object_model(object_name, _load_shape(self.config, self._numbers[object_name])[0])
 
     def load_grasps(self, object_name: str) -> Array | None:
-        """Return robot grasps (n, 4, 4) of a class, or None if it has none.
+        """Return robot grasps of a class, gripper poses (n, 4, 4) in the object's frame (m), or None without grasps.
 
         Grasps of shipped objects have held the object in simulation. Grasps of procedural objects are
         antipodal and do not collide with the object; they are not simulated.
@@ -163,7 +163,7 @@ class GeneratedDataset(HandoverGenerator):
         return grasps if len(grasps) else None
 
     def compute_fingerprint(self, scene_id: int) -> str:
-        """Return version and configuration of the generator; the number of scenes does not matter."""
+        """Return version and configuration of the generator, which determine a scene, without the number of scenes."""
         return f"{GENERATED}-{VERSION}-{self.name.partition(',')[2]}"
 
 
@@ -192,7 +192,7 @@ def _generate_scene(config: GeneratedConfig, scene_id: int) -> GeneratedHandover
 
 
 def _draw_giver(config: GeneratedConfig, scene_id: int, split: str) -> tuple[SimulatedGiver, Seed]:
-    """Draw object and person until the hand can grasp the object; return also the seed to go on with."""
+    """Draw object and person until the hand can grasp the object; return them and the seed of the rest of the scene."""
     side = _draw_side(config, scene_id)
     for attempt in range(_MAX_ATTEMPTS):
         seed = make_seed(config, "scene", scene_id, attempt)
@@ -243,19 +243,19 @@ def _list_object_numbers(count: int, split: str) -> npt.NDArray[np.int64]:
 
 @lru_cache(maxsize=1024)
 def _load_shape(config: GeneratedConfig, number: int) -> tuple[ProceduralObject, Solid]:
-    """Draw a procedural object by its number, from 0."""
+    """Return the procedural object with a number from 0, and its solid; random numbers depend on the number only."""
     item = draw_object(open_stream(make_seed(config, "object", number), "object"), config.kind_weights)
     return item, Solid(map(make_surface, item.parts))
 
 
 def _open_grasp_stream(config: GeneratedConfig, number: int) -> tuple[RandomStream, Solid]:
-    """Return the random numbers for the robot grasps of a procedural object, and the object."""
+    """Return the stream of random numbers for the robot grasps of a procedural object, and the object's solid."""
     return open_stream(make_seed(config, "object", number), "robot grasps"), _load_shape(config, number)[1]
 
 
 @lru_cache(maxsize=256)
 def _draw_few_grasps(config: GeneratedConfig, number: int) -> Array | None:
-    """Return poses (n, 7) of the gripper's hand link at a few robot grasps, or None if hardly any is found."""
+    """Return object-frame poses (n, 7) of the Panda's hand link at a few robot grasps; None if few are found."""
     random, solid = _open_grasp_stream(config, number)
     grasps = draw_robot_grasps(random, solid, _N_SKETCH_POINTS, _N_SKETCH_GRASPS, is_varied=False)
     return hand_poses_from_grasps(grasps) if len(grasps) >= _MIN_SKETCH_GRASPS else None
@@ -291,9 +291,9 @@ def write_hand_model(person: Person, side: Side) -> Path:
 
 
 def _write_folder(content: str, name: str, urdf: str, make_files: Callable[[], Mapping[str, bytes | str]]) -> Path:
-    """Return the path of a URDF in a folder that has a hash of its content; the files are written once, the URDF last.
+    """Write a model to the cache unless it exists, and return the path of its URDF, which is written last.
 
-    Several processes may write the same files.
+    The path has a hash of the text `content`, which determines the files. Several processes may write the same files.
     """
     digest = hashlib.sha256(f"{_FORMAT} {content}".encode()).hexdigest()[:20]
     root = get_cache_folder("generated")

@@ -68,7 +68,7 @@ class Person:
 
 @lru_cache(maxsize=1024)
 def draw_person(config: GeneratedConfig, number: int) -> Person:
-    """Draw the person of a number: a woman or a man with normally distributed hand length and breadth."""
+    """Draw the person with a number: a woman or a man with normally distributed hand length and breadth."""
     random = open_stream(make_seed(config, "person", number), "person")
     lengths, breadths = WOMEN if random.uniform() < 0.5 else MEN
     first, other = random.normal(), random.normal()
@@ -101,7 +101,7 @@ class Palms(ArrayBatch):
     rotation: Array
 
     def transform(self, points: npt.NDArray[np.floating]) -> Array:
-        """Transform points (n, ..., 3) from the palm's frame to the object's frame."""
+        """Transform points (n, ..., 3) of the n palms from each palm's frame to the object's frame (m)."""
         count = math.prod(points.shape[1:-1])  # -1 is not allowed where there are no palms
         flat = points.reshape(len(points), count, 3) @ self.rotation.swapaxes(1, 2) + self.position[:, None]
         return np.asarray(flat.reshape(points.shape))
@@ -124,7 +124,7 @@ class Posture(ArrayBatch):
     thumb_axis: Array
 
     def compute_joint_angles(self) -> Array:
-        """Return the finger joint angles (n, 45), intrinsic XYZ Euler angles (rad)."""
+        """Return the finger joint angles (n, 45) of the postures: intrinsic XYZ Euler angles (rad) of 15 joints."""
         angles = np.zeros((len(self), 5, 3, 3))
         angles[..., 2] = self.bends
         angles[:, :THUMB, 0, 1] = self.spread
@@ -139,7 +139,7 @@ class Posture(ArrayBatch):
 
 
 def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return the capsules of a right palm: metacarpals and balls of thumb and little finger."""
+    """Return capsules that approximate a right palm, in its frame: metacarpals, balls of thumb and little finger."""
     index, middle, little, ring, thumb = hand.joint_origins[::3] / hand.scale
     drop, wrist = np.array([0.0, -0.004, 0.0]), 0.0155
     capsules = [
@@ -154,7 +154,7 @@ def make_palm_capsules(hand: HandGeometry) -> list[Capsule]:
 
 
 def make_forearm_capsules(hand: HandGeometry) -> list[Capsule]:
-    """Return the capsules of the end of the forearm in the palm's frame."""
+    """Return capsules, in the palm's frame, that approximate the end of the forearm."""
     return _scale_capsules(
         hand,
         [(np.array([0.075, 0.0, z]), np.array([0.0, 0.0, z * 8.0 / 9.0]), 0.024, 0.0165) for z in (0.009, -0.009)],
@@ -177,7 +177,7 @@ def _spheres_from_capsules(capsules: list[Capsule], count: int) -> Spheres:
 def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
     """Return the centers (n, s, 5, 9, 3) of the digits' spheres in the palm's frame (m), three per phalanx.
 
-    The n postures have s flexions (n, s, 5, 3) (rad) each.
+    Each of n postures has s flexions `bends` (n, s, 5, 3) (rad) instead of its own.
     """
     n, count = bends.shape[:2]
     bent = replace(posture[np.repeat(np.arange(n), count)], bends=bends.reshape(-1, 5, 3))
@@ -188,7 +188,7 @@ def place_digits(model: HandGeometry, posture: Posture, bends: Array) -> Array:
 
 
 def _compute_link_poses(model: HandGeometry, posture: Posture) -> tuple[Array, Array]:
-    """Return positions (n, 16, 3) (m) and rotations (n, 16, 3, 3) of the links in the palm's frame."""
+    """Return positions (n, 16, 3) in m and rotations (n, 16, 3, 3) of palm and phalanges in the palm's frame."""
     dof = np.concatenate([np.zeros((len(posture), 6)), posture.compute_joint_angles()], axis=1)
     dof[:, :3] = -model.palm_offset
     return model.compute_link_poses(dof)
@@ -249,7 +249,7 @@ def _sample_openings(count: int) -> Openings:
 
 
 def compute_shortest_rotations(source: Array, goal: Array) -> Array:
-    """Return the smallest rotations (n, 3, 3) from unit vectors `source` to `goal`."""
+    """Return the smallest rotations (n, 3, 3) that turn unit vectors `source`, (3,) or (n, 3), to `goal` (n, 3)."""
     source = np.broadcast_to(source, goal.shape)
     axis = np.cross(source, goal)
     sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("ni,ni->n", source, goal)
@@ -283,7 +283,7 @@ class HandTemplates:
 
 @lru_cache(maxsize=64)
 def make_hand_templates(size: HandSize, count: int = _N_TEMPLATES) -> HandTemplates:
-    """Return up to `count` open postures of a right hand of some size and their closing; cached."""
+    """Return up to `count` open postures of a right hand of a size, and the paths of its closing fingers; cached."""
     model = scale_hand(size, "right")
     openings = _measure_openings(model, _sample_openings(count).posture)
     openings = openings[np.argsort(openings.width, kind="stable")]

@@ -60,15 +60,15 @@ def draw_human_grasps(
     n_grasps: int = 3,
     n_rounds: int = 5,
 ) -> HumanGrasps | None:
-    """Draw grasps of an object by one hand, sorted by wrist distance; None if none is found.
+    """Draw grasps of an object by one human hand, sorted by wrist distance; None if none is found.
 
     Args:
         random: Stream of random numbers.
-        solid: Object.
+        solid: Object to grasp.
         up_axes: Weights of the object's axes that point up on a table: +x, -x, +y, -y, +z, -z. In every grasp the hand
             is clear of the table for one of the axes with a weight.
         size: Size of the hand.
-        side: Side of the hand.
+        side: Side of the hand, "right" or "left".
         n_pairs: Number of surface points from which grasps are tried in one round.
         n_closed: Largest number of hands whose fingers are closed in one round.
         n_grasps: Number of grasps at which the search ends.
@@ -102,11 +102,11 @@ def draw_human_grasps(
 
 @dataclass(frozen=True, eq=False)
 class ClosedHands(ArrayBatch):
-    """Closed hands.
+    """Human hands, n in number, whose fingers are closed on an object.
 
     Attributes:
         posture: n postures.
-        gaps: (n, 5, 9) distances of the phalanges' spheres from the object (m).
+        gaps: (n, 5, 9) distances of the phalanges' spheres from the object, negative inside of it (m).
         centers: (n, 5, 9, 3) centers of the spheres in the object's frame (m).
     """
 
@@ -118,7 +118,7 @@ class ClosedHands(ArrayBatch):
 def _sample_open_hands(
     random: RandomStream, solid: Solid, templates: HandTemplates, n_pairs: int
 ) -> tuple[Palms, Ints]:
-    """Sample palm poses (m) of open hands around the object, free of contact, and their templates (m,)."""
+    """Sample open hands that do not touch the object: poses of n palms, and their indices (n,) of `templates`."""
     thumb_side, finger_side, cosines = solid.sample_opposite_points(random, n_pairs, _MAX_WIDTH, 0.18)
     noise, draws = random.uniforms(n_pairs, 6), random.uniforms(n_pairs, 4)
     across = finger_side - thumb_side
@@ -142,7 +142,7 @@ def _sample_open_hands(
 
 
 def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, directions: Array) -> Array:
-    """Return the lowest coordinates (n, k) (m) of open hands along k directions (k, 3)."""
+    """Return the lowest coordinates (n, k) in m of open hands with templates `rows` (n,) along directions (k, 3)."""
     if not len(rows):
         return np.zeros((0, len(directions)))
     palm = np.broadcast_to(templates.palm[0], (len(rows), *templates.palm[0].shape))
@@ -151,7 +151,7 @@ def _find_lowest_points(templates: HandTemplates, palms: Palms, rows: Ints, dire
 
 
 def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> Ints:
-    """Return the indices of the open hands that are outside of the object."""
+    """Return the indices of hands, in open postures `rows` (n,) of `templates`, that are outside of the object."""
     # A few spheres of thumb and index finger reject five of six hands.
     digits, spheres = _PROBED_SPHERES
     points = palms.transform(templates.path[rows[:, None], 0, digits, spheres])
@@ -169,13 +169,16 @@ def find_free_hands(solid: Solid, templates: HandTemplates, palms: Palms, rows: 
 
 
 def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Array:
-    """Return the smallest distance (n,) (m) between spheres of the hand's body and the object."""
+    """Return smallest distances (n,) in m between the object and spheres that are fixed to each of n palms."""
     points = palms.transform(np.broadcast_to(centers, (len(palms), *centers.shape)))
     return np.asarray((solid.compute_distances(points) - radii).min(axis=1))
 
 
 def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> ClosedHands:
-    """Close the digits of n hands: all joints until contact, then the joints beyond the contact."""
+    """Close the digits of n open hands on the object: all joints until contact, then the joints beyond the contact.
+
+    The hands have poses `palms` in the object's frame and the open postures of `templates` with indices `rows` (n,).
+    """
     n = len(rows)
     points = palms.transform(templates.path[rows])
     gaps = (solid.compute_distances(points) - templates.radii).reshape(n, N_STEPS, 5, 3, 3).min(axis=4)
@@ -202,7 +205,7 @@ def _close_end_joints(
     bends: Array,
     phalanx: Ints,
 ) -> Array:
-    """Return flexions (n, 5, 3) with the joints beyond the touching phalanges (n, 5) closed further."""
+    """Return flexions `bends` (n, 5, 3) (rad) with the joints beyond the touching `phalanx` (n, 5) closed further."""
     n, count = len(rows), _N_DISTAL_STEPS
     beyond = np.arange(3) > phalanx[..., None]
     if not beyond.any():
@@ -217,7 +220,7 @@ def _close_end_joints(
 
 
 def _find_contacts(gaps: Array, least: float) -> tuple[Array, Flags]:
-    """Return the steps (n, 5), with fractions, at which gaps (n, s, 5) fall below `-least`, and which do."""
+    """Return the steps (n, 5), with fractions, at which gaps (n, s, 5) (m) first fall below `-least`, and which do."""
     hits = gaps < -least
     touches = np.asarray(hits.any(axis=1))
     step = np.where(touches, hits.argmax(axis=1), gaps.shape[1] - 1)
@@ -251,7 +254,7 @@ def _find_firm_grasps(solid: Solid, templates: HandTemplates, palms: Palms, clos
 
 
 def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: ClosedHands, side: Side) -> HumanGrasps:
-    """Return grasps by a hand of some side of the object that is not mirrored."""
+    """Return the grasps of n closed hands; those of a left hand, found on the mirrored object, are mirrored back."""
     base = palms.position - np.einsum("nij,j->ni", palms.rotation, templates.model.palm_offset)
     quaternion = Rotation.from_matrix(palms.rotation).as_quat()
     flip = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)

@@ -34,8 +34,8 @@ Float32 = npt.NDArray[np.float32]
 #: Time between keyframes (s), and frames of 1 ms between them.
 KEYFRAME_PERIOD, _STRIDE = 0.04, 40
 
-_PEAK_SPEED_RATIO = 1.875  # of peak and mean speed of a minimum-jerk motion
-_LIFT_SPEED_RATIO = 0.95  # of the peak speeds of lift and reach
+_PEAK_SPEED_RATIO = 1.875  # peak speed of a minimum-jerk motion divided by its mean speed
+_LIFT_SPEED_RATIO = 0.95  # peak speed of the lift divided by that of the reach
 _CLOSING_FRAMES = (5, 11)
 _HOLD_FRAMES = 3
 _MIN_REACH_LENGTH = 0.10  # m
@@ -44,7 +44,7 @@ _MAX_REACH_ROTATION = np.radians(60.0)
 _SAMPLES = np.linspace(0.0, 1.0, 101)
 _LENGTH_TOLERANCE = 1e-11  # m
 # Spacing (rad or m) of a grid that values are rounded to. It hides the last bits of sines and splines, which differ
-# between machines and versions of NumPy. A power of two, since decimal constants in the inputs would give ties.
+# between machines and versions of NumPy. It is a power of two, since decimal constants in the inputs would give ties.
 _GRID = 2.0**-23
 
 
@@ -93,7 +93,7 @@ class HandoverTiming:
 
 
 def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -> KeyframeMotion:
-    """Draw the keyframes of the object and the hand in a scene."""
+    """Draw the keyframes of the object and the person's hand in a scene, between the poses of a placement."""
     random = open_stream(seed, "motion")
     side_sign = 1.0 if giver.grasps.side == "right" else -1.0
     speed = random.draw_quantile("peak_speed")
@@ -110,13 +110,13 @@ def draw_motion(seed: Seed, placement: ObjectPlacement, giver: SimulatedGiver) -
 
 
 def minimum_jerk(time: npt.ArrayLike) -> Array:
-    """Return the progress (0 to 1) of a minimum-jerk motion at fractions of its duration."""
+    """Return the progress, 0 to 1, of a minimum-jerk motion at fractions of its duration, clipped to [0, 1]."""
     t = np.clip(np.asarray(time, dtype=np.float64), 0.0, 1.0)
     return t * t * t * (10.0 + t * (6.0 * t - 15.0))
 
 
 def _draw_timing(random: RandomStream, speed: float, entry_distance: float, lift_time: float) -> HandoverTiming:
-    """Draw the timing so that the wrist has the given peak speed (m/s) in the reach."""
+    """Draw a timing with a wrist's peak speed (m/s), a reach of `entry_distance` (m) and a lift of `lift_time` (s)."""
     counts = FRAME_COUNTS
     n_frames = list(counts)[random.weighted_index(list(counts.values()))]
     onset = round(random.draw_quantile("hand_onset"))
@@ -164,7 +164,7 @@ class _HandoverPath:
         self._rise = self._compute_rise()
 
     def sample(self, progress: Array) -> tuple[Array, Rotation]:
-        """Return positions (n, 3) and rotations of the object at progress (n) from 0 to 1."""
+        """Return positions (n, 3) in m and n rotations of the object at shares (n,) of the path, from 0 to 1."""
         control = np.array([self._start[0], self._start[1], max(self._start[2], self._end[2])])
         positions = _bezier(progress, self._start, control, self._end)
         positions[:, 2] += self._rise * (4.0 * progress * (1.0 - progress)) ** 0.5
@@ -173,14 +173,14 @@ class _HandoverPath:
         return positions, Rotation.from_quat(multiply_quaternions(self._first, turns))
 
     def min_duration(self, speed: float) -> float:
-        """Return the shortest duration (s) of the path for a peak speed (m/s) of the wrist."""
+        """Return the shortest duration (s) of the path in which the wrist is at most as fast as `speed` (m/s)."""
         position, rotation = self.sample(minimum_jerk(_SAMPLES))
         wrist = position + rotation.apply(self._wrist)
         fastest = float(np.linalg.norm(np.diff(wrist, axis=0), axis=1).max()) / float(_SAMPLES[1])
         return max(fastest / (_LIFT_SPEED_RATIO * speed), _MIN_LIFT_TIME)
 
     def sample_keyframes(self, timing: HandoverTiming, sway: Array) -> tuple[Array, Rotation]:
-        """Return positions (T, 3) and rotations of the object, which sways by up to `sway` (3,) in m while held out."""
+        """Return positions (T, 3) and rotations of the object, which sways by up to `sway` (3,) (m) while held out."""
         frames = np.arange(timing.n_frames)
         progress = minimum_jerk((frames - timing.lift) / (timing.arrival - timing.lift))
         position, rotation = self.sample(progress)
@@ -206,7 +206,7 @@ def _add_hand_motion(
     placement: ObjectPlacement,
     giver: SimulatedGiver,
 ) -> KeyframeMotion:
-    """Add the hand's motion: the reach before the grasp, then rigidly attached to the object."""
+    """Add the hand's motion to the object's: it reaches from `entry` (3,) (m), then it is attached to the object."""
     grasps, row = giver.grasps, placement.grasp
     object_from_hand = Rotation.from_matrix(giver.object_from_hand[row])
     base_rotation = Rotation.from_quat(multiply_quaternions(rotation.as_quat(), object_from_hand.as_quat()))
@@ -228,17 +228,17 @@ def _add_hand_motion(
 
 
 def _compute_reach_progress(timing: HandoverTiming, frames: npt.NDArray[np.int64]) -> Array:
-    """Return the progress (0 to 1) along the visible part of the reach in some frames."""
+    """Return the progress (n,), 0 to 1, along the visible part of the reach in keyframes with numbers (n,)."""
     time = timing.onset_share + (1.0 - timing.onset_share) * (frames - timing.onset) / (timing.grasp - timing.onset)
     start = float(minimum_jerk(timing.onset_share))
     return np.asarray((minimum_jerk(time) - start) / (1.0 - start))
 
 
 def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, length: float, progress: Array) -> Array:
-    """Return wrist positions (n, 3) at shares (n,) of a Bezier curve of given length (m) to a point (3,).
+    """Return the wrist's positions (n, 3) at shares `progress` (n,) of a Bezier curve of a length (m) to `end` (3,).
 
-    The distance of `entry` (3,), from which the curve comes, is adapted to the length; at its end the tangent is
-    the direction of the fingers (3,).
+    The curve comes from the direction of `entry` (3,), whose distance is adapted to the length; at its end the tangent
+    is the direction of the fingers (3,).
     """
     direction = (entry - end) / max(float(np.linalg.norm(entry - end)), 1e-9)
     bend = 0.35 * min(length, 0.4)
@@ -266,7 +266,7 @@ def _compute_reach_path(entry: Array, end: Array, finger_direction: Array, lengt
 
 
 def _bezier(parameter: Array, start: Array, control: Array, end: Array) -> Array:
-    """Return the points (n, 3) of a quadratic Bezier curve at parameters (n) from 0 to 1."""
+    """Return the points (n, 3) of a quadratic Bezier curve with points (3,), at parameters (n,) from 0 to 1."""
     s = parameter[:, None]
     return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
@@ -276,7 +276,7 @@ def _cumulative_lengths(points: Array) -> Array:
 
 
 def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, progress: Array) -> Rotation:
-    """Return rotations of the grasping pose that initially turn the fingers along the path."""
+    """Return rotations, fading with `progress` (n,), that turn the fingers of the grasping hand along the path."""
     travel = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
     axis = np.cross(finger_direction, travel)
     sine = float(np.linalg.norm(axis))
@@ -289,7 +289,7 @@ def _compute_reach_rotations(start: Array, end: Array, finger_direction: Array, 
 def _compute_height_offsets(
     giver: SimulatedGiver, base: Array, rotation: Rotation, fingers: Array, frames: npt.NDArray[np.int64]
 ) -> Array:
-    """Return the heights (n,) (m) to add in some frames for clearance above the table."""
+    """Return heights (n,) in m by which to raise the hand in the keyframes `frames` (n,) to be clear of the table."""
     if len(frames) == 0:
         return np.zeros(0)
     dof = np.concatenate([base[frames], rotation[frames].as_euler("XYZ"), fingers[frames]], axis=1)
@@ -298,7 +298,7 @@ def _compute_height_offsets(
 
 
 def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array:
-    """Return the coordinates (3, n) of the hand's joints and the handed-over object's corners in all keyframes."""
+    """Return the positions (3, n) of the hand's joints and the object's corners in all keyframes, table's frame (m)."""
     positions, rotations = motion.object_position, motion.object_rotation.as_matrix()
     moves = np.concatenate([[True], (positions[1:] != positions[:-1]).any(axis=1)])
     shown = slice(motion.hand_first, None)
@@ -319,9 +319,10 @@ def compute_swept_points(motion: KeyframeMotion, giver: SimulatedGiver) -> Array
 
 
 def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject]) -> tuple[Float32, Float32, int]:
-    """Return objects (T, n, 6) and hand (T, 51) at 1 kHz in the world frame, and the hand's first frame.
+    """Interpolate keyframes in the table's frame to a scene's motion at 1 kHz in the world frame, as in `Scene`.
 
-    The keyframes (25 Hz) are in the table's frame; the handed-over object is the first.
+    The motion is that of objects (T, n, 6), the handed-over one first, and of the hand (T, 51); the third result is the
+    first frame with the hand.
     """
     n, first = len(motion.object_position), motion.hand_first
     key_times = np.arange(n, dtype=np.float64) * KEYFRAME_PERIOD
@@ -343,21 +344,25 @@ def compute_trajectories(motion: KeyframeMotion, clutter: Sequence[ClutterObject
 
 
 def resample_poses(key_times: Array, positions: Array, rotations: Rotation, times: Array) -> Float32:
-    """Return positions and unwrapped Euler angles (T, 6) at times (T,) from keyframes at `key_times` (n,)."""
+    """Interpolate poses of n keyframes at `key_times` (n,), in s, at other times (T,).
+
+    Returns positions (m) and unwrapped intrinsic XYZ Euler angles (rad), (T, 6); outside of the keyframes,
+    positions are those of the first or last one.
+    """
     points = CubicSpline(key_times, positions)(np.clip(times, key_times[0], key_times[-1]))
     angles = np.unwrap(_resample_angles(key_times, rotations, times), axis=0)
     return _round_to_grid(np.concatenate([points, angles], axis=1))
 
 
 def resample_fingers(key_times: Array, fingers: Array, times: Array) -> Float32:
-    """Return finger joint angles (T, 45) at times (T,) from keyframes (n, 45) at `key_times` (n,)."""
+    """Return finger joint angles (T, 45) in rad at times (T,) in s from keyframes (n, 45) at `key_times` (n,) in s."""
     joints = np.split(fingers, fingers.shape[1] // 3, axis=1)
     angles = [_resample_angles(key_times, Rotation.from_euler("XYZ", joint), times) for joint in joints]
     return _round_to_grid(np.concatenate(angles, axis=1))
 
 
 def _resample_angles(key_times: Array, rotations: Rotation, times: Array) -> Array:
-    """Return the Euler angles (T, 3) of rotations at some times; most of the time many rotations are still."""
+    """Return Euler angles (T, 3) at `times` of rotations at `key_times` (n,); interpolate only where these change."""
     quaternions, still = rotations.as_quat(), rotations.as_euler("XYZ")
     moves = np.flatnonzero((quaternions[1:] != quaternions[:-1]).any(axis=1))
     if not len(moves):

@@ -20,7 +20,7 @@ _WALL = ("blue", "cream", "navy", "orange", "red", "white", "yellow")
 
 @dataclass(frozen=True)
 class ProceduralObject:
-    """Object made of convex parts.
+    """Procedural object, made of convex parts.
 
     Attributes:
         kind: One of `OBJECT_KINDS`.
@@ -34,7 +34,7 @@ class ProceduralObject:
 
 
 def draw_object(random: RandomStream, weights: tuple[float, ...]) -> ProceduralObject:
-    """Draw a procedural object; the weights are in the order of `OBJECT_KINDS`."""
+    """Draw a procedural object; `weights` are the relative probabilities of the kinds in `OBJECT_KINDS`."""
     kind = OBJECT_KINDS[random.weighted_index(weights)]
     parts, up_axes = _DRAWERS[kind](random)
     return ProceduralObject(kind, _center(parts), up_axes)

@@ -69,7 +69,7 @@ _CLUTTER_CLEARANCE = 0.025
 _CLUTTER_X, _CLUTTER_Y = (0.15, 0.95), (0.02, 0.55)
 _MAX_CLUTTER_TRIES = 200
 
-#: Draws the object's position x, y on the table (2,) and at the handover (3,) (m).
+#: Function that draws the object's position x, y on the table (2,) and at the handover (3,) (m).
 DrawPositions = Callable[[RandomStream], tuple[Array, Array]]
 #: Object for the table: class number, corners (n, 3) of its hull (m), weights of its axes up, see `SimulatedGiver`.
 ClutterItem = tuple[int, Array, Sequence[float]]
@@ -101,14 +101,14 @@ class SimulatedGiver:
     Attributes:
         class_id: Class number of the object.
         subject: Name of the person.
-        hand: Geometry of the hand.
-        hand_urdf: URDF of the hand.
+        hand: Geometry of the person's hand.
+        hand_urdf: URDF file of the person's hand.
         corners: (n, 3) corners of the object's hull (m).
         up_axes: Weights of the object's axes that point up on the table: +x, -x, +y, -y, +z, -z.
         wrist_distances: Quantiles (m) of the wrist's distance from the object, at the levels
             `handover_marl.assets.human_grasps.LEVELS`.
         grasps: The person's g grasps of the object.
-        robot_grasps: (n, 7) poses of the gripper's hand link, or None for a class without grasps.
+        robot_grasps: (n, 7) poses of the Panda's hand link at robot grasps, or None for a class without grasps.
     """
 
     class_id: int
@@ -123,17 +123,17 @@ class SimulatedGiver:
 
     @cached_property
     def object_from_hand(self) -> Array:
-        """Rotations (g, 3, 3) of the hand's base in the human grasps."""
+        """Rotations (g, 3, 3) of the person's hand's base in the object's frame, in the g human grasps."""
         return matrices_from_euler(self.grasps.compute_hand_dof()[:, 3:6])
 
     @cached_property
     def keypoints(self) -> Array:
-        """Wrist, finger joints and fingertips (g, 21, 3) of the closed hand in the human grasps (m)."""
+        """Wrist, finger joints and fingertips (g, 21, 3) of the hand in g human grasps, in the object's frame (m)."""
         return self.hand.compute_keypoints(self.grasps.compute_hand_dof())
 
     @cached_property
     def gripper_points(self) -> Array | None:
-        """Points (n, p, 3) of the gripper at the robot grasps and their approaches (m)."""
+        """Points (n, p, 3) of the gripper at n robot grasps and on the approaches, in the object's frame (m)."""
         if self.robot_grasps is None:
             return None
         return np.asarray(transform_points(self.robot_grasps[:, None], _make_gripper_points()))
@@ -141,13 +141,13 @@ class SimulatedGiver:
 
 @cache
 def compute_hull_corners(object_name: str) -> Array:
-    """Return the corners (n, 3) (m) of the hull of a shipped object's collision mesh, in its frame."""
+    """Return the corners (n, 3) in m of the convex hull of a shipped object's collision mesh, in the object's frame."""
     corners, _ = read_collision_mesh(find_object_urdf(object_name))
     return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
 
 
 def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw positions of the object from the distributions of DexYCB."""
+    """Draw an object's start x, y (2,) and handover position (3,), table's frame (m), distributed as in DexYCB."""
     start_x, handover_x = random.draw_correlated_quantiles("start_x", "handover_x", START_HANDOVER_X)
     start_y, handover_y = random.draw_correlated_quantiles("start_y", "handover_y", START_HANDOVER_Y)
     handover_z = random.draw_quantile("handover_z")
@@ -155,7 +155,7 @@ def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
 
 
 def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: DrawPositions) -> ObjectPlacement:
-    """Draw the start pose, the grasp and the handover pose of a scene at drawn positions of the object."""
+    """Draw start pose, human grasp and handover pose of a scene's object, at positions that `draw_positions` draws."""
     start_position, handover_position = draw_positions(random)
     distance = float(np.interp(random.uniform(), LEVELS, giver.wrist_distances))
     tilt = np.radians(random.draw_quantile("tilt"))
@@ -172,7 +172,7 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 
 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
-    """Return resting rotations (3, 3) and grasp indices with about the given wrist distance (m)."""
+    """Return resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist distance (m)."""
     axes = random.weighted_order(giver.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)
     tie = random.uniform()
@@ -203,7 +203,7 @@ def _make_resting_rotation(axis: int, yaw: npt.ArrayLike) -> Array:
 
 @cache
 def _make_upright_rotation(axis: int) -> Array:
-    """Return a rotation (3, 3) that turns an axis of the object up, see `_make_resting_rotation`."""
+    """Return a rotation (3, 3) that turns an axis of the object up: 0 to 5 for +x, -x, +y, -y, +z, -z."""
     up = np.zeros(3)
     up[axis // 2] = 1.0 if axis % 2 == 0 else -1.0
     side = np.roll(np.abs(up), 1)
@@ -211,9 +211,10 @@ def _make_upright_rotation(axis: int) -> Array:
 
 
 def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float) -> npt.NDArray[np.bool_]:
-    """Return a mask (n, g) of an object's g grasps that are clear of the table and come from the giver's side.
+    """Return which of g human grasps, (n, g), are clear of the table and come from the giver's side.
 
-    The rotations (n, 3, 3) have the same axis up; `limit` is the least cosine between fingers and reach direction.
+    The rotations (n, 3, 3) of the object have the same axis up; `limit` is the smallest cosine between the fingers and
+    the direction in which the giver reaches.
     """
     up = rotations[0, 2]  # Equal for all yaws.
     clear = (giver.keypoints @ up).min(axis=1) - (giver.corners @ up).min() > JOINT_CLEARANCE
@@ -224,7 +225,7 @@ def _find_reachable_grasps(giver: SimulatedGiver, rotations: Array, limit: float
 def _sample_handover_poses(
     random: RandomStream, giver: SimulatedGiver, grasp: int, position: Array
 ) -> list[tuple[Array, Array]]:
-    """Draw handover poses at a position with the hand rotations of DexYCB's givers."""
+    """Draw handover poses of the object at a position (m) with hand rotations of DexYCB: position, matrix (3, 3)."""
     hand_from_object = giver.object_from_hand[grasp].T
     fitting: list[tuple[Array, Array]] = []
     highest = (-np.inf, np.eye(3))
@@ -245,7 +246,7 @@ def _sample_handover_poses(
 def _compute_costs(
     giver: SimulatedGiver, placements: Sequence[ObjectPlacement], tilt: float, free_grasp_share: float
 ) -> Array:
-    """Return deviations (n,) of placements with one grasp from a tilt (rad) and a free grasp share."""
+    """Return the deviations (n,) of n placements with one grasp from a desired tilt (rad) and free grasp share."""
     rotations = np.stack([placement.handover[1] for placement in placements])
     cosines = np.array([placement.start[1][2] @ placement.handover[1][2] for placement in placements])
     costs: Array = _TILT_WEIGHT * np.abs(np.arccos(np.clip(cosines, -1.0, 1.0)) - tilt)
@@ -259,7 +260,7 @@ def _compute_costs(
 
 
 def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
-    """Draw the rotation (3, 3) of the hand's base at the handover."""
+    """Draw the rotation matrix (3, 3) of the person's hand's base in the table's frame at the handover."""
     azimuth = random.draw_quantile("pointing_azimuth")
     elevation, roll = random.draw_correlated_quantiles("pointing_elevation", "roll", ELEVATION_ROLL)
     angles = np.radians([azimuth, elevation, roll])
@@ -282,7 +283,7 @@ def _sample_hand_rotation(random: RandomStream, side: str) -> Array:
 
 @cache
 def _make_gripper_points() -> Array:
-    """Return points (n, 3) (m) of the gripper at a grasp and its approach, in the grasp's frame."""
+    """Return points (n, 3) in m of the gripper at a grasp and on the approach to it, in the hand link's frame there."""
     fingers = [(0.0, side * 0.045, z) for side in (-1, 1) for z in (0.065, 0.085, 0.105)]
     palm = [(0.0, side * y, z) for side in (-1, 1) for y in (0.03, 0.06, 0.09) for z in (0.02, 0.05)]
     points = np.array([*fingers, *palm, (0.0, 0.0, 0.06)])
@@ -290,12 +291,12 @@ def _make_gripper_points() -> Array:
 
 
 def hand_poses_from_grasps(transforms: Array) -> Array:
-    """Return poses (n, 7) of the Panda's hand link from grasp matrices (n, 4, 4)."""
+    """Return poses (n, 7) of the Panda's hand link for gripper poses (n, 4, 4) in HandoverSim's convention (m)."""
     return np.asarray(compose(poses_from_matrices(transforms), np.array(GRIPPER_FROM_HAND)))
 
 
 def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray[np.bool_]:
-    """Return a mask (n,) of the grasps, with gripper points (n, p, 3), that are clear of hand keypoints (21, 3)."""
+    """Return which robot grasps, (n,), with gripper points (n, p, 3), are clear of the person's hand (21, 3) (m)."""
     wrist, digits = hand_points[:1], hand_points[1:].reshape(5, 4, 3)
     palm = 0.5 * (digits[:, 0] + wrist)
     hand = np.concatenate([hand_points, palm])
@@ -305,10 +306,10 @@ def _find_clear_grasps(gripper_points: Array, hand_points: Array) -> npt.NDArray
 
 
 def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.bool_], grasps: Array) -> Array:
-    """Return the shares (m,) of preferred robot grasps (n, 7) that are clear of the giver's hand, at poses (m, 7).
+    """Return the shares (m,) of preferred robot grasps that are clear of the giver's hand, for m object poses (m, 7).
 
-    Preferred grasps are those whose standoff poses are nearest to the pose of the waiting gripper. The mask `clear`
-    (n,) is from `_find_clear_grasps`.
+    Preferred are those of the grasps (n, 7) whose standoff poses are nearest to the pose of the waiting gripper. The
+    mask `clear` (n,) is from `_find_clear_grasps`.
     """
     standoffs = compose(compose(world_from_object[:, None], grasps), np.array(RANKING_STANDOFF))
     costs = compute_pose_distances(PREFERRED_HAND_POSE, standoffs.reshape(-1, 7), RANKING_ROTATION_WEIGHT)
@@ -317,7 +318,7 @@ def _compute_free_grasp_shares(world_from_object: Array, clear: npt.NDArray[np.b
 
 
 def make_ycb_clutter_item(class_id: int) -> ClutterItem:
-    """Return an object of a YCB class to be placed on the table."""
+    """Return an object of a YCB class number, to be placed on the table beside the handed-over object."""
     return class_id, compute_hull_corners(CLASS_NAMES[class_id]), UP_AXES[class_id]
 
 
@@ -326,8 +327,8 @@ def draw_clutter(
 ) -> list[ClutterObject]:
     """Draw the objects on the table that are not handed over in a scene, all of different classes.
 
-    All of the given numbers of objects are equally likely; there can be fewer where there is no space. They keep
-    clear of each other and of the `occupied` points (3, n) (m) of the hand and the handed-over object.
+    All of the numbers `counts` of objects are equally likely; there can be fewer where there is no space. They keep
+    clear of each other and of the `occupied` points (3, n), table's frame (m), of the hand and the handed-over object.
     """
     count = counts[random.integer(len(counts))]
     placed: list[ClutterObject] = []

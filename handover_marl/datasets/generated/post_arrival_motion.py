@@ -38,7 +38,7 @@ _TURN_SPEED = (np.radians(30.0), np.radians(90.0))
 
 
 def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
-    """Draw positions of an object that is offered at the edge of the robot's reach."""
+    """Draw start x, y (2,) and handover position (3,) at the edge of the robot's reach, in the table's frame (m)."""
     start = np.array([random.draw_quantile("start_x"), random.draw_quantile("start_y")])
     distance, azimuth = random.uniform(*REACH), random.uniform(-_MAX_AZIMUTH, _MAX_AZIMUTH)
     elevation = random.uniform(*_ELEVATION)
@@ -51,7 +51,7 @@ def draw_far_positions(random: RandomStream) -> tuple[Array, Array]:
 def add_post_arrival_motion(
     random: RandomStream, motion: KeyframeMotion, giver: SimulatedGiver, grasp: int
 ) -> KeyframeMotion:
-    """Return a motion continued by a smooth curve of the object, held in a grasp, until a fixed duration."""
+    """Continue a motion to a length of `DURATION` by a smooth curve of the object in the grasp with this index."""
     count = round(DURATION / KEYFRAME_PERIOD) + 1 - len(motion.fingers)
     offsets, vectors = _draw_curve(random, count)
     start, start_rotation = motion.object_position[-1], motion.object_rotation[-1]
@@ -77,7 +77,7 @@ def add_post_arrival_motion(
 
 
 def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
-    """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) of a curve that starts and ends at rest."""
+    """Draw displacements (n, 3) (m) and rotation vectors (n, 3) (rad) from the start of a curve between two rests."""
     low, high = _N_WAYPOINTS
     n = low + random.integer(high - low + 1)
     moves = (2.0 * random.uniforms(n, 3) - 1.0) * np.array(_EXTENT)
@@ -98,7 +98,7 @@ def _draw_curve(random: RandomStream, count: int) -> tuple[Array, Array]:
 
 
 def _find_peak_turn_speed(vectors: Array) -> float:
-    """Return the largest angular speed (rad/s) of consecutive rotation vectors (n, 3)."""
+    """Return the largest angular speed (rad/s) between consecutive keyframes with rotation vectors (n, 3) (rad)."""
     quaternions = Rotation.from_rotvec(vectors).as_quat()
     between = multiply_quaternions(quaternions[:-1] * [-1.0, -1.0, -1.0, 1.0], quaternions[1:])
     return float(Rotation.from_quat(between).magnitude().max()) / KEYFRAME_PERIOD

@@ -54,7 +54,7 @@ PURPOSES: Final = (
 
 
 class RandomStream:
-    """Stream of random numbers.
+    """Stream of random numbers that are the same on every machine.
 
     Args:
         seed: Numbers of at least 0; streams with different seeds are independent.
@@ -69,7 +69,7 @@ class RandomStream:
         return low + (high - low) * fraction
 
     def uniforms(self, *shape: int) -> npt.NDArray[np.float64]:
-        """Draw an array of numbers from the open interval (0, 1), in the order of single draws."""
+        """Draw an array of a shape, with the numbers from (0, 1) that single draws would give in this order."""
         words = self._bits.random_raw(math.prod(shape))
         return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53).reshape(shape)
 
@@ -78,7 +78,7 @@ class RandomStream:
         return float(ndtri(self.uniform()))
 
     def normals(self, *shape: int) -> npt.NDArray[np.float64]:
-        """Draw an array of standard normal numbers."""
+        """Draw an array of a shape with standard normal numbers."""
         return np.asarray(ndtri(self.uniforms(*shape)))
 
     def integer(self, n: int) -> int:
@@ -86,7 +86,7 @@ class RandomStream:
         return min(int(self.uniform() * n), n - 1)
 
     def weighted_index(self, weights: Sequence[float]) -> int:
-        """Draw an index with probability proportional to its weight."""
+        """Draw an index of `weights` with a probability proportional to the weight there."""
         total, threshold = 0.0, self.uniform(0.0, float(sum(weights)))
         for index, weight in enumerate(weights):
             total += weight
@@ -107,11 +107,11 @@ class RandomStream:
         return order
 
     def draw_quantile(self, name: str) -> float:
-        """Draw a number from the distribution of a quantile table."""
+        """Draw a number from the distribution that a quantile table of DexYCB, by its name, describes."""
         return float(np.interp(self.uniform(), _LEVELS, _QUANTILES[name]))
 
     def draw_correlated_quantiles(self, first: str, second: str, correlation: float) -> list[float]:
-        """Draw two numbers from quantile tables, correlated by a Gaussian copula."""
+        """Draw a number from each of two named quantile tables of DexYCB, correlated (-1 to 1) by a Gaussian copula."""
         one, other = self.normal(), self.normal()
         correlated = correlation * one + np.sqrt(1.0 - correlation**2) * other
         levels = zip((first, second), (float(ndtr(one)), float(ndtr(correlated))), strict=True)
@@ -119,5 +119,5 @@ class RandomStream:
 
 
 def open_stream(seed: Seed, purpose: str) -> RandomStream:
-    """Return one of the independent streams (see `PURPOSES`) of the scene that numbers of at least 0 identify."""
+    """Return the random stream for one of `PURPOSES` of the scene, object or person that the seed identifies."""
     return RandomStream(*seed, PURPOSES.index(purpose))

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.float64]
 
 
 def compute_farthest_point_order(grasps: Array) -> npt.NDArray[np.intp]:
-    """Return an order of grasps (k, 4, 4) in which each grasp is farthest from all before.
+    """Return the indices (k,) of grasps (k, 4, 4) in an order in which each grasp is farthest from all before it.
 
     The distance is that of the points between the fingers, plus that of closing and approach directions, of 5 cm each.
     """
@@ -36,7 +36,7 @@ def compute_farthest_point_order(grasps: Array) -> npt.NDArray[np.intp]:
     return np.array(order)
 
 
-# Rows of the points between the fingers at the palm.
+# Rows of `_make_gripper_points` that lie between the fingers at the palm.
 _PALM_MIDDLE = slice(60, 63)
 # Largest distance of the finger contacts (m); the Panda opens to 0.08.
 _MAX_WIDTH = 0.074
@@ -52,7 +52,7 @@ _CLEARANCE = 0.002
 
 @cache
 def _make_gripper_points() -> Array:
-    """Return points (n, 3) (m) of the open gripper at a grasp, and of its fingers on the approach."""
+    """Return points (n, 3) in m of the open gripper at a grasp, and of its fingers on the approach, in its frame."""
     fingers = [
         (side * x, y, z)
         for side in (-1, 1)
@@ -69,7 +69,7 @@ def _make_gripper_points() -> Array:
 def draw_robot_grasps(
     random: RandomStream, solid: Solid, n_points: int = 1500, n_grasps: int = 60, is_varied: bool = True
 ) -> Array:
-    """Draw robot grasps (n, 4, 4) `object_from_gripper` (m) that are likely to hold an object, not tried in simulation.
+    """Draw gripper poses (n, 4, 4) in the object's frame (m) that are likely to hold it, not tried in simulation.
 
     Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen, with `is_varied` far from
     each other. They are rounded to float32; n can be 0.

@@ -36,7 +36,7 @@ class GeneratedHandover(NamedTuple):
     """Generated scene in the world frame; see `Scene`.
 
     Attributes:
-        giver: Person and object.
+        giver: Person with the handed-over object.
         class_ids: Class numbers of the objects on the table, the handed-over one first.
         object_dof: (T, n, 6) float32 motion of the objects.
         hand_dof: (T, 51) float32 motion of the hand.
@@ -62,11 +62,11 @@ def generate_handover(
 
     Args:
         seed: Seed of the scene.
-        giver: Person and object.
+        giver: Person with the handed-over object.
         clutter_counts: Numbers of other objects, all equally likely.
-        draw_item: Function that draws another object.
-        draw_positions: Function that draws the object's positions.
-        extend_motion: Function that continues a motion, given the number of the grasp; None for none.
+        draw_item: Function that draws another object for the table.
+        draw_positions: Function that draws the handed-over object's positions at the start and at the handover.
+        extend_motion: Function that continues a motion after the arrival, given the index of the grasp; None for none.
     """
     placement = draw_placement(open_stream(seed, "placement"), giver, draw_positions)
     motion = draw_motion(seed, placement, giver)
@@ -81,17 +81,17 @@ class HandoverGenerator(Dataset):
     """Base class of generated data sets.
 
     Attributes:
-        scene_format: Format of the scene number in names.
+        scene_format: Format of the scene number in names of scenes, such as "03d".
     """
 
     scene_format: str
 
     @abstractmethod
     def generate(self, scene_id: int) -> GeneratedHandover:
-        """Generate an existing scene."""
+        """Generate the scene with an existing number."""
 
     def load_info(self, scene_id: int) -> SceneInfo:
-        """Generate a scene and return its description; raises `SceneError`."""
+        """Generate a scene and return its description; raise `SceneError` if the number does not exist."""
         self.check_scene_id(scene_id)
         handover, names = self.generate(scene_id), self.object_names
         giver, objects = handover.giver, tuple(names[number] for number in handover.class_ids)
@@ -99,7 +99,7 @@ class HandoverGenerator(Dataset):
         return SceneInfo(scene_id, name, giver.hand.side, handover.class_ids, objects)
 
     def load_scene(self, scene_id: int) -> Scene:
-        """Generate a scene with its motion in the world frame; raises `SceneError`."""
+        """Generate a scene with its motion in the world frame; raise `SceneError` if the number does not exist."""
         info, handover = self.load_info(scene_id), self.generate(scene_id)
         assets, last = self.find_assets(info, handover.giver.hand_urdf), len(handover.hand_dof) - 1
         return Scene(info, self.name, assets, handover.object_dof, handover.hand_dof, handover.hand_first, last)
@@ -107,7 +107,7 @@ class HandoverGenerator(Dataset):
 
 @lru_cache(maxsize=64)
 def make_subject_giver(class_id: int, subject: int, side: Side) -> SimulatedGiver:
-    """Return one of the ten subjects, numbered from 1, with an object of a YCB class."""
+    """Return one of the ten synthetic subjects, numbered from 1, with a hand and an object of a YCB class number."""
     name = CLASS_NAMES[class_id]
     return SimulatedGiver(
         class_id=class_id,

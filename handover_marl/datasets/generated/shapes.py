@@ -57,12 +57,12 @@ class Part:
     axis: int = 2
 
     def move(self, offset: npt.ArrayLike) -> "Part":
-        """Return the part moved by an offset (3,) (m)."""
+        """Return a copy of the part, moved by an offset (3,) in the object's frame (m)."""
         x, y, z = (np.asarray(self.position) + offset).tolist()
         return replace(self, position=(x, y, z))
 
     def make_rings(self) -> Array:
-        """Return the rings (m, n, 3) of the surface in the object's frame, from the lower to the upper end."""
+        """Return m rings of n points, (m, n, 3), of the surface in the object's frame (m), from lower to upper end."""
         if self.kind == "box":
             rings = _box_rings(self.size, self.rounding)
         elif self.kind == "cone":
@@ -123,7 +123,7 @@ def _make_polygons(m: int, n: int) -> tuple[Faces, Faces, Faces]:
 
 
 def read_solid(urdf: Path) -> "Solid":
-    """Read the convex parts of an object model with HandoverSim's file names.
+    """Read the convex parts of an object from the collision mesh beside its URDF, which has HandoverSim's file name.
 
     Raises:
         DataFormatError: The file of the parts cannot be read.
@@ -149,7 +149,7 @@ class Solid:
         parts: Surfaces of the polyhedra in the object's frame.
 
     Attributes:
-        parts: The surfaces.
+        parts: Surfaces of the polyhedra, as passed.
         corners: (n, 3) vertices of all parts (m).
     """
 
@@ -161,7 +161,7 @@ class Solid:
         self._firsts = np.cumsum([0, *(len(part.offsets) for part in self.parts[:-1])])
 
     def mirror(self) -> "Solid":
-        """Return the solid mirrored in x, as it is for the grasps of left hands."""
+        """Return a copy mirrored in x, which a right hand grasps as a left hand grasps the solid."""
         flip = np.array([-1.0, 1.0, 1.0])
         return Solid(
             ConvexSurface(part.vertices * flip, part.faces[:, ::-1], part.normals * flip, part.offsets)
@@ -169,9 +169,9 @@ class Solid:
         )
 
     def compute_distances(self, points: Array) -> Array:
-        """Return signed distances (...) of points (..., 3), negative inside (m).
+        """Return signed distances (...) in m of points (..., 3) from the surface, negative inside.
 
-        They are the distances to the planes, which are too small outside of an edge.
+        They are the distances to the bounding planes, which are too small outside of an edge.
         """
         flat = points.reshape(-1, 3)
         distances = [self._measure_parts(rows.T).min(axis=0) for rows in self._split(flat)]
@@ -187,7 +187,7 @@ class Solid:
     def sample_opposite_points(
         self, random: RandomStream, count: int, max_width: float, tilt: float
     ) -> tuple[Array, Array, Array]:
-        """Sample pairs of opposite points on the outer surface, from `count` surface points.
+        """Sample pairs of opposite points on the outer surface, by rays from `count` surface points through the solid.
 
         Pairs are at most `max_width` apart (m); `tilt` is the standard deviation of the components (rad) by
         which rays deviate from the normal. Returns points (k, 3), opposite points (k, 3) in m, and cosines (k,)
@@ -211,10 +211,10 @@ class Solid:
         return points[good], points[good] + lengths[good, None] * directions[good], cosines[good]
 
     def _find_exits(self, points: Array, directions: Array, choices: Array, max_width: float) -> tuple[Array, Array]:
-        """Return lengths (k,) in m at which rays leave the solid, and cosines (k,) to the normals there.
+        """Return lengths (k,) in m at which k rays leave the solid, and cosines (k,) between ray and normal there.
 
-        A ray through a cup leaves it twice, at its wall and at its far side; one of the places is chosen by a number
-        (k,) from 0 to 1. The length is infinite where there is none up to `max_width` (m).
+        The rays have starts and unit directions (k, 3). A ray through a cup leaves it twice, at its wall and at its far
+        side; numbers (k,) from 0 to 1 choose one of the places. A length is infinite without one up to `max_width` (m).
         """
         slopes, row = self._normals @ directions.T, np.arange(len(points))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -235,7 +235,7 @@ class Solid:
         return [rows[start : start + step] for start in range(0, max(len(rows), 1), step)]
 
     def _measure_parts(self, points: Array) -> Array:
-        """Return signed distances (k, n) of n points (3, n) to the planes of k parts (m)."""
+        """Return signed distances (k, n) in m of n points (3, n) from each of k parts, negative inside."""
         return np.maximum.reduceat(self._normals @ points - self._offsets, self._firsts, axis=0)
 
 
@@ -265,7 +265,7 @@ def _cone_rings(size: tuple[float, float, float], rounding: float) -> Array:
 
 
 def _rounded_levels(half: float, rounding: float) -> list[tuple[float, float]]:
-    """Return heights and insets (m) of the rings of a solid with rounded ends."""
+    """Return heights and insets (m) of the rings of a part of a half length (m), whose ends have rounded edges."""
     if rounding == 0.0:
         return [(-half, 0.0), (half, 0.0)]
     inset = 0.7 * rounding

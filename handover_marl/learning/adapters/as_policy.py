@@ -1,4 +1,4 @@
-"""Conversion of functions, networks and policy files to receivers and givers."""
+"""Conversion of functions, networks and policy files to policies: receivers and givers."""
 
 import copy
 import functools
@@ -53,14 +53,11 @@ def as_receiver(
 
     Args:
         policy: See the table.
-        control_period: Time between two decisions (s); default: as in training if that is recorded,
-            else 0.1 s.
-        obs_mode: Observation mode, see `handover_marl.parallel_env`.
-        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the
-            observation itself.
+        control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
+        obs_mode: Observation mode, e.g. "state" or "pointcloud", see `handover_marl.parallel_env`.
+        features: Features that are the inputs, as in `handover_marl.encode`; "observation" for the observation itself.
         action_scheme: Action scheme that decodes the outputs, as in `handover_marl.encode`.
-        name: Name in tables and result folders; default: the name of the function, class or file and
-            a hash.
+        name: Name in tables and result folders; default: the name of the function, class or file and a hash.
         trust: Whether code of a .zip file may run, and modules that a file names may be imported.
 
     Raises:
@@ -68,7 +65,7 @@ def as_receiver(
             processes, is a policy already, or a package is missing.
         UnknownNameError: There are no such features, no such action scheme or observation mode.
         DataNotFoundError: A file does not exist.
-        DataFormatError: A file is damaged or does not fit.
+        DataFormatError: A file is damaged, or its policy is for the other agent or other spaces.
         UnsafeFileError: A file contains code, or names a module, and is not trusted.
     """
     parse_obs_mode(obs_mode)
@@ -132,7 +129,7 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return name, function and encoding of a model; plain functions get the whole observation by default."""
+    """Return default name, function and encoding of a model; plain functions get the whole observation by default."""
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
         spec, network, _ = read_policy(path, agent, trust, **given)
@@ -151,7 +148,7 @@ def _read_model(
 
 
 def _wrap_function(policy: Any) -> tuple[str, Callable[[Any], Any]]:
-    """Return the name and the function of a plain function, a callable object or a PyTorch module."""
+    """Return the name of a plain function, a callable object or a PyTorch module, and a function that evaluates it."""
     if isinstance(policy, (Policy, PolicyReference)) or (isinstance(policy, type) and issubclass(policy, Policy)):
         raise OptionError(
             f"policy must be a function, a network or a file, got the policy {policy!r}; pass it directly"

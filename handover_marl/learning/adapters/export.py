@@ -36,10 +36,8 @@ def export_policy(
         path: File to write; its suffix is .npz.
         agent: Agent that the policy controls, "giver" or "receiver"; default: as in training.
         features: Name of the features that are the inputs, or `module:name`; default: as in training.
-        action_scheme: Name of the action scheme that decodes the outputs, or `module:name`; default: as
-            in training.
-        control_period: Time between two decisions (s); default: as in training if that is recorded,
-            else 0.1 s.
+        action_scheme: Name of the action scheme that decodes the outputs, or `module:name`; default: as in training.
+        control_period: Time between two decisions (s); default: as in training if that is recorded, else 0.1 s.
         normalization: Normalization of the inputs: a `VecNormalize` of Stable-Baselines3 or an
             `InputNormalization`; default: that of the model's environment, or none.
         origin: Description of the training, for human readers.
@@ -52,7 +50,7 @@ def export_policy(
 
     Raises:
         OptionError: An argument is missing or contradicts the training.
-        UnknownNameError: There is no such agent, and there are no such features or action scheme.
+        UnknownNameError: There is no such agent, or it has no such features or action scheme.
         DataFormatError: The model contains other layers, or its sizes do not fit the encoding.
         ResultsError: The file cannot be written.
     """

@@ -27,9 +27,9 @@ class FunctionPolicy(Policy):
         context: Robot, task and known grasps of the objects.
         function: Function from inputs to outputs: a plain function, a `TorchFunction` or a `DenseNetwork`.
         spec: Agent, and encoding of inputs and outputs.
-        name: Name of the policy.
+        name: Name of the policy in tables and errors.
         label: Unique label of the policy in result files.
-        digest: Hash of function and encoding.
+        digest: Hash of function and encoding, which becomes `weights_hash`.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: that of the action scheme. Only action schemes that wait have this option.
 
@@ -91,21 +91,21 @@ class FunctionPolicy(Policy):
         return self.spec.control_period
 
     def reset(self, seed: int | None = None) -> None:
-        """Clear the state of the previous episode; a function with a method `reset(seed)` is reset too."""
+        """Clear the state of the previous episode, and call `reset(seed)` of the function if it has this method."""
         self.scheme.reset()
         if self._features is not None:
             self._features.reset()
         reset_function(self.function, seed)
 
     def act(self, observation: Observation) -> Action:
-        """Return the next action; evaluate the function only if the action scheme requires it."""
+        """Return the action, (8,) of a giver or (9,) of a receiver; evaluate the function if the scheme needs it."""
         if self.scheme.needs_outputs(observation):
             inputs = observation if self._features is None else self._features(observation)
             self.scheme.set_outputs(self.evaluate(inputs))
         return self.scheme.compute_action(observation)
 
     def evaluate(self, inputs: Any) -> npt.NDArray[np.float32]:
-        """Return the outputs (n_outputs,) of the function for encoded inputs.
+        """Return the outputs (n_outputs,) of the function for encoded inputs: features, or the observation itself.
 
         Raises:
             ActionError: The outputs are not `n_outputs` finite numbers.
@@ -117,15 +117,14 @@ class FunctionPolicy(Policy):
 class TorchFunction:
     """Function that evaluates a PyTorch module for one decision, with one thread and without gradients.
 
-    Random numbers that the module draws come from the seed of the episode; PyTorch's global generator
-    is not changed.
+    Random numbers that the module draws come from the seed of the episode; PyTorch's global generator is not changed.
 
     Args:
         module: Module on the CPU in evaluation mode, from (1, n) inputs, or from a dict of observations, to
             (1, m) outputs.
 
     Attributes:
-        module: The module.
+        module: The module, as passed.
     """
 
     def __init__(self, module: Any) -> None:
@@ -144,7 +143,7 @@ class TorchFunction:
         reset_function(self.module, seed)
 
     def __call__(self, inputs: Any) -> Any:
-        """Return the outputs for a vector (n,) or a dict of arrays: a float32 array, or what is no tensor."""
+        """Return the module's outputs (m,) for a vector (n,) or a dict of arrays; a value that is no tensor as is."""
         import torch
 
         from handover_marl.learning.networks.weights import single_threaded_inference
@@ -190,8 +189,8 @@ class LearnedPolicy(FunctionPolicy):
     Args:
         agent: Agent that the policy controls, "giver" or "receiver".
         context: Robot, task and known grasps of the objects.
-        path: Policy file, see `handover_marl.learning.policy_files`.
-        trust: Whether code in the file may run.
+        path: Policy file, see `handover_marl.learning.policy_files`; default: the shipped file of the giver.
+        trust: Whether code in the file may run, and modules that it names may be imported.
         control_period: Time between two decisions in training (s), for files that do not record it.
         wait: Time for which the robot stays at its waiting pose at the start of an episode (s);
             default: as in training. Only action schemes that wait have this option.

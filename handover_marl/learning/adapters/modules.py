@@ -1,4 +1,4 @@
-"""Conversion of PyTorch modules of linear layers to networks of policy files."""
+"""Conversion of PyTorch modules with linear layers to `DenseNetwork`, the network of policy files."""
 
 import itertools
 import sys
@@ -25,8 +25,8 @@ def dense_network_from_layers(
 
     Args:
         module: Module with linear layers.
-        activation: Activation between the layers.
-        output: Activation after the last layer.
+        activation: Activation between the layers, a key of `ACTIVATIONS`.
+        output: Activation after the last layer, a key of `ACTIVATIONS`.
         n_outputs: Number of leading outputs to keep, such as the means before standard deviations; None keeps all.
 
     Raises:
@@ -51,11 +51,11 @@ def _array(tensor: Any) -> Array:
 def dense_network_from_module(module: Any, activation: str | None = None) -> DenseNetwork:
     """Convert a PyTorch module of linear layers, in the order of registration, to a `DenseNetwork`.
 
-    Outputs for random inputs are compared, which also finds the activation after the last layer.
+    Both are evaluated on random inputs. The comparison also finds the activation after the last layer.
 
     Args:
         module: Module from (n, n_inputs) to (n, n_outputs).
-        activation: Activation between the layers; None finds it too.
+        activation: Activation between the layers, a key of `ACTIVATIONS`; None finds it by comparison, too.
 
     Raises:
         DataFormatError: The shapes of consecutive layers do not match, or no network of linear layers and one
@@ -77,12 +77,12 @@ def dense_network_from_module(module: Any, activation: str | None = None) -> Den
 
 
 def draw_inputs(count: int) -> Array:
-    """Draw random inputs (8, `count`) on which a converted network is compared with its module."""
+    """Draw 8 random inputs (8, `count`), always the same, on which a converted network is compared with its module."""
     return (2.0 * np.random.default_rng(0).standard_normal((8, count))).astype(np.float32)
 
 
 def is_close(network: DenseNetwork, inputs: Array, expected: Array) -> bool:
-    """Return whether the outputs of a network are the expected ones (n, n_outputs), up to rounding."""
+    """Return whether a network maps inputs (n, n_inputs) to the expected outputs (n, n_outputs), up to rounding."""
     found = network(inputs)
     return found.shape == expected.shape and np.allclose(found, expected, rtol=_TOLERANCE, atol=_TOLERANCE)
 

@@ -49,7 +49,7 @@ def dense_network_from_sb3(
 ) -> DenseNetwork:
     """Convert the deterministic policy of a model to a `DenseNetwork` with normalized inputs and bounded outputs.
 
-    The outputs of both are compared on random inputs.
+    The outputs of the model and of the network are compared on random inputs.
 
     Args:
         model: Model of PPO, A2C, SAC, TD3 or DDPG with dense layers only.
@@ -57,7 +57,7 @@ def dense_network_from_sb3(
 
     Raises:
         DataFormatError: The policy contains other layers, or computes something else than these layers.
-        OptionError: Actions are not a vector.
+        OptionError: The model's action space is not a one-dimensional Box.
     """
     where, space = type(model).__name__, model.action_space
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
@@ -96,7 +96,11 @@ def _get_actor(model: BaseAlgorithm) -> tuple[nn.Module, bool]:
 
 
 def get_recorded_encoding(model: BaseAlgorithm) -> dict[str, Any]:
-    """Return the fields of `PolicySpec` that a model records: the environment of its training, in the action space."""
+    """Return the fields of `PolicySpec` that a model records, by name.
+
+    Environments of this library store their encoding and control period in their action space, which a model keeps.
+    For a plain action space of giver or receiver, they are the agent and `RAW_ENCODINGS`; others record nothing.
+    """
     space: Any = model.action_space
     recorded = dict(getattr(space, "encoding", {}))
     if not recorded:

@@ -21,11 +21,11 @@ class Batches(Protocol):
     """Data set of samples from which random batches are drawn."""
 
     def sample(self, count: int, rng: np.random.Generator) -> Any:
-        """Return a batch of randomly drawn and augmented samples."""
+        """Return a batch of `count` randomly drawn and augmented samples."""
 
 
 class ImitationLearner(ABC, Generic[Network, Batch]):
-    """Trainer of a network, with optimizer and exponentially averaged weights.
+    """Base class of trainers of a network, with AdamW as optimizer and exponentially averaged weights.
 
     Args:
         network: Network to train.
@@ -59,18 +59,18 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
 
     @abstractmethod
     def compute_losses(self, network: Network, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss to minimize, and the losses to report by name, for a batch on any device."""
+        """Return the loss of a network to minimize, and its losses to report by name, for a batch on any device."""
 
     @abstractmethod
     def evaluate(self, held_out: Any) -> dict[str, float]:
-        """Return metrics of the averaged network on held-out samples, by name."""
+        """Return metrics by name of the network with averaged weights, on held-out samples."""
 
     def list_parameter_groups(self, network: Network) -> list[tuple[Iterable[nn.Parameter], float]]:
-        """Return groups of the network's parameters with their largest learning rates."""
+        """Return groups of the network's parameters, each with its largest learning rate; by default one group."""
         return [(network.parameters(), self.learning_rate)]
 
     def update(self, batch: Batch) -> dict[str, float]:
-        """Update the network on a batch; return its losses before the update."""
+        """Update the network by one gradient step on a batch; return the losses before the update, by name."""
         self._network.train()
         for group in self._optimizer.param_groups:
             group["lr"] = group["rate"] * self._compute_rate_share()
@@ -84,7 +84,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         return {name: float(value.detach()) for name, value in losses.items()}
 
     def get_state(self) -> dict[str, Any]:
-        """Return weights, optimizer state and progress for a checkpoint."""
+        """Return a dict with weights, averaged weights, optimizer state and number of updates, for a checkpoint."""
         return {
             "done": self.done,
             "network": self._network.state_dict(),
@@ -93,7 +93,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore weights, optimizer state and progress from a checkpoint."""
+        """Restore weights, averaged weights, optimizer state and number of updates from a dict of `get_state`."""
         self._network.load_state_dict(state["network"])
         self.averaged.load_state_dict(state["averaged"])
         self._optimizer.load_state_dict(state["optimizer"])

@@ -67,13 +67,13 @@ class ImitationArgs(DatasetArgs):
 
     @property
     def torch_device(self) -> torch.device:
-        """Device to train on."""
+        """Device to train on; "auto" is a GPU if PyTorch finds one, else the processor."""
         automatic = "cuda" if torch.cuda.is_available() else "cpu"
         return torch.device(automatic if self.device == "auto" else self.device)
 
 
 class ImitationRun:
-    """Training run of the network of a receiver.
+    """Training run of a receiver's network by imitation, with evaluations that select the best network.
 
     Args:
         args: Arguments of the training.
@@ -121,16 +121,16 @@ class ImitationRun:
 
     @property
     def latest(self) -> Path:
-        """Weights of the last evaluation, with which the receiver acts in the next round."""
+        """Path of the weights of the last evaluation, with which the network acts in the next round."""
         return self.folder / _LATEST
 
     @property
     def best(self) -> Path:
-        """Weights of the network with the largest mean success rate on the validation split."""
+        """Path of the weights of the network with the largest mean success rate on the validation split."""
         return self.folder / f"{self._receiver}.npz"
 
     def save(self) -> None:
-        """Write a checkpoint."""
+        """Write a checkpoint: the state of the learner and the best success rate so far."""
         write_checkpoint(self.folder / CHECKPOINT, {"training": self._learner.get_state(), "best": self._best})
 
     def train(
@@ -145,9 +145,9 @@ class ImitationRun:
 
         Args:
             collect: Function that returns the samples of a round by its number; after round 0, the network acts.
-            make_batches: Function from the samples of all rounds so far to batches.
-            held_out: Samples on which the learner is evaluated.
-            options: Further options of the receiver in each evaluation.
+            make_batches: Function from the samples of all rounds so far to a data set of batches.
+            held_out: Samples that the learner is not trained on, for its metrics.
+            options: Options of the receiver in each evaluation; each round has one evaluation per element.
             rounds: Number of rounds in which the network acts, evenly spread over the training.
         """
         samples: list[Samples] = []
@@ -160,7 +160,7 @@ class ImitationRun:
         return self.best
 
     def _update(self, batches: Batches, held_out: Any, end: int) -> None:
-        """Run the gradient updates of a round; log losses of the batches, and metrics on held-out samples."""
+        """Train until the update with number `end`; log losses of the batches, and metrics on held-out samples."""
         args, learner = self._args, self._learner
         torch.set_num_threads(args.threads)
         for done in track(range(learner.done + 1, end + 1), description=f"updates up to {end}"):
@@ -178,7 +178,7 @@ class ImitationRun:
             self.writer.add_scalar(f"{kind}/{name}", value, done)
 
     def _evaluate(self, options: Sequence[Mapping[str, object]]) -> None:
-        """Evaluate the network on the validation split, keep it if it is the best so far, and write a checkpoint."""
+        """Evaluate the network with each of the options, keep it if it is the best so far, and write a checkpoint."""
         steps = self._learner.done
         write_network_weights(self.latest, self._learner.averaged, {**self._card, "steps": steps})
         successes = []

@@ -31,12 +31,12 @@ def generate_samples(
     description: str,
     workers: int | None,
 ) -> list[Samples]:
-    """Return the samples of each key; generate those that have no file yet.
+    """Return the samples of each key, in the order of `keys`; generate those that have no file yet.
 
     Args:
-        kind: Named tuple of the samples.
+        kind: Class of the samples, a named tuple of arrays.
         folder: Folder of the files, for one configuration only.
-        keys: Numbers of the files.
+        keys: Numbers that name the files, such as scene numbers.
         make_generator: Factory of a function from a key to its samples; called once in every process.
         description: Label of the progress bar.
         workers: Number of worker processes; default: one per core.
@@ -59,12 +59,12 @@ def generate_samples(
 
 
 def get_samples_path(folder: Path, key: int) -> Path:
-    """Return the path of the file with the samples of a key."""
+    """Return the path of the file in a folder that has the samples of a key, a number such as that of a scene."""
     return folder / f"{key:06d}.npz"
 
 
 def read_samples(kind: type[Samples], path: Path) -> Samples:
-    """Read the samples in a file.
+    """Read the samples in a file (.npz) as a named tuple of the class `kind`.
 
     Raises:
         ResultsError: The file is damaged.
@@ -77,7 +77,7 @@ def read_samples(kind: type[Samples], path: Path) -> Samples:
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of several parts in their order.
+    """Concatenate several samples, named tuples of arrays (n, ...), in their order.
 
     Raises:
         DataNotFoundError: There are no parts.
@@ -90,12 +90,12 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
 def stack_samples(
     kind: type[Samples], rows: Sequence[tuple[Any, ...]], columns: Sequence[tuple[npt.DTypeLike, tuple[int, ...]]]
 ) -> Samples:
-    """Return samples whose rows are given, each with one value per column; there may be no rows.
+    """Return samples as a named tuple of arrays (n, ...), from a list with the values of each of the n samples.
 
     Args:
-        kind: Named tuple of the samples.
-        rows: Values of each sample.
-        columns: Type, and shape of a value, of each column.
+        kind: Class of the samples, a named tuple of arrays.
+        rows: Values of each sample, one for each field of `kind`; there may be no rows.
+        columns: Data type and shape of one value for each field of `kind`.
     """
     values = zip(*rows, strict=True) if rows else [()] * len(columns)
     return kind(

@@ -42,8 +42,8 @@ _NAMES_0_7 = {
 class ApproachFieldConfig:
     """Configuration of the approach field, which leads the robot's hand to a grasp.
 
-    The approach axis is the z axis of the hand at the grasp. The error of a hand pose is the distance
-    of the middle between its pads from this axis plus the weighted angle to the hand's orientation at
+    The hand is the Panda's hand link. The approach axis is its z axis at the grasp. The error of a hand pose is the
+    distance of the middle between its pads from this axis plus the weighted angle to the hand's orientation at
     the grasp. The hand "moves in" when it leaves the standoff and moves straight to the grasp.
 
     Attributes:
@@ -58,13 +58,10 @@ class ApproachFieldConfig:
         max_standoff: Largest distance of the standoff from the grasp (m).
         max_translation: Largest translation of a step along each axis (m).
         max_rotation: Largest rotation of a step about each axis (rad).
-        gain: Factor on the commanded motion before the hand moves in; more than 1 compensates for the
-            lag of the arm.
+        gain: Factor on the commanded motion before the hand moves in; more than 1 compensates for the lag of the arm.
         spare_steps: Number of decisions that should be left when the hand reaches its target.
-        min_translation: Smallest value to which the remaining decisions reduce the largest translation
-            of a step (m).
-        near_distance: Distance from the target below which steps may be as long as `max_translation`
-            (m).
+        min_translation: Smallest value to which the remaining decisions reduce the largest translation of a step (m).
+        near_distance: Distance from the target below which steps may be as long as `max_translation` (m).
     """
 
     standoff: float = 0.055
@@ -89,16 +86,16 @@ class ApproachFieldConfig:
 
 
 def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config: ApproachFieldConfig) -> Array:
-    """Return the next motion (n, 6) of each of n hands towards its grasp, in that hand's frame.
+    """Return the next motion of each of n robot hands towards a grasp of its own.
 
     Args:
-        hands: (n, 7) poses of the hand link.
-        goals: (n, 7) poses of the hand link at the grasps, in the same frame.
+        hands: (n, 7) present poses of the hand link, xyz (m) and quaternion xyzw.
+        goals: (n, 7) poses of the hand link at the grasps, in the same frame, quaternions xyzw.
         remaining: (n,) numbers of remaining decisions, including this one.
         config: Configuration of the field.
 
     Returns:
-        Translations (m) and Euler angles (rad) about the static axes x, y, z.
+        (n, 6) translations (m) and extrinsic xyz Euler angles (rad) in the frames of the present poses.
     """
     relative = compose(invert_pose(goals), hands)
     rotations = Rotation.from_quat(relative[:, 3:])
@@ -116,10 +113,10 @@ def compute_approach_steps(hands: Array, goals: Array, remaining: Array, config:
 
 
 def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFieldConfig) -> tuple[Array, Array]:
-    """Return the standoff distances (n,) in m to move to, and their shares (n,), 0 to move in.
+    """Return distances (n,) in m from the grasps that the hands should have, and their shares (n,): 0 to move in.
 
     Args:
-        relative: (n, 7) poses of the hand in the frame of the grasp.
+        relative: (n, 7) poses of the hand in the frame of the grasp, quaternions xyzw.
         rotations: Rotations of these poses.
         config: Configuration of the field.
     """
@@ -136,7 +133,7 @@ def _compute_standoffs(relative: Array, rotations: Rotation, config: ApproachFie
 def _limit_steps(
     translations: Array, rotation_vectors: Array, max_translation: Array, config: ApproachFieldConfig
 ) -> Array:
-    """Return steps (n, 6), scaled to the bounds of translation (n,) and rotation."""
+    """Return steps (n, 6), translation (m) and xyz Euler angles (rad), scaled down to the largest translations (n,)."""
     by_translation = np.abs(translations).max(axis=1) / max_translation
     by_rotation = np.abs(rotation_vectors).max(axis=1) / config.max_rotation
     # Scaled together: a hand that rotates before it moves loses sight of the object.

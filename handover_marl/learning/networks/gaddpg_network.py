@@ -35,7 +35,7 @@ from handover_marl.learning.networks.weights import (
     untrained_networks,
 )
 
-#: Number of points of an input cloud, and of gripper points that the receiver puts in front of it.
+#: Number of points of an input cloud, and of gripper points that the receiver may insert before them.
 N_POINTS, N_FINGER_POINTS = 1024, 6
 #: Largest translation (m) and Euler angle (rad) of one decision, along or about each axis.
 MAX_TRANSLATION, MAX_ROTATION = 0.06, math.pi / 6.0
@@ -75,11 +75,11 @@ class PolicyHead(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(self, features: Tensor, remaining: Tensor) -> ActorOutput:
-        """Compute action and grasp pose.
+        """Compute action and grasp pose for B clouds.
 
         Args:
             features: (B, 512) outputs of the encoder.
-            remaining: (B,) numbers of remaining decisions.
+            remaining: (B,) numbers of decisions that remain in the approach.
         """
         features = torch.cat([features, remaining[:, None].to(features.dtype)], dim=1)
         hidden = func.relu(self.linear2(func.relu(self.linear1(features))))
@@ -99,7 +99,7 @@ class GaddpgNetwork(SavedNetwork):
 
     Attributes:
         features: Encoder of clouds with channels xyz in the hand link's frame (m) and a zero.
-        policy: Head of the actor.
+        policy: Head of the actor, which computes action and grasp pose.
     """
 
     kind, uses_int8 = "gaddpg", True
@@ -111,11 +111,12 @@ class GaddpgNetwork(SavedNetwork):
         self.policy = PolicyHead()
 
     def forward(self, cloud: Tensor, remaining: Tensor) -> ActorOutput:
-        """Compute action and grasp pose.
+        """Compute action and grasp pose for B clouds.
 
         Args:
-            cloud: (B, 4, 1024) clouds, or (B, 4, 1030) with the gripper's points in front.
-            remaining: (B,) numbers of remaining decisions.
+            cloud: (B, 4, 1024) points of the object, xyz in the hand link's frame (m) and a zero; or (B, 4, 1030) with
+                six points of the gripper before them, which are not used.
+            remaining: (B,) numbers of decisions that remain in the approach.
         """
         if cloud.shape[-1] != N_POINTS:
             cloud = cloud[..., N_FINGER_POINTS:]
@@ -123,14 +124,14 @@ class GaddpgNetwork(SavedNetwork):
         return output
 
     def predict_step(self, points: npt.NDArray[np.float64], remaining: int) -> npt.NDArray[np.float32]:
-        """Return the next hand motion (6,) for one cloud, as `predict_steps` does for several.
+        """Return the next motion of the robot's hand for one cloud, as `predict_steps` does for several.
 
         Args:
             points: (4, 1024 or 1030) cloud as in `forward`.
-            remaining: Number of remaining decisions.
+            remaining: Number of decisions that remain in the approach.
 
         Returns:
-            Translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
+            (6,) translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
         """
         step: npt.NDArray[np.float32] = self.predict_steps(points[None], np.array([float(remaining)]))[0]
         return step
@@ -138,11 +139,11 @@ class GaddpgNetwork(SavedNetwork):
     def predict_steps(
         self, clouds: npt.NDArray[np.float64], remaining: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.float32]:
-        """Return the next hand motion for each of B clouds, without gradients and on one thread.
+        """Return the next motion of the robot's hand for each of B clouds, computed in one thread.
 
         Args:
             clouds: (B, 4, 1024 or 1030) clouds as in `forward`.
-            remaining: (B,) numbers of remaining decisions.
+            remaining: (B,) numbers of decisions that remain in the approach.
 
         Returns:
             (B, 6) translations (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
@@ -166,7 +167,7 @@ class GaddpgNetwork(SavedNetwork):
 
     @classmethod
     def from_settings(cls, settings: dict[str, Any]) -> "GaddpgNetwork":
-        """Create an untrained network from its arguments, as returned by `get_settings`."""
+        """Create an untrained network from the arguments of its constructor, as returned by `get_settings`."""
         approach = settings.get("approach")
         return cls(None if approach is None else ApproachFieldConfig.from_settings(approach), settings.get("max_steps"))
 
@@ -184,7 +185,7 @@ _STAGES, _DENSE = re.compile(r"^(module\.)?encoder\.0\."), re.compile(r"^(module
 
 
 def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
-    """Read the network of an original checkpoint.
+    """Read the network from a checkpoint of GA-DDPG's authors.
 
     Args:
         path: Folder of the checkpoint, or one of its two files.
@@ -207,7 +208,7 @@ def read_gaddpg_checkpoint(path: str | Path) -> tuple[GaddpgNetwork, str]:
 
 
 def _find_files(path: Path) -> tuple[Path, Path]:
-    """Return the files of the actor's head and of the encoders."""
+    """Return the files with the actor's head and with the encoders, for a checkpoint's folder or one of its files."""
     if path.is_dir():
         actors = sorted(file for file in path.iterdir() if _ACTOR in file.name)
         chosen = [file for file in actors if file.name.endswith("_latest")] or actors
@@ -244,7 +245,7 @@ def _read_weights(file: Path) -> tuple[dict[str, Tensor], bytes]:
 
 
 def _rename_encoder(weights: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return the weights of the actor's encoder under the names of `PointNetPlusPlus`."""
+    """Return those of the original weights that belong to the actor's encoder, by their names in `PointNetPlusPlus`."""
     renamed: dict[str, Tensor] = {}
     for pattern, part in ((_STAGES, "stages."), (_DENSE, "dense.")):
         renamed |= {pattern.sub(part, name): value for name, value in weights.items() if pattern.match(name)}

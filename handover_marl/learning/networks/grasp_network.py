@@ -18,7 +18,7 @@ from handover_marl.learning.networks.weights import SavedNetwork
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
 _NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
 _N_ROTATION = 6
-# Names of the settings in the shipped weight files, which are of an earlier version.
+# Present names of the settings by their names in the shipped weight files, which are of an earlier version.
 _OLD_NAMES = {
     "points": "point_width",
     "group": "group_width",
@@ -32,7 +32,7 @@ _Self = TypeVar("_Self", bound="GraspNetwork")
 
 @dataclass(frozen=True)
 class GraspNetworkConfig:
-    """Widths of the layers, and inputs of the grasp network.
+    """Widths of the layers of the grasp network, and sizes of its groups of points.
 
     Attributes:
         point_width: Number of features that the network computes of each point.
@@ -53,12 +53,11 @@ class GraspOutputs(NamedTuple):
     """Predicted grasps for B clouds at C points (centers) each, in the hand link's frame.
 
     Attributes:
-        quality: (B, C) logits of the quality of the grasp at a center.
-        positions: (B, C, 3) points between the pads (m).
-        rotations: (B, C, 3, 3) orientations of the hand link; a rotation by pi about z is equivalent.
+        quality: (B, C) logits of the quality (0 to 1) of the grasp at a center.
+        positions: (B, C, 3) points between the finger pads at the grasps (m).
+        rotations: (B, C, 3, 3) orientations of the Panda's hand link; a rotation by pi about z is equivalent.
         object_center: (B, 3) center of the whole object, with its unobserved parts (m).
-        object_motion: (B, 3) displacement of the object within the prediction time (m), whose length is a
-            parameter of the training data.
+        object_motion: (B, 3) displacement of the object in the coming 0.5 s, as in the training data (m).
     """
 
     quality: Tensor
@@ -69,13 +68,13 @@ class GraspOutputs(NamedTuple):
 
 
 class PointCloudBatch(NamedTuple):
-    """Inputs of the grasp network: B clouds in the hand link's frame.
+    """Inputs of the grasp network: B point clouds in the frame of the Panda's hand link.
 
     Attributes:
         object_points: (B, N, 3) points of the object (m).
         hand_points: (B, M, 3) points of the person's hand (m).
-        hand_mask: (B, M) whether a point of the hand is valid.
-        center_indices: (B, C) indices of the object's points at which grasps are predicted.
+        hand_mask: (B, M) whether a point of the person's hand is valid; others are padding.
+        center_indices: (B, C) indices of the object's points ("centers") at which grasps are predicted.
         object_velocity: (B, 3) velocity of the object (m/s).
     """
 
@@ -86,7 +85,7 @@ class PointCloudBatch(NamedTuple):
     object_velocity: Tensor
 
     def get_center_points(self) -> Tensor:
-        """Return the points (B, C, 3) at which grasps are predicted (m)."""
+        """Return the object points (B, C, 3) in m with the indices `center_indices`: the places of predicted grasps."""
         return self.object_points.gather(1, self.center_indices[..., None].expand(-1, -1, 3))
 
 
@@ -101,7 +100,7 @@ class GraspNetwork(SavedNetwork):
     """Grasp predictor of the receiver `vision`; independent of the order and repetition of points.
 
     Args:
-        config: Widths of the layers, and inputs.
+        config: Widths of the layers and sizes of the groups.
     """
 
     kind = "vision"
@@ -122,12 +121,12 @@ class GraspNetwork(SavedNetwork):
         self.rest = nn.Sequential(_layers(config.cloud_width, config.head_width), nn.Linear(config.head_width, 6))
 
     def get_settings(self) -> dict[str, Any]:
-        """Return the configuration in JSON types."""
+        """Return the fields of `config` by name, in JSON types."""
         return asdict(self.config)
 
     @classmethod
     def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
-        """Create an untrained network from its arguments, as returned by `get_settings`.
+        """Create an untrained network from the fields of its configuration, as returned by `get_settings`.
 
         Raises:
             ValueError: The network was trained without the points of the person's hand, as an ablation.
@@ -138,7 +137,7 @@ class GraspNetwork(SavedNetwork):
         return cls(GraspNetworkConfig(**(named | {"group_sizes": tuple(named["group_sizes"])})))
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
-        """Predict grasps and their quality at the centers of clouds."""
+        """Predict grasps and their quality at C centers of each of B clouds, and center and motion of the objects."""
         n_object = clouds.object_points.shape[1]
         mean = clouds.object_points.mean(dim=1, keepdim=True)
         positions = torch.cat([clouds.object_points, clouds.hand_points], dim=1)
@@ -166,7 +165,7 @@ class GraspNetwork(SavedNetwork):
         )
 
     def _encode_cloud(self, points: Tensor, mask: Tensor, clouds: PointCloudBatch) -> Tensor:
-        """Return features (B, whole) of the whole cloud from features (B, N + M, points)."""
+        """Return features (B, cloud_width) of clouds from features (B, N + M, point_width), the object's first."""
         n_object = clouds.object_points.shape[1]
         object_features = self.whole[0](points[:, :n_object]).max(dim=1).values
         hand_features = (self.whole[1](points[:, n_object:]) * mask[:, n_object:, None]).max(dim=1).values
@@ -174,10 +173,10 @@ class GraspNetwork(SavedNetwork):
         return whole
 
     def _encode_groups(self, points: Tensor, positions: Tensor, mask: Tensor, centers: Tensor) -> list[Tensor]:
-        """Return features (B, C, group) of the nearest points of each center, one tensor per group size.
+        """Return features (B, C, group_width) of the nearest points of each center, one tensor per group size.
 
         Args:
-            points: (B, N + M, points) features of the points.
+            points: (B, N + M, point_width) features of the points.
             positions: (B, N + M, 3) positions relative to the mean of the object's points (m).
             mask: (B, N + M) valid points.
             centers: (B, C, 3) positions relative to the same mean (m).
@@ -195,7 +194,7 @@ class GraspNetwork(SavedNetwork):
 
 
 def rotations_from_6d(vectors: Tensor) -> Tensor:
-    """Return rotation matrices (..., 3, 3) from z and y axes (..., 6), orthonormalized.
+    """Return rotation matrices (..., 3, 3) from six numbers (..., 6): z axis, then y axis, which are orthonormalized.
 
     See Zhou et al., "On the Continuity of Rotation Representations in Neural Networks", CVPR 2019.
     """

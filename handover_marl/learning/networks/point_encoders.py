@@ -12,20 +12,20 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-#: Squared distance from the origin (m^2) up to which the kernels take points for padding, which is
+#: Squared distance from the origin (m^2) up to which the kernels treat a point as padding: it is
 #: never sampled except as the first point.
 PADDING_SQUARED_NORM = 1e-3
 
 
 def sample_farthest_points(points: Tensor, count: int) -> Tensor:
-    """Sample points by farthest point sampling, beginning with the first point.
+    """Sample points by farthest point sampling, beginning with the first point of each cloud.
 
     Args:
         points: (B, N, 3) positions (m).
         count: Number of samples; if it exceeds N, points are repeated.
 
     Returns:
-        (B, count) long indices.
+        (B, count) indices of the sampled points, int64.
     """
     batch = torch.arange(len(points), device=points.device)
     padding = (points**2).sum(dim=-1) <= PADDING_SQUARED_NORM
@@ -49,7 +49,7 @@ def query_ball(points: Tensor, centers: Tensor, radius: float, count: int) -> Te
             point is within the radius.
 
     Returns:
-        (B, M, count) long indices.
+        (B, M, count) indices of points, int64.
     """
     n_points = points.shape[1]
     # The kernel squares the radius in single precision.
@@ -70,10 +70,10 @@ def gather_columns(values: Tensor, indices: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class BallGrouping:
-    """Grouping of a set abstraction: balls around farthest points.
+    """Grouping of points for a set abstraction: balls around centers from farthest point sampling.
 
     Attributes:
-        centers: Number of farthest points.
+        centers: Number of sampled points, the centers of the balls.
         radius: Radius of the balls (m).
         neighbors: Number of points per ball.
     """
@@ -83,7 +83,7 @@ class BallGrouping:
     neighbors: int
 
 
-#: Groupings of the two set abstractions of GA-DDPG's encoder that have one.
+#: Groupings of the first two set abstractions of GA-DDPG's encoder; the third has one group of all points.
 GADDPG_GROUPINGS = (BallGrouping(32, 0.02, 64), BallGrouping(32, 0.04, 128))
 
 

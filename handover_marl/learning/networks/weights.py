@@ -35,7 +35,7 @@ _Network = TypeVar("_Network", bound="SavedNetwork")
 
 @contextlib.contextmanager
 def single_threaded_inference() -> Iterator[None]:
-    """Disable PyTorch's gradients, and use its initial settings and one thread of it in a `with` block.
+    """Compute without gradients, in one thread and with PyTorch's initial settings in a `with` block.
 
     Results then do not depend on the number of cores, not even by rounding, nor on what the program has set.
     """
@@ -50,13 +50,13 @@ def single_threaded_inference() -> Iterator[None]:
 
 @contextlib.contextmanager
 def untrained_networks() -> Iterator[None]:
-    """Create networks with PyTorch's initial settings in a `with` block, and keep its random generator unchanged."""
+    """Use PyTorch's initial settings in a `with` block that creates networks; restore its random generator after it."""
     with use_default_torch_settings(), torch.random.fork_rng(devices=[]):
         yield
 
 
 class SavedNetwork(nn.Module):
-    """Base class of networks that can be written to a file of weights.
+    """Base class of networks that can be written to a file of weights and read from it.
 
     Attributes:
         kind: Name of the receiver that uses the network.
@@ -67,17 +67,17 @@ class SavedNetwork(nn.Module):
     uses_int8: ClassVar[bool] = False
 
     def get_settings(self) -> dict[str, Any]:
-        """Return the arguments of the network in JSON types."""
+        """Return the arguments of the network's constructor by name, in JSON types."""
         return {}
 
     @classmethod
     def from_settings(cls: type[_Network], settings: dict[str, Any]) -> _Network:
-        """Create an untrained network from its arguments, as returned by `get_settings`."""
+        """Create an untrained network from the arguments of its constructor, as returned by `get_settings`."""
         return cls(**settings)
 
 
 def write_network_weights(path: Path, network: SavedNetwork, provenance: Mapping[str, Any]) -> None:
-    """Write the weights of a network.
+    """Write the weights of a network, with the arguments of its constructor, to a file.
 
     Args:
         path: File to write (.npz).
@@ -131,7 +131,7 @@ def read_network_weights(path: str | Path, network_class: type[_Network]) -> tup
 
 
 def load_tensors(content: bytes) -> Any:
-    """Load tensors, and containers of them, from the content of a file of PyTorch; run no code from it.
+    """Load tensors, and lists or dicts of them, from the content of a file of `torch.save`; run no code from it.
 
     Raises:
         pickle.UnpicklingError: The file contains other objects.
@@ -143,7 +143,7 @@ def load_tensors(content: bytes) -> Any:
 
 
 def check_finite_weights(file: Path, module: nn.Module) -> None:
-    """Check that all parameters and buffers of a module that was read from a file are finite.
+    """Check that all parameters and buffers of a module, which was read from a file, are finite.
 
     Raises:
         DataFormatError: A number is infinite or not a number.
@@ -153,7 +153,7 @@ def check_finite_weights(file: Path, module: nn.Module) -> None:
 
 
 def _decode_archive(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the JSON description and the arrays in single precision."""
+    """Return the description `about` and the arrays by name, in single precision, of the content of a weight file."""
     stored = read_arrays(content, largest=_MAX_BYTES)
     about = json.loads(str(stored.pop(_ABOUT)))
     arrays = {name: array.astype(np.float32) for name, array in stored.items()}
@@ -163,7 +163,7 @@ def _decode_archive(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _encode_array(name: str, value: npt.NDArray[Any], uses_int8: bool) -> dict[str, npt.NDArray[Any]]:
-    """Return an array in its stored precision by name, with its scale if it is quantized."""
+    """Return the stored form of a parameter as arrays by name; 8-bit integers have a second array with their scale."""
     if value.ndim == 1:
         return {name: value.astype(np.float32)}
     if not uses_int8 or value.size < _MIN_INT8_SIZE:

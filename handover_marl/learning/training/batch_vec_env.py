@@ -33,7 +33,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Seed the environments, with seeds that runs of other seeds do not share, unlike `seed + k`."""
+        """Set and return one seed per environment, which runs with another `seed` do not share; None is random."""
         self._seeds = [None] * self.num_envs if seed is None else list(spawn_seeds(self.num_envs, seed))
         return self._seeds
 
@@ -45,11 +45,15 @@ class BatchVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: npt.NDArray[np.floating]) -> None:
-        """Store the actions (n, ...) for `step_wait`."""
+        """Store the actions (n, ...) of the n environments, which `step_wait` executes."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """Step all environments; return observations, rewards, ends and infos, with final observations in the infos."""
+        """Step all n environments; return observations (n, ...), rewards (n,), whether episodes ended, (n,), and infos.
+
+        Where an episode ended, the observation is the first one of the next episode, and the info has that of the last
+        step, its observation as `terminal_observation`, and `TimeLimit.truncated`.
+        """
         observations, rewards, terminations, truncations, infos = self._envs.step(self._actions)
         ended = terminations | truncations
         step_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
@@ -67,7 +71,7 @@ class BatchVecEnv(VecEnv):
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return the attribute `render_mode` of environments; others raise an AttributeError."""
+        """Return the attribute `render_mode` of each environment in `indices`; other names raise an AttributeError."""
         if attr_name != "render_mode":
             self.env_method(attr_name)
         return [self._envs.render_mode for _ in self._get_indices(indices)]
@@ -81,5 +85,5 @@ class BatchVecEnv(VecEnv):
         raise AttributeError(f"single environments of a batch are not accessible, got {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Return False for every environment: none has a Gymnasium wrapper."""
+        """Return False for each environment in `indices`: none has a Gymnasium wrapper."""
         return [False for _ in self._get_indices(indices)]

@@ -1,4 +1,4 @@
-"""Folder of a training run, its checkpoint, choice of scenes, seeds, and networks. It needs the extra `train`."""
+"""Folder and checkpoint of a training run, choice of its scenes and seeds, and networks. It needs the extra `train`."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -34,28 +34,28 @@ _UNRECORDED_ARGUMENTS = ("out", "data_dir", "resume", "workers")
 
 
 def select_training_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the scenes of a training split that are used for training: all but every tenth."""
+    """Return the scenes of a training split that are used for training: all but every tenth, which is held out."""
     return tuple(scene for number, scene in enumerate(scene_ids) if number % _HELD_OUT)
 
 
 def select_held_out_scenes(scene_ids: Sequence[int]) -> tuple[int, ...]:
-    """Return the held-out scenes of a training split: every tenth."""
+    """Return every tenth scene of a training split, which is held out from training to measure losses."""
     return tuple(scene_ids[::_HELD_OUT])
 
 
 def spawn_seeds(count: int, *entropy: int) -> list[int]:
-    """Return seeds of n environments that no other `entropy`, such as the seed of another run, gives."""
+    """Return `count` seeds that calls with other numbers `entropy`, such as the seeds of other runs, do not return."""
     return [int(seed) for seed in np.random.SeedSequence(entropy).generate_state(count)]
 
 
 def describe_origin(script: str, arguments: object) -> str:
-    """Return the script and the arguments of a training, for policy files."""
+    """Return text with the name and the arguments of a training script, which policy files record as their origin."""
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
 def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = ()) -> Path:
-    """Make the folder of a training run, with its arguments, or check that it holds the run that is resumed.
+    """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
         path: Path of the folder.
@@ -65,8 +65,7 @@ def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, f
         free: Names of further arguments that may change when a run is resumed.
 
     Raises:
-        ResultsError: The folder contains another run, or one that must not be resumed, or it
-            cannot be created.
+        ResultsError: The folder contains another run, or one that must not be resumed, or it cannot be created.
     """
     recorded = {key: value for key, value in vars(arguments).items() if key not in (*_FREE, *free)}
     text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)
@@ -137,7 +136,7 @@ def summarize_evaluation(report: Report, steps: str) -> str:
 
     Args:
         report: Report of the evaluation.
-        steps: Number of steps before it and their unit.
+        steps: Text with the number of training steps before the evaluation and their unit.
     """
     n, metadata = len(report.episodes), report.metadata
     success = format_percent_rate(round(n * report.success_rate), n)
@@ -153,7 +152,7 @@ def make_mlp(n_inputs: int, n_outputs: int, width: int = 64, gain: float = 1.0) 
         n_inputs: Number of inputs.
         n_outputs: Number of outputs.
         width: Width of the hidden layers.
-        gain: Gain of the last layer; a small one makes the first outputs nearly zero.
+        gain: Scale of the initial weights of the last layer; a small one makes the first outputs nearly zero.
     """
     layers = [nn.Linear(n_inputs, width), nn.Tanh(), nn.Linear(width, width), nn.Tanh(), nn.Linear(width, n_outputs)]
     for layer in layers:

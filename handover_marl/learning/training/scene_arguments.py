@@ -24,7 +24,7 @@ class DatasetArgs:
     dataset: str = "auto"
 
     def open_dataset(self, robot: str = PANDA) -> Dataset:
-        """Open the dataset with a robot model, panda or panda_camera."""
+        """Open the dataset that the arguments name, with a robot model, "panda" or "panda_camera"."""
         return open_dataset(self.dataset, self.data_dir, robot)
 
 
@@ -39,7 +39,7 @@ class SetupArgs(DatasetArgs):
     setup: str | None = None
 
     def resolve_setup(self) -> "Self":
-        """Return the arguments with the name of the setup, as `handover_marl.benchmark` chooses it.
+        """Return a copy of the arguments in which `setup` is a name; None becomes the first setup of the dataset.
 
         Raises:
             DataNotFoundError: The dataset's folder does not exist.
@@ -62,7 +62,7 @@ class EvaluationArgs(SetupArgs):
 
     @property
     def evaluation_options(self) -> dict[str, Any]:
-        """Keyword arguments of `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
+        """Keyword arguments with these values for `handover_marl.evaluate_pair` and `handover_marl.benchmark`."""
         names = ("setup", "dataset", "data_dir", "physics", "workers")
         return {name: getattr(self, name) for name in names}
 
@@ -106,5 +106,5 @@ class RlArgs(SetupArgs):
 
     @property
     def max_cycles(self) -> int:
-        """Number of decisions after which training episodes are truncated."""
+        """Number of decisions after which training episodes are truncated: `time_limit` / `control_period`."""
         return math.ceil(self.time_limit / self.control_period)

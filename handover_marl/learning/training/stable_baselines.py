@@ -105,9 +105,9 @@ class PpoArgs(RlArgs):
 
 
 def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: Callable[[PPO], None]) -> Path:
-    """Train one agent for a frozen partner, from a checkpoint if `args.resume` is set and there is one.
+    """Train one agent by PPO with a frozen partner, from a checkpoint if `args.resume` is set and there is one.
 
-    The folder gets `policy.npz`, a checkpoint, TensorBoard logs, and the same values in `progress.csv`.
+    The folder `args.out` gets `policy.npz`, a checkpoint, TensorBoard logs, and the same values in `progress.csv`.
 
     Args:
         args: Arguments of the training.
@@ -145,7 +145,7 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
 
 
 def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]:
-    """Make an untrained model, and its seeded environments in a process per core."""
+    """Make an untrained model of `agent` and its environments, which are seeded and run in one process per core."""
     envs = vector_env(
         args.resolved_num_envs,
         agent,
@@ -178,8 +178,8 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]
 class EvaluationCallback(BaseCallback):
     """Callback that logs reward terms, evaluates the policy, writes checkpoints and stops when time is up.
 
-    Evaluations happen between rollouts. A resumed run has new environments with seeds of their own, so that its
-    episodes differ from those of a run without an interruption.
+    Evaluations happen between rollouts, every `args.eval_interval` decisions. A resumed run has new environments with
+    seeds of their own, so that its episodes differ from those of a run without an interruption.
 
     Args:
         args: Arguments of the training, with a setup.
@@ -219,7 +219,7 @@ class EvaluationCallback(BaseCallback):
             self.evaluate()
 
     def evaluate(self) -> None:
-        """Write the policy file, evaluate the policy and write a checkpoint."""
+        """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
         if not isinstance(self.model, OnPolicyAlgorithm):
             raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
         write_policy(self._folder / POLICY, self._spec, dense_network_from_sb3(self.model))

@@ -1,4 +1,4 @@
-"""Batches of imitation states as tensors, augmented by random changes of the hand's pose.
+"""Batches of imitation states as tensors, augmented by random changes of the pose of the robot's hand.
 
 PointNet++ groups points around sampled centers. The groups depend on the distances between points only, so that they
 are those of the stored cloud. Each point counts once in a group; the deployed network repeats points to fill groups,
@@ -23,17 +23,18 @@ from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, sam
 class ImitationBatch(NamedTuple):
     """Tensors of B imitation states with N points and M centers of groups.
 
+    The hands are the Panda's hand link.
+
     Attributes:
-        points: (B, N, 3) points in the frames of the hand links (m).
-        centers: (B, M) indices of the centers of groups, among the points.
+        points: (B, N, 3) points in the hands' frames (m).
+        centers: (B, M) indices of those points that are centers of groups.
         is_center: (B, M) whether a center is not the same point as an earlier one.
         neighbors: (B, M, N) whether a point is in the group of a center.
-        center_neighbors: (B, M, M) whether a center is in the group of groups of a center.
+        center_neighbors: (B, M, M) whether the second center is in the group of centers around the first.
         remaining: (B,) numbers of decisions that remain in the approach.
         steps: (B, 6) motions of the hand by the expert's next decision, in the hands' frames:
             translation (m) and extrinsic xyz Euler angles (rad).
-        goals: (B, 7) poses of the hand link at the grasps, in the hands' frames: xyz (m) and
-            quaternion xyzw.
+        goals: (B, 7) poses of the hand link at the grasps, in the hands' frames: xyz (m) and quaternion xyzw.
     """
 
     points: Tensor
@@ -62,7 +63,7 @@ class ImitationBatches:
     """Data set of imitation states from which batches are selected.
 
     Args:
-        states: Stored states.
+        states: States of the data set.
         max_neighbors: Largest number of points of a group; further points are dropped.
     """
 
@@ -73,11 +74,11 @@ class ImitationBatches:
         return len(self._states.remaining)
 
     def sample(self, count: int, rng: np.random.Generator) -> ImitationBatch:
-        """Draw a batch of states with replacement; hand poses and remaining decisions are varied at random."""
+        """Draw a batch of `count` states with replacement; vary poses of the robot's hand and remaining decisions."""
         return self.select(rng.integers(len(self), size=count), rng)
 
     def select(self, numbers: npt.NDArray[np.int_], rng: np.random.Generator | None) -> ImitationBatch:
-        """Return a batch of the states with given indices (B,), augmented if `rng` is not None."""
+        """Return a batch of the states with the indices `numbers` (B,), augmented unless `rng` is None."""
         stored, n_points, goals, counters = (array[numbers] for array in self._states)
         remaining, hands = counters.astype(np.float32), np.tile(IDENTITY, (len(numbers), 1))
         points = torch.from_numpy(stored.astype(np.float32))
@@ -96,7 +97,7 @@ class ImitationBatches:
 def _augment(
     remaining: npt.NDArray[np.float32], rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32]]:
-    """Return random poses (B, 7) of the hands in their stored frames, and changed counters (B,)."""
+    """Return random poses (B, 7) of the hands in their stored frames, and changed counters of decisions (B,)."""
     count = len(remaining)
     quaternions = Rotation.from_rotvec(rng.normal(0.0, _ROTATION_STD, (count, 3))).as_quat()
     hands = np.concatenate([rng.normal(0.0, _POSITION_STD, (count, 3)), quaternions], axis=1)
@@ -105,7 +106,7 @@ def _augment(
 
 
 def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the groups of clouds (B, N, 3) whose first points (B,) are valid, as in `ImitationBatch`."""
+    """Return `centers` to `center_neighbors` of `ImitationBatch` for clouds (B, N, 3) of `n_points` (B,) points."""
     first, second = GADDPG_GROUPINGS
     # Zeros after the valid points are never sampled.
     centers = sample_farthest_points(points, first.centers)
@@ -121,7 +122,7 @@ def _group_points(points: Tensor, n_points: Tensor, max_neighbors: int) -> tuple
 
 
 def _query_ball(centers: Tensor, points: Tensor, is_valid: Tensor, radius: float, count: int) -> Tensor:
-    """Return whether points (B, N, 3) are among the first valid ones within a radius of centers (B, M, 3)."""
+    """Return a mask (B, M, N) of the first `count` valid points (B, N, 3) within a radius (m) of centers (B, M, 3)."""
     squared = ((centers[:, :, None] - points[:, None]) ** 2).sum(dim=-1)
     near = (squared < points.new_tensor(radius) ** 2) & is_valid[:, None]
     return near & (near.cumsum(dim=-1) <= count)

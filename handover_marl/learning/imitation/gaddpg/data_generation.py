@@ -1,4 +1,6 @@
-"""Plans of the expert and imitation states, which are generated in parallel processes and kept in files.
+"""Data for imitation of a planning expert: its plans, and observed states with its goals as labels.
+
+Plans and states are generated in parallel processes and kept in files.
 
 Rollouts follow GA-DDPG's protocol without physics: the object rests, the arm lags behind its targets, and the wrist
 camera is rendered by ray casting. The memory of point clouds, their resampling, the counter of decisions and the rule
@@ -57,14 +59,14 @@ _N_POINTS = 1024
 
 
 class ImitationStates(NamedTuple):
-    """Arrays of S imitation states.
+    """Arrays of S imitation states: observed point clouds, labelled with the grasps that the expert approaches.
 
     Repeated points do not change the network's output and are not stored.
 
     Attributes:
         points: (S, 1024, 3) distinct points in the hand link's frame, in the network's order, then zeros (m).
         n_points: (S,) numbers of distinct points.
-        goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link.
+        goals: (S, 7) poses of the hand link at the grasp, in the present frame of the hand link, quaternions xyzw.
         remaining: (S,) numbers of decisions that remain in the approach.
     """
 
@@ -79,7 +81,7 @@ StateRow = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating], int]
 
 
 def stack_states(rows: list[StateRow]) -> ImitationStates:
-    """Return the imitation states with given values."""
+    """Return imitation states as arrays, from the points (n, 3), goal (7,) and remaining decisions of each state."""
     columns: list[tuple[npt.DTypeLike, tuple[int, ...]]]
     columns = [(np.float16, (_N_POINTS, 3)), (np.int32, ()), (np.float32, (7,)), (np.int32, ())]
     padded: list[tuple[Any, ...]] = [
@@ -91,7 +93,7 @@ def stack_states(rows: list[StateRow]) -> ImitationStates:
 
 @dataclass(eq=False)
 class _Rollout:
-    """State of one rollout."""
+    """State of one rollout: scenario, plan, arm joints (7,) in rad, memory of the cloud, and number of expert steps."""
 
     scenario: ImitationScenario
     plan: ExpertPlan
@@ -158,15 +160,15 @@ class DataGenerator:
         self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
-        """Return the expert's plan in a scenario by number, without goals if no grasp is reachable."""
+        """Return the expert's plan in the scenario with a number; the plan has no goals if no grasp is reachable."""
         return self._expert.plan(self._scenarios.sample(number))
 
     def collect_states(self, task: RolloutTask, policy: StepPolicy | None) -> ImitationStates:
         """Return the imitation states of one rollout of each scenario of a task.
 
         Args:
-            task: Scenarios with plans.
-            policy: Network's policy, or None for rollouts of the expert.
+            task: Scenarios with the expert's plans in them.
+            policy: Function of the network that acts, in some rollouts after the expert; None lets the expert act.
         """
         seed = self._seed + 1_000_003 * (task.repetition + 1)
         rollouts = [
@@ -202,7 +204,7 @@ class DataGenerator:
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
     def _observe(self, rollout: _Rollout, states: list[StateRow]) -> Array | None:
-        """Return the network's cloud (4, 1024) and append a state; None if the object was never visible."""
+        """Append a rendered state, and return the network's cloud (4, 1024); None if the object was never visible."""
         scenario, memory = rollout.scenario, rollout.memory
         robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
         image = rollout.camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
@@ -225,7 +227,7 @@ class DataGenerator:
     def _compute_steps(
         self, observed: Sequence[tuple[_Rollout, Array]], policy: StepPolicy | None, number: int
     ) -> list[Array]:
-        """Return the next step of every rollout, by the expert or by the network."""
+        """Return the next step (6,) of every rollout, as `KinematicArm.move` takes it, by the expert or the network."""
         steps: list[Array | None] = [
             self._compute_expert_step(rollout) if number < rollout.n_expert_decisions else None
             for rollout, _ in observed
@@ -239,7 +241,7 @@ class DataGenerator:
         return [step for step in steps if step is not None]
 
     def _compute_expert_step(self, rollout: _Rollout) -> Array:
-        """Return the expert's step, with a random disturbance in some decisions."""
+        """Return the expert's step (6,), with random noise in some decisions."""
         rng = rollout.rng
         hand = self._arm.arm.compute_hand_pose(rollout.joints)
         goal = rollout.plan.choose_goal(hand)
@@ -249,14 +251,14 @@ class DataGenerator:
         return disturbed
 
     def _base_from_hand(self, rollout: _Rollout) -> Array:
-        """Return the pose (4, 4) of the hand in the robot's base frame."""
+        """Return the pose (4, 4) of the Panda's hand link in the frame of the robot's base (m)."""
         hand = compose(invert_pose(self._arm.arm.base), self._arm.arm.compute_hand_pose(rollout.joints))
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = Rotation.from_quat(hand[3:]).as_matrix(), hand[:3]
         return matrix
 
     def _read_assets(self, object_name: str) -> SceneAssets:
-        """Return the models of a scene with an object, and with this object only."""
+        """Return the model files of a scene in which an object is handed over, without the other objects."""
         assets = self._data.load_scene(self._scenes[object_name]).assets
         return replace(assets, objects=assets.objects[:1])
 
@@ -330,5 +332,5 @@ def _load_policy(weights: Path) -> StepPolicy:
 
 
 def _object_name_of(scene_id: int) -> str:
-    """Return the class of the handed-over object; scenes are numbered 100 subject + 5 object + trial."""
+    """Return the class name of a scene's handed-over object; scenes are numbered 100 subject + 5 object + trial."""
     return CLASS_NAMES[SCENE_CLASSES[scene_id % 100 // 5]]

@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 
 # Share of the way to its target that a joint covers in one decision: 150 steps with gain 0.01.
 _SETTLED_FRACTION = 1.0 - 0.99**150
-#: Rule for the steps of an approach to a grasp.
+#: Rule by which the expert computes the steps of an approach to a grasp.
 EXPERT_APPROACH = ApproachFieldConfig()
 _PLANNER = PlannerConfig(n_waypoints=20)
 # Number of candidates, the cheapest ones, among which the planner chooses.
@@ -69,7 +69,7 @@ _TABLE_CLEARANCE, _TABLE_COST = 0.005, 3.0
 
 
 class KinematicArm:
-    """Kinematic model of the arm with lagging motors, controlled as by the receiver `gaddpg`.
+    """Kinematic model of the arm with lagging motors, controlled as the receiver `gaddpg` controls the arm.
 
     Args:
         context: Model and base pose of the robot.
@@ -86,12 +86,11 @@ class KinematicArm:
         self._stepper = make_ik_stepper(context.panda_urdf, context.panda)
 
     def move(self, joints: Array, step: Array) -> Array:
-        """Return the arm joints (7,) in rad at the end of a decision that commands a hand motion.
+        """Return the arm joints (7,) in rad 0.15 s after a decision that commands a motion of the Panda's hand link.
 
         Args:
             joints: (7,) present arm joints (rad).
-            step: (6,) commanded motion in the hand's frame: translation (m) and extrinsic xyz Euler
-                angles (rad).
+            step: (6,) commanded motion in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
         """
         rotation = Rotation.from_euler("xyz", step[3:]).as_quat()
         target = compose(self.arm.compute_hand_pose(joints), np.concatenate([step[:3], rotation]))
@@ -119,7 +118,7 @@ class ExpertPlan(NamedTuple):
     """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
 
     Attributes:
-        goals: (g, 7) world poses of the hand link, the planner's goal first.
+        goals: (g, 7) world poses of the hand link, quaternions xyzw, the planner's goal first.
         costs: (g,) costs of the goals without the motion to them, relative to the cheapest goal (m).
         trajectory: (w, 7) arm joints at the waypoints of the planned motion to the first goal (rad).
     """
@@ -129,7 +128,7 @@ class ExpertPlan(NamedTuple):
     trajectory: Array
 
     def choose_goal(self, hand: Array) -> Array:
-        """Return the world pose (7,) at the cheapest goal to approach from a present world pose (7,) of the hand."""
+        """Return the goal (7,) that is cheapest to reach from a present world pose (7,) of the hand link."""
         costs = self.costs + compute_travel_costs(hand, self.goals)
         costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
@@ -143,7 +142,7 @@ class GraspExpert:
     """Planner of the motions that the network of the receiver `gaddpg` imitates.
 
     Args:
-        context: Robot and objects.
+        context: Robot, and objects with their known grasps.
         arm: Model of the arm as the receiver `gaddpg` controls it.
         config: Configuration of the selection of grasps.
     """
@@ -156,7 +155,7 @@ class GraspExpert:
         self._planner = Planner(context.panda_urdf, start, _PLANNER)
 
     def plan(self, scenario: ImitationScenario) -> ExpertPlan:
-        """Return the expert's plan for a scenario, without goals if no grasp is reachable."""
+        """Return the expert's plan in a scenario; the plan has no goals if no grasp is reachable."""
         goals, costs = self.find_goals(scenario.object_name, scenario.object_pose, scenario.joints, scenario.occluder)
         if not len(goals):
             return _NO_PLAN
@@ -177,16 +176,16 @@ class GraspExpert:
         return ExpertPlan(goals[order], costs[order] - costs.min(), plan.trajectory)
 
     def find_goals(self, object_name: str, object_pose: Array, joints: Array, occluder: Array) -> tuple[Array, Array]:
-        """Return the cheapest grasps to approach, and their costs without the motion to them.
+        """Return at most four reachable grasps of lowest cost, and their costs without the motion to them.
 
         Args:
-            object_name: Class of the object.
+            object_name: Class name of the object.
             object_pose: (7,) world pose of the object, quaternion xyzw.
             joints: (7,) present arm joints (rad).
             occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
 
         Returns:
-            (g, 7) world poses of the hand link and (g,) costs (m).
+            (g, 7) world poses of the hand link and (g,) costs (m), in ascending order of the cost with the motion.
         """
         poses, hold_costs = load_costed_grasps(self._context, object_name, self._config.use_validation)
         if not len(poses):
@@ -206,20 +205,20 @@ class GraspExpert:
         return world[order], costs[order] - compute_travel_costs(hand, world[order])
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
-        """Return the hand motion (6,) that one decision commands towards a goal grasp.
+        """Return the motion (6,) of the Panda's hand link that one decision commands towards a goal grasp.
 
-        The motion is a translation (m) and extrinsic xyz Euler angles (rad) in the hand's frame.
+        The motion is a translation (m) and extrinsic xyz Euler angles (rad) in the hand link's frame.
 
         Args:
-            hand: (7,) present world pose of the hand link.
-            goal: (7,) world pose of the hand link at the grasp.
+            hand: (7,) present world pose of the hand link, quaternion xyzw.
+            goal: (7,) world pose of the hand link at the grasp, quaternion xyzw.
             remaining: Number of remaining decisions.
         """
         step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_APPROACH)[0]
         return step
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return whether the arm reaches goals (n, 7) and their standoffs in similar postures, (n,)."""
+        """Return for world poses (n, 7) whether the arm reaches them and their standoffs in similar postures, (n,)."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self._arm.arm.solve(goals, before, 15)
@@ -227,13 +226,13 @@ class GraspExpert:
         return standoff_found & goal_found & similar
 
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
-        """Return the cost of the simulated approach to a goal, with the remaining distance at its end."""
+        """Return the cost (m) of a simulated approach to a goal (7,): its decisions, and its final distance."""
         path = self._simulate_approach(joints, goal)
         miss = max(0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - _TOLERANCE)
         return _DECISION_COST * len(path) + _MISS_COST * miss
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
-        """Return arm joints (7,) after each decision of the receiver's approach to a goal."""
+        """Return the arm joints (7,) in rad before and after each decision of an approach to a world pose (7,)."""
         path = [joints]
         for remaining in range(_MAX_DECISIONS, 0, -1):
             hand = self._arm.arm.compute_hand_pose(path[-1])
@@ -243,7 +242,7 @@ class GraspExpert:
         return path
 
     def _compute_distance(self, hand: Array, goal: Array) -> float:
-        """Return the distance of the pads between two poses (7,) of the hand, rotation included (m)."""
+        """Return the distance (m) of the pads at two poses (7,) of the hand link, plus the weighted rotation."""
         relative = compose(invert_pose(goal), hand)
         rotation = Rotation.from_quat(relative[3:])
         pads = relative[:3] + _PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
@@ -255,7 +254,7 @@ def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: b
 
     Args:
         context: Known grasps of the objects, and the robot with which they are validated.
-        object_name: Class of the object.
+        object_name: Class name of the object.
         is_validated: Whether grasps are validated and improved in simulation first (20 to 90 s per object, once);
             otherwise the known grasps are used unchanged.
 
@@ -275,11 +274,11 @@ def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: b
 
 
 def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand to n grasps, and of low clearance there.
+    """Return the costs (n,) in m of moving the hand link to n grasps, plus those of low clearance there.
 
     Args:
-        world: (n, 7) world poses of the hand link at the grasps.
-        hand: (7,) present world pose of the hand link.
+        world: (n, 7) world poses of the hand link at the grasps, quaternions xyzw.
+        hand: (7,) present world pose of the hand link, quaternion xyzw.
         occluder: (4,) world center and radius of the occluding sphere (m); radius 0 for none.
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
@@ -292,13 +291,13 @@ def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
 
 
 def compute_travel_costs(hand: Array, goals: Array) -> Array:
-    """Return the costs (n,) in m of moving the hand to each of n goals.
+    """Return the costs (n,) in m of moving the Panda's hand link to each of n goals.
 
-    A cost is the distance that the finger pads travel plus the weighted rotation of the hand.
+    A cost is the distance that the finger pads travel plus the weighted rotation of the hand link.
 
     Args:
-        hand: (7,) present pose of the hand link.
-        goals: (n, 7) poses of the hand link at the goals, in the same frame.
+        hand: (7,) present pose of the hand link, quaternion xyzw.
+        goals: (n, 7) poses of the hand link at the goals, in the same frame, quaternions xyzw.
     """
     to_pads = np.array([0.0, 0.0, _PAD_OFFSET, 0.0, 0.0, 0.0, 1.0])
     distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)

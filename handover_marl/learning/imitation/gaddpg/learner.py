@@ -20,16 +20,16 @@ from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 
 
 def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutput:
-    """Return the outputs of GA-DDPG's network for a batch of states, in the network's present mode.
+    """Return the outputs of GA-DDPG's network for a batch of states.
 
-    The mode (training or evaluation) determines the statistics of batch normalization.
+    The network's present mode, training or evaluation, determines the statistics of batch normalization.
     """
     output: ActorOutput = network.policy(_encode(network.features, batch), batch.remaining)
     return output
 
 
 def _encode(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
-    """Encode a batch as vectors (B, 512)."""
+    """Encode the B point clouds of a batch, with its groups of points, as vectors (B, 512)."""
     first, second, last = encoder.stages
     centers = batch.points.gather(1, batch.centers[..., None].expand(-1, -1, 3))
     cloud, center, point = batch.neighbors.nonzero(as_tuple=True)
@@ -80,13 +80,13 @@ _HALF_TURNED_POINTS = _GRIPPER_POINTS * torch.tensor([-1.0, -1.0, 1.0])
 
 
 def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
-    """Return GA-DDPG's loss (B,) of predicted hand motions: mean distances of gripper points (m).
+    """Return GA-DDPG's loss (B,) of predicted motions of the Panda's hand link: mean distances of points (m).
 
     Six points of the gripper are moved by the predicted and by the target motion; the loss is the
     mean L1 distance between both positions of a point.
 
     Args:
-        steps: (B, 6) predicted motions: translation (m) and extrinsic xyz Euler angles (rad).
+        steps: (B, 6) predicted motions in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
         targets: (B, 6) target motions, in the same form.
     """
     points = _QUARTER_TURNED_POINTS.to(steps.device)
@@ -99,9 +99,8 @@ def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
 def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
     """Return GA-DDPG's loss (B,) of predicted grasps: mean distances of gripper points (m).
 
-    The loss is the mean L1 distance between the positions of six points of the gripper at the
-    predicted and at the target grasp. A rotation of the target by pi about the hand's z axis does
-    not change the loss.
+    The loss is the mean L1 distance between the positions of six points of the gripper at the predicted and at the
+    target grasp. A rotation of the target by pi about the hand's z axis does not change the loss.
 
     Args:
         goals: (B, 7) predicted poses of the hand link: quaternion wxyz, then xyz (m).
@@ -152,18 +151,18 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
     max_gradient_norm, averaging = 1.0, 0.998
 
     def list_parameter_groups(self, network: GaddpgNetwork) -> list[tuple[Iterable[nn.Parameter], float]]:
-        """Return the parameters of encoder and head with their largest learning rates."""
+        """Return the parameters of the encoder and of the head, each with its largest learning rate."""
         return [(network.features.parameters(), _ENCODER_RATE), (network.policy.parameters(), self.learning_rate)]
 
     def evaluate(self, held_out: ImitationBatches) -> dict[str, float]:
-        """Return the losses "action" and "goal" of the averaged network on held-out states (m)."""
+        """Return the losses "action" and "goal" (m) of the network with averaged weights on held-out states."""
         some = np.random.default_rng(0).permutation(len(held_out))[:_N_HELD_OUT]
         with torch.no_grad():
             _, losses = self.compute_losses(self.averaged, held_out.select(some, None))
         return {name: float(value) for name, value in losses.items()}
 
     def compute_losses(self, network: GaddpgNetwork, batch: ImitationBatch) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss to minimize, and the mean losses "action" and "goal" (m)."""
+        """Return the loss of a batch to minimize, and its mean losses "action" (motions) and "goal" (grasps) in m."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             output = evaluate_network(network, moved)

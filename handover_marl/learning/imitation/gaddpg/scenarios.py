@@ -81,7 +81,7 @@ class ImitationScenarios:
         self._base = np.array(panda.base_position)
 
     def sample(self, number: int) -> ImitationScenario:
-        """Return the random scenario of a given number."""
+        """Return the random scenario that the seed of the generator and a number determine."""
         rng = np.random.default_rng((self._seed, number))
         scene = self._data.load_scene(self._scenes[int(rng.integers(len(self._scenes)))])
         dof = self._sample_object_pose(scene.object_dof[:, 0], rng)
@@ -123,7 +123,7 @@ class ImitationScenarios:
         return joints
 
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
-        """Return a pose (7,) of the hand that observes a position, nearly upright as at the start."""
+        """Return a random world pose (7,) of the Panda's hand link that looks at a position, nearly upright."""
         direction = rng.standard_normal(3)
         # On the side of the robot's base, 11 degrees above the horizontal.
         to_base = self._base - target

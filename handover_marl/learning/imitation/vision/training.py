@@ -42,8 +42,8 @@ class GraspTargets(NamedTuple):
     """Targets of the grasp network: K good grasps for each of B clouds, in the cloud's frame.
 
     Attributes:
-        positions: (B, K, 3) points between the pads (m).
-        rotations: (B, K, 3, 3) orientations of the hand link.
+        positions: (B, K, 3) points between the finger pads (m).
+        rotations: (B, K, 3, 3) orientations of the Panda's hand link.
         quality: (B, K) quality from 0 (padding) to 1.
     """
 
@@ -57,7 +57,7 @@ class LabelledClouds(NamedTuple):
 
     Attributes:
         clouds: Inputs of the network.
-        targets: Good grasps.
+        targets: Good grasps, which the network should predict.
         object_center: (B, 3) centers of the objects (m).
         object_motion: (B, 3) displacements of the objects within the prediction time (m).
     """
@@ -69,7 +69,7 @@ class LabelledClouds(NamedTuple):
 
 
 def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
-    """Return targets of the grasp network, made from hand poses at good grasps and their qualities.
+    """Return targets of the grasp network from poses of the Panda's hand link at good grasps and their qualities.
 
     Args:
         poses: (B, K, 7) poses of the hand link at the grasps, in the cloud's frame: xyz (m) and quaternion xyzw; zeros
@@ -83,7 +83,7 @@ def grasp_targets_from_poses(poses: Tensor, quality: Tensor) -> GraspTargets:
 
 
 def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Tensor:
-    """Return mean distances (B, C, K) of three gripper points of predicted grasps from those of good grasps (m)."""
+    """Return distances (B, C, K) in m, means over three gripper points, between predicted and good grasps."""
     return _gripper_distances(
         outputs.positions[:, :, None],
         outputs.rotations[:, :, None],
@@ -93,7 +93,7 @@ def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Ten
 
 
 def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
-    """Return a mask (B, C, K) of the good grasps whose closing pads enclose each object point (B, C, 3)."""
+    """Return whether the closing pads of K good grasps enclose C object points (B, C, 3) of B clouds, (B, C, K)."""
     offsets = centers[:, :, None] - targets.positions[:, None]
     local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
     is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
@@ -133,7 +133,7 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
 
 
 def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
-    """Return mean distances (...) of three gripper points for positions (..., 3) and rotations (..., 3, 3)."""
+    """Return distances (...) in m, means over three gripper points, of grasps with positions and rotations."""
     offset = positions - targets
     wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
     finger, target_finger = _FINGER_OFFSET * rotations[..., 1], _FINGER_OFFSET * target_rotations[..., 1]
@@ -147,7 +147,7 @@ class ViewBatches:
     """Data set of rendered views as tensors, from which batches are selected.
 
     Args:
-        views: Arrays of the views.
+        views: Rendered views with their good grasps.
         device: Device of the tensors.
     """
 
@@ -158,17 +158,17 @@ class ViewBatches:
         return len(self._tensors[0])
 
     def sample(self, count: int, rng: np.random.Generator) -> LabelledClouds:
-        """Return a batch of randomly drawn and augmented views."""
+        """Return a batch of `count` randomly drawn and augmented views."""
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
         numbers = torch.randint(len(self), (count,), generator=generator)
         return _augment(self.select(numbers, _N_CENTERS, generator), generator)
 
     def select(self, numbers: Tensor, centers: int, generator: torch.Generator) -> LabelledClouds:
-        """Return a batch of the views with given indices, each with random centers.
+        """Return a batch of views, each with random centers: points at which grasps are predicted.
 
         Args:
             numbers: (B,) indices of the views.
-            centers: Number of object points per view at which grasps are predicted.
+            centers: Number of centers per view, drawn among the object's points.
             generator: Generator that draws the centers.
         """
         parts = [tensor[numbers.to(tensor.device)].float() for tensor in self._tensors]
@@ -180,7 +180,7 @@ class ViewBatches:
 
 
 def _augment(batch: LabelledClouds, generator: torch.Generator) -> LabelledClouds:
-    """Return the batch rotated randomly about the line of sight, with noise on points."""
+    """Return the batch with each view rotated randomly about the line of sight, and with noise on the points."""
     clouds, targets = batch.clouds, batch.targets
     device = clouds.object_points.device
     angle = _ROLL_STD * torch.randn(len(clouds.object_points), generator=generator).to(device)
@@ -207,7 +207,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
     """Trainer of the grasp network; reproducible for a seed, a device and a number of threads."""
 
     def compute_losses(self, network: GraspNetwork, batch: LabelledClouds) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss to minimize, and the losses of `compute_grasp_losses`."""
+        """Return the loss of a batch to minimize, a weighted sum, and its parts from `compute_grasp_losses`."""
         # Half precision suffices for training and takes a third of the time.
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
             outputs = network(batch.clouds)
@@ -215,7 +215,7 @@ class GraspLearner(ImitationLearner[GraspNetwork, LabelledClouds]):
         return torch.stack([_LOSS_WEIGHTS[name] * loss for name, loss in losses.items()]).sum(), losses
 
     def evaluate(self, held_out: ViewBatches) -> dict[str, float]:
-        """Return the accuracy of the predicted grasps on held-out views.
+        """Return metrics of the network with averaged weights on held-out views, by name.
 
         Returns:
             views: Number of views with at least one good grasp.

@@ -74,10 +74,10 @@ class GraspViewConfig:
     """Configuration of the rendered views of a set of scenes.
 
     Attributes:
-        dataset: Dataset: dexycb, synthetic, or auto.
+        dataset: Name of the data set, see `handover_marl.datasets.open_dataset`.
         data_dir: Folder in HandoverSim's layout; default: environment variable HANDOVER_MARL_DATA.
         robot: Robot model that carries the camera: panda or panda_camera.
-        count: Number of views per scene.
+        count: Number of views to render per scene; views that show too little of the object are discarded.
         seed: Seed of all random numbers.
         reactive: Configuration of the receiver `reactive`, whose costs of grasps are used.
     """
@@ -91,13 +91,13 @@ class GraspViewConfig:
 
 
 class GraspViews(NamedTuple):
-    """Arrays of n views, each in the frame of the robot's hand link when it was rendered.
+    """Arrays of n views, each in the frame of the Panda's hand link when the view was rendered.
 
     Attributes:
         object_points: (n, N, 3) points of the object, repeated if few are visible (m).
         hand_points: (n, M, 3) points of the person's hand, then zeros (m).
         n_hand_points: (n,) numbers of points of the person's hand.
-        grasps: (n, K, 7) poses of the robot's hand link at good grasps, best first, then zeros.
+        grasps: (n, K, 7) poses (quaternion xyzw) of the robot's hand link at good grasps, best first, then zeros.
         quality: (n, K) qualities of the grasps from 0 to 1, then zeros.
         object_center: (n, 3) centers of the objects (m).
         object_velocity: (n, 3) velocities of the objects (m/s).
@@ -119,8 +119,8 @@ class Grasps:
     """Grasps of one object with their costs, in the object's frame.
 
     Attributes:
-        poses: (n, 7) poses of the hand link.
-        costs: (n,) costs of the grasps if no hand is nearby (s).
+        poses: (n, 7) poses of the Panda's hand link, quaternions xyzw.
+        costs: (n,) costs of the grasps without a person's hand nearby (s).
         object_center: (3,) center of the object's bounding box (m).
     """
 
@@ -135,8 +135,8 @@ class LabelledFrame:
 
     Attributes:
         frame: Index of the frame in the recording (1 ms).
-        object_pose: (7,) pose of the object in the world.
-        known: Known grasps of the object.
+        object_pose: (7,) pose of the object in the world, quaternion xyzw.
+        known: Known grasps of the object, n in number.
         quality: (n,) qualities of the grasps at this frame.
     """
 
@@ -152,7 +152,7 @@ class ViewRenderer:
     Grasps are validated in simulation at first use.
 
     Args:
-        config: Data set and number of the views.
+        config: Data set, number of the views per scene, and costs of grasps.
 
     Raises:
         HandoverError: The dataset cannot be opened.
@@ -179,7 +179,10 @@ class ViewRenderer:
         return self.render(scene, poses, rng)
 
     def label_frames(self, scene: Scene, frames: Sequence[int]) -> dict[int, LabelledFrame]:
-        """Return frames with the grasps of the object; those beside its final pose are offset ones, too."""
+        """Return some frames of a scene, by their index, with the qualities of the object's grasps in them.
+
+        The grasps include offset copies that are clear of the person's hand in the last frame.
+        """
         name, last = scene.info.target_name, scene.n_frames - 1
         known = self.load_grasps(name, read_hand_spheres(scene, last), read_object_pose(scene, last))
         labelled = {}
@@ -192,9 +195,9 @@ class ViewRenderer:
         """Return an object's known grasps, and offset copies of them that are clear of the person's hand.
 
         Args:
-            object_name: Class of the object.
+            object_name: Class name of the object.
             hand: Spheres that cover the person's hand in the world; None adds no copies.
-            object_pose: (7,) pose of the object in the world.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config = self._config.reactive
         found = load_graspable_object(self._context, object_name, config)
@@ -210,12 +213,12 @@ class ViewRenderer:
         return Grasps(poses, costs, found.center)
 
     def compute_qualities(self, grasps: Grasps, hand: Spheres | None, object_pose: Array) -> Array:
-        """Return the qualities (n,), from 0 (bad) to 1 (good), of an object's grasps next to a hand.
+        """Return the qualities (n,), from 0 (bad) to 1 (good), of an object's grasps next to a person's hand.
 
         Args:
             grasps: Grasps of the object.
             hand: Spheres that cover the person's hand in the world, or None without a hand.
-            object_pose: (7,) pose of the object in the world.
+            object_pose: (7,) pose of the object in the world, quaternion xyzw.
         """
         config, costs = self._config.reactive, grasps.costs
         if hand is None or not len(costs):
@@ -227,7 +230,7 @@ class ViewRenderer:
         return np.where(clearances < _MIN_CLEARANCE, 0.0, qualities)
 
     def render(self, scene: Scene, poses: Iterable[tuple[LabelledFrame, Array]], rng: Rng) -> GraspViews:
-        """Return views of frames of a scene, rendered with the arm at given joints (7,) in rad."""
+        """Return views of a scene, each of a frame with arm joints (7,) in rad; skip those with few object points."""
         camera = RayCamera(scene.assets, self._context.config.physics)
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
@@ -267,7 +270,7 @@ class ViewRenderer:
         return object_points[chosen], hands, n_hands, grasps, quality, center, velocity, motion
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
-        """Return random arm joints (7,) from which to render (rad)."""
+        """Return random arm joints (7,) in rad from which to render a frame: waiting, at a grasp or between."""
         kind = rng.random()
         waiting = (WAITING_JOINTS, self._context.panda.start_joints)[rng.integers(2)]
         start = np.array(waiting[:ARM_DOF]) + rng.normal(0.0, _JOINT_NOISE_STD, ARM_DOF)
@@ -306,7 +309,7 @@ def generate_views(config: GraspViewConfig, scenes: Sequence[int], folder: Path,
 
 
 def _read_motion(scene: Scene, frame: int) -> tuple[Array, Array]:
-    """Return velocity (m/s) and coming displacement (m) of the object in the world, both (3,)."""
+    """Return the object's velocity (3,) in m/s and displacement (3,) in m within the coming 0.5 s, in the world."""
     path = scene.object_dof[:, 0, :3].astype(np.float64)
     before, after = max(frame - _VELOCITY_WINDOW, 0), min(frame + _MOTION_WINDOW, len(path) - 1)
     return (path[frame] - path[before]) / (0.001 * _VELOCITY_WINDOW), path[after] - path[frame]
@@ -323,7 +326,7 @@ def _sample_frames(scene: Scene, count: int, rng: Rng) -> npt.NDArray[np.int_]:
 
 
 def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
-    """Return a random world pose (7,) of the hand link on the way to a grasp."""
+    """Return a random world pose (7,) of the hand link on the way to the known grasp with index `number`."""
     distance = _MAX_DISTANCE * rng.random() ** 1.5
     lateral = (_LATERAL_RMS + _LATERAL_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
     angle = (_ANGLE_RMS + _ANGLE_SLOPE * distance) * rng.normal(size=3) / np.sqrt(3.0)
@@ -333,7 +336,7 @@ def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
 
 
 def read_object_pose(scene: Scene, frame: int) -> Array:
-    """Return the world pose (7,) of the handed-over object in a frame (1 ms) of a recording."""
+    """Return the handed-over object's world pose (7,), quaternion xyzw, in a frame (1 ms) of a recording."""
     dof = scene.object_dof[frame, 0].astype(np.float64)
     return np.concatenate([dof[:3], Rotation.from_euler("XYZ", dof[3:]).as_quat()])
 
