@@ -126,7 +126,7 @@ class CooperativeGiver(ArrayGiver):
         self._pose_variation.reset(row)
 
     def decide(self, rows: AnyIndices, observation: Observation) -> Actions:
-        """Return the actions (r, 8) in the episodes `rows`: offers towards the gripper, withdrawal after a release."""
+        """Return actions (r, 8) for observations (r, ...): offers to the gripper, withdrawal after a release."""
         xp, state = self.arrays.xp, self.state
         released = observation["released"][:, 0] != 0.0
         present = observation["hand_present"][:, 0] != 0.0

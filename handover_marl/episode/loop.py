@@ -163,7 +163,7 @@ def _name_policy(policy: EpisodePolicy, when: str) -> Iterator[None]:
 
 
 def steps_from_hold_time(hold_time: float) -> int:
-    """Convert a hold time (s) to physics steps: at least 1, and at most 10^12.
+    """Convert the time (s) up to a policy's next decision to physics steps of 1 ms: rounded, from 1 to 10^12.
 
     Raises:
         OptionError: The hold time is not a positive number.

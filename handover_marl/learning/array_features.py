@@ -1,7 +1,8 @@
 """Feature vectors for small networks, computed from observations of many episodes at once.
 
-Positions are scaled to decimetres and expressed in the frame of the planned handover or of the gripper, so that the
-components are of order one and independent of the world frame. Features do not depend on the other episodes.
+Positions are scaled to decimetres, or as a class states, and expressed in the frame of the planned handover or of the
+gripper, so that the components are of order one and independent of the world frame. Features do not depend on the other
+episodes.
 """
 
 from abc import ABC, abstractmethod
@@ -208,7 +209,7 @@ class GraspFeatures(ReceiverFeatures):
     def compute_grasps(self, rows: AnyArray, observation: Observation) -> AnyArray:
         """Return grasp features (r, 8) in the episodes with indices `rows`; zeros where no grasp is known.
 
-        The features are, in the gripper frame: translation to the grasp of lowest cost (3, times `GRASP_SCALE`),
+        The features are, in the gripper frame: translation to the grasp of lowest cost (3, m times `GRASP_SCALE`),
         rotation vector to it (3, rad), clearance to the person's hand there (1, dm), and whether grasps are known (1).
         """
         grasps, clearances, exists = self._selector.select(rows, observation)

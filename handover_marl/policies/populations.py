@@ -271,7 +271,7 @@ class PopulationPolicy(Policy):
         return int(rng.integers(len(self.members))), int(rng.integers(2**32))
 
     def reset(self, seed: int | None = None) -> None:
-        """Start an episode with the member that the seed draws."""
+        """Start an episode with the member that the seed draws, or a random one without a seed."""
         number, member_seed = self.draw_member(seed)
         self._member = self.members[number]
         self._member.reset(member_seed)

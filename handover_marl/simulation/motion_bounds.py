@@ -92,7 +92,7 @@ class RobotMotionBounds:
         return np.asarray(np.where(near.any(axis=-2), near.argmax(axis=-2), steps))
 
     def compute_sphere_centers(self, link_poses: npt.NDArray[np.floating]) -> Array:
-        """Return the world centers (..., b, 3) of the robot's bounding spheres (m).
+        """Return the world centers (..., b, 3) of the spheres of the L `links`, then of the base if it has one (m).
 
         Args:
             link_poses: World poses (..., L, 7) of `links`.

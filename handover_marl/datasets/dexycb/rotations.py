@@ -216,7 +216,7 @@ class KeyframeSpan:
         return np.stack(axes, axis=1).astype(np.float32)
 
     def interpolate_rotations(self, keyframes: Float32) -> Rotation:
-        """Return T rotations at 1 kHz in the span, by slerp between quaternions xyzw (n, 4) of any length but zero."""
+        """Return rotations at 1 kHz over the whole span, by slerp between the quaternions xyzw (n, 4) of keyframes."""
         rotations = Slerp(self._key_times(), Rotation.from_quat(keyframes))(self._times())
         return Rotation.from_quat(rotations.as_quat().astype(np.float32))
 

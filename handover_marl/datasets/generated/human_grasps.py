@@ -175,7 +175,7 @@ def measure_body(solid: Solid, palms: Palms, centers: Array, radii: Array) -> Ar
 
 
 def close_fingers(solid: Solid, templates: HandTemplates, palms: Palms, rows: Ints) -> ClosedHands:
-    """Close the digits of n open hands on the object: all joints until contact, then the joints beyond the contact.
+    """Close each digit of n open hands until one of its phalanges touches, then only the joints beyond that phalanx.
 
     The hands have poses `palms` in the object's frame and the open postures of `templates` with indices `rows` (n,).
     """

@@ -49,7 +49,7 @@ def spawn_seeds(count: int, *entropy: int) -> list[int]:
 
 
 def describe_origin(script: str, arguments: object) -> str:
-    """Return text with the name and the arguments of a training script, which policy files record as their origin."""
+    """Return "experiments/training/SCRIPT.py name=value, ..." with the arguments, a dataclass, that can be recorded."""
     parts = [f"{key}={value!r}" for key, value in vars(arguments).items() if key not in _UNRECORDED_ARGUMENTS]
     return f"experiments/training/{script}.py {', '.join(parts)}"
 

@@ -1,6 +1,6 @@
 """Kernels of the ray caster on a device; see `warp_camera.WarpCamera`.
 
-Pixels are numbered row by row. All frames are in the camera's frame: x right, y down, z ahead (m).
+Pixels are numbered row by row. Poses are in the camera's frame: x right, y down, z ahead (m).
 """
 
 import warp

@@ -81,7 +81,7 @@ StateRow = tuple[npt.NDArray[np.floating], npt.NDArray[np.floating], int]
 
 
 def stack_states(rows: list[StateRow]) -> ImitationStates:
-    """Return imitation states as arrays, from the points (n, 3), goal (7,) and remaining decisions of each state."""
+    """Stack states (points (n, 3), goal (7,), remaining decisions) in the hand link's frame (m), padded with zeros."""
     columns: list[tuple[npt.DTypeLike, tuple[int, ...]]]
     columns = [(np.float16, (_N_POINTS, 3)), (np.int32, ()), (np.float32, (7,)), (np.int32, ())]
     padded: list[tuple[Any, ...]] = [

@@ -185,7 +185,7 @@ class WarpGroup:
             return self._sensors.compute_rollout_contacts(data, qpos, rules)
 
     def store_states(self, rollout: WarpRollout, running: AnyArray) -> None:
-        """Store the current states of those worlds of a rollout that are `running` (r,); others keep earlier ones."""
+        """Copy the states of worlds that are `running` (r,) to `rollout.states`; the others keep theirs there."""
         xp, count = self._arrays.xp, len(rollout.rows)
         for name, kept in rollout.states.items():
             rollout.states[name] = xp.where(running[:, None], self._views[name][:count], kept)

@@ -108,7 +108,7 @@ def _read_stl_vertices(mesh: Path) -> Array:
 
 
 def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
-    """Compute a link's moments of inertia (3,) as Bullet does, from its bounding box (kg m^2).
+    """Compute a link's moments of inertia (3,) as those of its bounding box, about the box's axes (kg m^2).
 
     Args:
         link: Link with its mass and center of mass.
