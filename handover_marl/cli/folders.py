@@ -17,7 +17,7 @@ from handover_marl.cli.options import (
     Workers,
 )
 from handover_marl.cli.streams import print_result, print_tables
-from handover_marl.errors import OptionError
+from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.files import write_atomically
 from handover_marl.execution.options import check_path
 
@@ -71,8 +71,10 @@ def run_verify(
         scenes: Scene numbers to verify, e.g. 209,214; default: all that have a result.
         giver: The person's policy; default: the registered policy that the folder names.
     """
-    from handover_marl.evaluation.verification import verify
+    from handover_marl.evaluation.verification import COLUMNS, verify
 
+    for column in tables.columns:
+        check_name("column", column, COLUMNS)
     execution: Any = {"workers": workers, "progress": progress, "trust": trust}
     verification = verify(folder, data_dir=data_dir, scenes=scenes, giver=giver, **execution)
     print_tables(verification, tables, f"Folder: {Path(folder).expanduser()}")

@@ -153,8 +153,9 @@ class OfficialDataset(Dataset):
         self.data_dir = check_path("data_dir", data_dir)
         for folder in (self.data_dir, self.data_dir / CACHE_FOLDER, self.data_dir / "assets"):
             if not folder.is_dir():
+                fault = "is a file, not a folder" if folder.is_file() else "does not exist"
                 raise DataNotFoundError(
-                    f"data folder {folder} does not exist. Give the folder that holds dex-ycb-cache/ and assets/ "
+                    f"data folder {folder} {fault}. Give the folder that holds dex-ycb-cache/ and assets/ "
                     "(HandoverSim's handover/data) as data_dir=, --data-dir or HANDOVER_MARL_DATA."
                 )
         self._assets = self.data_dir / "assets"

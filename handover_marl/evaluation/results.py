@@ -135,6 +135,8 @@ class EpisodeWriter(ABC):
         try:
             path.mkdir(parents=True, exist_ok=True)
             remove_stale_temporaries(path)
+        except (FileExistsError, NotADirectoryError) as error:
+            raise ResultsError(f"cannot use {path}: it, or a part of it, is a file; out must be a folder") from error
         except OSError as error:
             raise ResultsError(f"cannot use {path}: {error.strerror or error}") from error
 

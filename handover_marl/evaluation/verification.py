@@ -53,6 +53,8 @@ _MAX_REPORT_BYTES = 64_000_000
 # Values that cannot be simulated (wall-clock times and their machine), and those that versions may compute differently.
 _UNVERIFIED, _VERSIONED = ("plan_s", "machine", "status"), ("fingerprint", "models")
 _TOLERANCE = 1e-6
+#: Titles of the columns of the table of differences.
+COLUMNS = ("scene id", "value", "stored", "simulated")
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,14 @@ class Verification(TabularResult):
     Attributes:
         metadata: Identity of the evaluation, as the folder states it.
         scenes: Numbers of the scenes that were simulated again, in the split's order.
-        differences: Values that differ: those of the folder, then those of the scenes in their order.
+        differences: Values that differ: those of the scenes in their order, then those of the folder.
+        n_unreported: Number of results in the folder that its report does not contain.
     """
 
     metadata: ResultMetadata
     scenes: tuple[int, ...]
     differences: tuple[Difference, ...]
+    n_unreported: int = 0
 
     @property
     def is_verified(self) -> bool:
@@ -113,11 +117,17 @@ class Verification(TabularResult):
             ""
             if metadata.version == __version__
             else f"Not compared, because version {metadata.version} wrote them: reports and hashes.",
-            ReportTable(["scene id", "value", "stored", "simulated"], rows, n_keys=2),
+            ReportTable(COLUMNS, rows, n_keys=2),
             f"Not equal: {n_changed} of {n} episodes and {n_folder} values of the folder."
             if rows
             else f"Verified: all {n} episodes are equal.",
             f"{n_absent} of {self.metadata.split_size} scenes of the split were not simulated." if n_absent else "",
+            f"{self.n_unreported} results of the folder are not in its report, which has the scenes of the last run."
+            if self.n_unreported
+            else "",
+            "The giver's code, or the way in which it was named, differs from that of the evaluation."
+            if any(each.key == "giver_hash" for each in self.differences)
+            else "",
         ]
 
 
@@ -175,8 +185,14 @@ def verify(
     if not tasks:
         raise ResultsError(f"{path} has no results of these scenes (000.npz, 001.npz, ...)")
     if giver is None:
-        giver, advice = metadata.giver, f"pass giver={metadata.giver!r} (--giver {metadata.giver}), or "
-        check_stored_reference(path, "giver", giver, trust, list_available("giver"), advice)
+        giver, registered = metadata.giver, list_available("giver")
+        if ":" not in giver and giver not in registered:
+            raise OptionError(
+                f"giver must be passed: {path} names {giver!r}, which is not registered; pass giver='module:Class' "
+                "(--giver module:Class)"
+            )
+        advice = f"pass giver={giver!r} (--giver {giver}), or "
+        check_stored_reference(path, "giver", giver, trust, registered, advice)
     same: Any = {name: getattr(metadata, name) for name in ("setup", "split", "dataset", "physics", "robot")}
     ids = tuple(task.scene_id for task in tasks)
     config = EvaluationConfig(
@@ -196,8 +212,9 @@ def verify(
         checks = [differences for _, differences in sorted(bar)]
     reference = require_policy_reference(config.giver)
     expected = {"giver": reference.label} | ({"giver_hash": reference.code_hash} if is_same_version else {})
-    differences = _compare_json({key: getattr(metadata, key) for key in expected}, expected) + check_reports(path)
-    return Verification(metadata, ids, (*differences, *itertools.chain(*checks)))
+    differences = _compare_json({key: getattr(metadata, key) for key in expected}, expected)
+    in_reports, n_unreported = check_reports(path)
+    return Verification(metadata, ids, (*itertools.chain(*checks), *differences, *in_reports), n_unreported)
 
 
 def check_episode(runner: EpisodeRunner, folder: Path, same_version: bool, task: SceneTask) -> list[Difference]:
@@ -222,33 +239,46 @@ def compare_results(stored: EpisodeResult, simulated: EpisodeResult, same_versio
     if stored.scene_id is None:
         skipped.update(key for key, value in values.items() if value is None)
     values, expected = ({key: each[key] for key in each.keys() - skipped} for each in (values, expected))
-    return [replace(each, scene_id=simulated.scene_id) for each in _compare_json(values, expected)]
+    differences = [replace(each, scene_id=simulated.scene_id) for each in _compare_json(values, expected)]
+    # The outcome matters most.
+    return sorted(differences, key=lambda each: each.key != "outcome")
 
 
-def check_reports(path: Path) -> list[Difference]:
-    """Return the differences of the reports in a result folder from reports that are computed from its result files.
+def check_reports(path: Path) -> tuple[list[Difference], int]:
+    """Compare the reports in a result folder with reports that are computed from its result files.
+
+    The differences in `report.json` are summed up in one. The report may have fewer scenes than the folder, because it
+    contains those of the last run.
 
     Args:
         path: Result folder. Reports of other versions are not compared. A folder without a report has no differences.
+
+    Returns:
+        The differences, and the number of results in the folder that the report does not contain.
     """
     try:
         report = evaluate(path)
     except ResultsError as error:
-        return [Difference(None, "results", shorten_text(error), "readable results")]
+        return [Difference(None, "results", shorten_text(error), "readable results")], 0
     names = [name for name in REPORT_FILES if (path / name).exists()]
     if report.metadata.version != __version__ or not names:
-        return []
+        return [], 0
+    n_results = len(report.episodes)
     try:
         stored = json.loads(read_plain_file(path / REPORT_JSON, _MAX_REPORT_BYTES))
-        report = replace(report, n_resumed=min(max(int(stored["n_resumed"]), 0), len(report.episodes)))
+        reported = {episode["index"] for episode in stored["episodes"]}
+        episodes = tuple(episode for episode in report.episodes if episode.index in reported) or report.episodes
+        n_resumed = min(max(int(stored["n_resumed"]), 0), len(episodes))
+        report = replace(report, episodes=episodes, n_resumed=n_resumed)
         found = _compare_json(stored, json.loads(json.dumps(report.to_json())))
-        differences = [replace(each, key=f"{REPORT_JSON}: {each.key}") for each in found]
+        text = f"{len(found)} other values, e.g. {found[0].key}" if found else ""
+        differences = [Difference(None, REPORT_JSON, text, "the values of these results")] if found else []
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         differences = [Difference(None, REPORT_JSON, shorten_text(error), "a report")]
     for name, text in format_report_files(path, report).items():
         if name in names and name != REPORT_JSON and (path / name).read_bytes() != text.encode():
             differences.append(Difference(None, name, "other text", "the text of these results"))
-    return differences
+    return differences, n_results - len(report.episodes)
 
 
 def _compare_json(stored: Any, expected: Any, key: str = "") -> list[Difference]:

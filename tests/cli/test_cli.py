@@ -33,6 +33,8 @@ def test_benchmark_and_evaluate(
     [
         (["benchmark", "--dataset", "dexycb"], "HANDOVER_MARL_DATA"),
         (["benchmark", "--data-dir", "/nowhere"], "/nowhere does not exist"),
+        (["benchmark", "--data-dir", __file__], "test_cli.py is a file, not a folder"),
+        (["verify", "/nowhere", "--columns", "count"], "unknown column 'count'; valid: scene id, value"),
         (["benchmark", "--receiver", "nobody"], "unknown receiver 'nobody'; valid: gaddpg, hold"),
         (["agreement", "--physics", "nuclear", "--scenes", "1"], "scene 1 is not in s0 val"),
         (["evaluate", "/nowhere"], "/nowhere does not exist"),

@@ -29,7 +29,9 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.slow
 def test_commands_build_a_folder(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes", "add-object", "mine", "box", "box.stl", "--unit", "mm", "--mass", "0.2", *OBJECT]) == 0
-    assert "object box: class 22, 0.2 kg, friction 0.9; 0 grasps held" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "object box: class 22, 0.2 kg, friction 0.9; 0 grasps held" in printed
+    assert "the gripper opens 80 mm" in printed
     for person, frame in (("anna", "0,0,0.92,0,0,0,1"), ("ben", "table")):
         motion = ["scenes", "add-motion", "mine", "motion.csv", "--object", "box", "--subject", person]
         assert main([*motion, "--frame", frame, "--hand", "none"]) == 0

@@ -47,7 +47,7 @@ OFFICIAL_COLUMNS = (
     tables.WAIT,
     *tables.TIMES,
 )
-CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd")
+CAMERA_DATA = ("pointcloud", "full_pointcloud", "rgbd", "rgb", "depth", "segmentation")
 
 
 def test_parameters_of_generated_scenes() -> None:

@@ -119,7 +119,7 @@ def test_folders_of_another_evaluation_are_unchanged(fake_data: Path, own_data: 
     with pytest.raises(ResultsError, match=r"000\.npz was computed from data that differ"):
         run(own_data, out, scenes=[9])
     (tmp_path / "file").write_text("")
-    with pytest.raises(ResultsError, match="cannot use"):
+    with pytest.raises(ResultsError, match="is a file; out must be a folder"):
         run(fake_data, tmp_path / "file")
     assert before == {path.name: path.read_bytes() for path in out.iterdir()}
 

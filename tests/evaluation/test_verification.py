@@ -10,7 +10,7 @@ import pytest
 import handover_marl
 from handover_marl.cli import main
 from handover_marl.config import ProtocolConfig, WorldConfig
-from handover_marl.errors import ResultsError
+from handover_marl.errors import OptionError, ResultsError
 from handover_marl.evaluation.benchmark import benchmark, evaluate_pair
 from handover_marl.evaluation.config import EvaluationConfig, resolve_config
 from handover_marl.evaluation.episode_runner import EpisodeRunner, SceneTask
@@ -148,9 +148,9 @@ def test_forged_values_are_found(folder: Path, simulated: EpisodeResult) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("forgery", REPORT_FORGERIES)
 def test_a_forged_report_is_found(forgery: str, folder: Path) -> None:
-    assert check_reports(folder) == []
+    assert check_reports(folder) == ([], 0)
     REPORT_FORGERIES[forgery](folder)
-    assert check_reports(folder)
+    assert check_reports(folder)[0]
 
 
 @pytest.mark.slow
@@ -161,6 +161,10 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert f"| {SCENE} " in printed
     assert "timeout" in printed
     assert "Not equal: 1 of 1 episodes" in printed
+    # The outcome comes first, and the report has one row.
+    rows = [line.split(" | ") for line in printed.splitlines() if line.startswith(("| 19", "| folder"))]
+    assert rows[0][1].strip() == "outcome"
+    assert sum("report.json" in row[1] for row in rows) == 1
 
 
 @pytest.mark.slow
@@ -169,10 +173,27 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
     evaluate_pair("hesitant", "hold", "s0", "val", scenes=[SCENE], out=tmp_path, **options)
     check = functools.partial(verify, tmp_path, workers=1, progress=False)
     assert check(world_config=NOISY).is_verified
-    other = check(giver="replay", world_config=NOISY).differences
-    assert {"giver", "giver_hash"} <= {difference.key for difference in other if difference.scene_id is None}
+    other = check(giver="replay", world_config=NOISY)
+    assert {"giver", "giver_hash"} <= {each.key for each in other.differences if each.scene_id is None}
+    assert "The giver's code, or the way in which it was named" in str(other)
     with pytest.raises(ResultsError, match="world_config"):
         check()
+
+
+@pytest.mark.slow
+def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
+    """The report has the scenes of the last run, which is no fault of the folder."""
+    options = {**OPTIONS, "world_config": NOISY, "out": tmp_path}
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[9, SCENE], **options)
+    evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)
+    assert check_reports(tmp_path) == ([], 1)
+    verification = verify(tmp_path, workers=1, progress=False, world_config=NOISY)
+    assert verification.is_verified
+    assert "1 results of the folder are not in its report" in str(verification)
+    path = tmp_path / "config.yaml"
+    path.write_text(path.read_text().replace("giver: replay", "giver: wary"))
+    with pytest.raises(OptionError, match="'wary', which is not registered; pass giver="):
+        verify(tmp_path, workers=1, progress=False, world_config=NOISY)
 
 
 @pytest.mark.slow

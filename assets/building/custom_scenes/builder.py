@@ -33,6 +33,7 @@ from handover_marl.datasets.custom.dataset import (
     CustomDataset,
     check_hand,
     check_objects,
+    check_start,
     get_motion_path,
 )
 from handover_marl.datasets.custom.scene_file import (
@@ -218,6 +219,7 @@ class CustomSceneFolder:
             if fingers is None:
                 table, fingers = close_hand(table, read_solid(urdfs[0]), hand, cast(Side, side))
         arrays = make_trajectory(table, others, model, fingers)
+        check_start(arrays["object_dof"], arrays["hand_dof"], arrays["hand_span"][0], bodies)
         if model is not None:
             frames = slice(arrays["hand_span"][0], arrays["hand_span"][1] + 1)
             check_hand(arrays["hand_dof"][frames], arrays["object_dof"][frames])

@@ -10,7 +10,7 @@ names `object`, `wrist` and those of the other objects' classes.
 """
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -40,6 +40,7 @@ _MOTIVE_LENGTHS: Final = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm
 _TIMES: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _PARTS: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _MAX_BYTES = 200_000_000
+_MAX_HEADER = 20_000  # characters of header lines
 _MAX_NORM_ERROR = 0.02  # of quaternions
 _ROUNDING = 1e-9  # of differences of times (s)
 
@@ -149,23 +150,39 @@ def _read_file(path: Path, config: MotionConfig) -> tuple[dict[str, Any], Motion
         text = read_plain_file(path, _MAX_BYTES).decode("utf-8-sig")
     # Columns of quaternions have names.
     config = replace(config, quaternion="xyzw")
-    return _parse_motive(path, text, config) if text.startswith("Format Version,") else (_parse_csv(path, text), config)
+    is_motive = text.startswith("Format Version,")
+    if not is_motive and any(mark in text[:_MAX_HEADER] for mark in ("Rigid Body", "Frame,Time (")):
+        raise DataFormatError(
+            f"{path}: looks like a file of Motive without its first line, 'Format Version,...'; export it with all "
+            "header lines"
+        )
+    return _parse_motive(path, text, config) if is_motive else (_parse_csv(path, text), config)
 
 
 def _parse_motive(path: Path, text: str, config: MotionConfig) -> tuple[dict[str, Any], MotionConfig]:
     """Return times and rigid bodies' poses (T, 7) in a CSV file of Motive, formats 1.2 to 1.25, and its units."""
-    rows = [row for row in csv.reader(text.splitlines()) if any(row)]
+    reader = csv.reader(text.splitlines())
+    lines = [(reader.line_num, row) for row in reader if any(row)]
+    rows = [row for _, row in lines]
     settings = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    for key, valid in (("Rotation Type", ("Quaternion",)), ("Length Units", tuple(_MOTIVE_LENGTHS))):
+        if settings.get(key) not in valid:
+            raise DataFormatError(
+                f"{path}: {key} in the first line must be {' or '.join(valid)}, got "
+                f"{shorten_text(settings.get(key, 'none'))}; export it again"
+            )
     try:
         first = 1 + next(number for number, row in enumerate(rows) if row[0] == "Frame")
         # Lines of type, name and ID of the columns, in newer formats of the parent, then of the part and the axis.
         columns = [*zip(rows[1], rows[2], rows[first - 2], rows[first - 1], strict=True)]
-        values = np.array([[_parse_cell(cell) for cell in row] for row in rows[first:]])
+        values = _parse_rows(path, lines[first:], len(columns))
         arrays: dict[str, Any] = {TIME: values[:, 1]}
         for name in dict.fromkeys(name for kind, name, *_ in columns if kind == "Rigid Body"):
             keys = [("Position", axis) for axis in "XYZ"] + [("Rotation", axis) for axis in "XYZW"]
             arrays[name] = values[:, [columns.index(("Rigid Body", name, *key)) for key in keys]]
         return arrays, replace(config, time="s", length=_MOTIVE_LENGTHS[settings["Length Units"]])
+    except DataFormatError:
+        raise
     except (ValueError, KeyError, IndexError, StopIteration) as error:
         raise DataFormatError(
             f"{path}: not a CSV file of Motive with rigid bodies ({shorten_text(repr(error))}); export it with the "
@@ -178,18 +195,16 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
 
     Cells are separated by commas, or by semicolons or tabs, which allow decimal commas.
     """
-    try:
-        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-        if lines[0].lower().startswith("sep="):  # a line that Excel writes
-            del lines[0]
-        separator = max(",", ";", "\t", key=lines[0].count)
-        header = [cell.strip() for cell in lines[0].split(separator)]
-        if len(lines) < 2:
-            raise ValueError("it has no rows")
-        values = np.loadtxt(lines[1:], delimiter=separator, ndmin=2, encoding="utf-8", converters=_parse_cell)
-        columns = dict(zip(header, values.T, strict=True))
-    except (ValueError, IndexError) as error:
-        raise DataFormatError(f"{path}: not a CSV file of numbers ({shorten_text(error)}); export it again") from error
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    lines = [(number, line) for number, line in lines if not line.startswith("#")]
+    if lines and lines[0][1].lower().startswith("sep="):  # a line that Excel writes
+        del lines[0]
+    if len(lines) < 2:
+        raise DataFormatError(f"{path}: the file {'has no rows' if lines else 'is empty'}; export it again")
+    separator = max(",", ";", "\t", key=lines[0][1].count)
+    header = [cell.strip() for cell in lines[0][1].split(separator)]
+    rows = ((number, line.split(separator)) for number, line in lines[1:])
+    columns = dict(zip(header, _parse_rows(path, rows, len(header)).T, strict=True))
     if len(columns) < len(header):
         twice = next(cell for cell in header if header.count(cell) > 1)
         raise DataFormatError(f"{path}: column {shorten_text(twice)!r} must be there once, got it twice; rename one")
@@ -217,15 +232,32 @@ def _parse_csv(path: Path, text: str) -> dict[str, Any]:
     return arrays
 
 
-def _parse_cell(cell: str) -> float:
-    return float(cell.strip().replace(",", ".") or "nan")
+def _parse_rows(path: Path, rows: Iterable[tuple[int, Sequence[str]]], n_columns: int) -> Array:
+    """Return the numbers in rows of cells, given with their line numbers in the file; empty cells are NaN."""
+    values = list[list[float]]()
+    for line, cells in rows:
+        if len(cells) != n_columns:
+            raise DataFormatError(f"{path}: line {line} must have {n_columns} cells, got {len(cells)}; export it again")
+        values.append([])
+        for column, cell in enumerate(cells, start=1):
+            try:
+                values[-1].append(float(cell.strip().replace(",", ".") or "nan"))
+            except ValueError:
+                raise DataFormatError(
+                    f"{path}: line {line}, column {column} must be a number, got {shorten_text(repr(cell))}; correct "
+                    "it or leave it empty"
+                ) from None
+    return np.array(values).reshape(-1, n_columns)
 
 
 def _make_table(arrays: Mapping[str, Any], config: MotionConfig) -> MotionTable:
     """Return the poses in arrays, checked and repaired; raise `ValueError` if they cannot be repaired."""
     for key in (TIME, OBJECT):
         if key not in arrays:
-            raise ValueError(f"{key} is missing; a motion has {TIME}, {OBJECT} and optionally {WRIST}")
+            raise ValueError(
+                f"{key} is missing; a motion has {TIME}, {OBJECT} and optionally {WRIST}, but this one has "
+                f"{shorten_text(', '.join(arrays))}; rename its bodies"
+            )
     numbers, repairs = dict[str, Array](), list[str]()
     for key, value in arrays.items():
         try:

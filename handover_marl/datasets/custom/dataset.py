@@ -55,6 +55,8 @@ MAX_FINGER_ANGLE: Final = 2.0 * np.pi
 _MAX_ANGLE = 1000.0  # rad; angles are unwrapped
 _MAX_REACH = 1.2  # m from the robot's base, where the handed-over object ends; the Panda reaches 0.855 m
 _MAX_SINK = 0.03  # m below the table's surface
+_MAX_START = 0.05  # m above what the handed-over object stands on
+_MAX_GRIP = 0.2  # m between the base of a hand and the nearest vertex of an object that it holds
 _MAX_HAND_DISTANCE = 1.0  # m, the smallest in a scene, between the hand's base and the handed-over object
 _MAX_GRASP_DISTANCE = 0.05  # m between the fingertips and the box around the object
 _MAX_ROTATION_ERROR = 1e-3
@@ -246,6 +248,7 @@ def _read_motion(
             rule = "frames of the motion" if has_hand else "-1 for a scene without a hand"
             raise ValueError(f"hand_span must be {rule}, got {first} and {last}")
         check_objects(objects, bodies)
+        check_start(objects, hand, first, bodies)
         if has_hand:
             check_hand(hand[first : last + 1], objects[first : last + 1])
     return objects, hand, (first, last) if has_hand else (None, None)
@@ -333,6 +336,33 @@ def check_objects(objects: npt.NDArray[np.floating], bodies: Mapping[str, Array]
                     f"{name} must end within {_MAX_REACH} m of the robot's base, got {distance:.2f} m; {_FRAME_ADVICE}"
                 )
             _check_above_table(f"{name} must end", poses[-1], vertices)
+
+
+def check_start(
+    objects: npt.NDArray[np.floating], hand: npt.NDArray[np.floating], first: int, bodies: Mapping[str, Array]
+) -> None:
+    """Check that the handed-over object stands on the table or on another object at the start, or is held by the hand.
+
+    Args:
+        objects: (T, n, 6) motion of the objects in the world frame.
+        hand: (T, 51) motion of the hand, likewise.
+        first: First frame with the hand, or -1.
+        bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
+
+    Raises:
+        DataFormatError: The object starts in the air.
+    """
+    dof = objects[0].astype(np.float64)
+    poses = np.concatenate([dof[:, :3], quaternions_from_euler(dof[:, 3:])], axis=1)
+    vertices, *others = (transform_points(pose, body) for pose, body in zip(poses, bodies.values(), strict=True))
+    lowest = float(vertices[:, 2].min())
+    gaps = [lowest - TABLE_HEIGHT, *(abs(lowest - float(other[:, 2].max())) for other in others)]
+    is_held = first == 0 and float(np.linalg.norm(vertices - hand[0, :3], axis=1).min()) <= _MAX_GRIP
+    if min(gaps) > _MAX_START and not is_held:
+        raise DataFormatError(
+            f"the handed-over object must start on the table, on another object or in the hand, got its lowest point "
+            f"{100 * gaps[0]:.0f} cm above the table; {_FRAME_ADVICE}"
+        )
 
 
 def check_hand(hand: npt.NDArray[np.floating], objects: npt.NDArray[np.floating]) -> None:

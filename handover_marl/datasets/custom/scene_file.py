@@ -20,6 +20,7 @@ from handover_marl.datasets.splits import SETUPS, SPLITS
 from handover_marl.errors import DataNotFoundError
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import read_plain_file, report_damage
+from handover_marl.geometry.panda import OPEN
 from handover_marl.geometry.ycb import CLASS_NAMES, LARGEST_YCB_CLASS
 
 FORMAT_NAME: Final = "handover_marl scenes"
@@ -74,8 +75,10 @@ class CustomObject:
 
     def __str__(self) -> str:
         grasps = f"{self.n_grasps} grasps held in simulation, of {self.n_candidates} that were tried"
-        text = f"object {self.name}: class {self.number}, {self.mass:.3g} kg, friction {self.friction:g}; {grasps}"
-        return "\n".join([text, *(f"  mesh: {repair}" for repair in self.repairs)])
+        lines = [f"object {self.name}: class {self.number}, {self.mass:.3g} kg, friction {self.friction:g}; {grasps}"]
+        if not self.n_grasps:
+            lines.append(f"  warning: without grasps, most receivers fail; the gripper opens {2000 * OPEN:.0f} mm")
+        return "\n".join([*lines, *(f"  mesh: {repair}" for repair in self.repairs)])
 
 
 @dataclass(frozen=True)

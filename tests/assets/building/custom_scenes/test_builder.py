@@ -1,5 +1,6 @@
 """Tests of folders of custom scenes, from recordings and meshes to results."""
 
+import json
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -140,6 +141,7 @@ def moved(keys: Sequence[str], offset: Sequence[float], scale: float = 1.0, **ot
 BOTH, BELOW = ("object", "wrist"), (0.0, 0.0, -TABLE_HEIGHT)
 FAULTS: dict[str, tuple[Any, dict[str, Any], str]] = {
     "table's frame": (moved(BOTH, BELOW), {}, r"object must start above the table, got its lowest point 92 cm below"),
+    "in the air": (moved(BOTH, (0.0, 0.0, 0.65)), {}, "start on the table, .* lowest point 65 cm above the table"),
     "out of reach": (moved(BOTH, (0.0, 1.5, 0.0)), {}, r"must end within 1\.2 m of the robot's base, got 2\.0"),
     "in mm": (moved(("object",), (0.0, 0.0, 0.0), 1000.0), {}, "within 3 m of the world's origin.*length='mm'"),
     "wrist far away": (moved(("wrist",), (0.0, 0.4, 0.0)), {}, r"got only 0 digits that reach it, .*mm away"),
@@ -212,6 +214,19 @@ def test_fingerprints_and_missing_files(scenes: CustomSceneFolder, tmp_path: Pat
     (folder / "motion" / "000001.npz").unlink()
     with pytest.raises(HandoverError, match=r"000001\.npz is missing"):
         CustomSceneFolder(folder).check()
+
+
+def test_a_scene_that_is_removed_by_hand(scenes: CustomSceneFolder, tmp_path: Path) -> None:
+    """The last scene may take the place of another one, as the tutorial says."""
+    folder = tmp_path / "copy"
+    shutil.copytree(scenes.folder, folder)
+    content = json.loads((folder / "scenes.json").read_text())
+    content["scenes"][0] = content["scenes"].pop()
+    content["setups"].clear()
+    (folder / "scenes.json").write_text(json.dumps(content))
+    (folder / "motion" / "000002.npz").rename(folder / "motion" / "000000.npz")
+    dataset = CustomSceneFolder(folder).check()
+    assert [dataset.load_info(number).name for number in range(dataset.n_scenes)] == ["anna/000002", "ben/000001"]
 
 
 MOTION, GRASPS = "motion/000000", "objects/box/grasps"

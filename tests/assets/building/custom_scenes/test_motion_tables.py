@@ -56,7 +56,8 @@ def test_damaged_recordings_are_refused(kind: str) -> None:
     [
         ("object_qw", "object_q", "column 'object_qw' is missing"),
         ("object_y", "object_x", "column 'object_x' must be there once, got it twice"),
-        ("0.6,", "far,", "not a CSV file of numbers .*'far'"),
+        ("0.6,", "far,", "line 2, column 2 must be a number, got 'far'"),
+        ("\n0,", "\n0,0,", "line 2 must have 15 cells, got 16"),
         ("time,", ",", "column '' is unknown; columns are time, "),
         ("time,", "Time,", "column 'Time' is unknown"),
         ("time,", "timestamp_ns,", "column 'timestamp_ns' is unknown"),
@@ -135,6 +136,28 @@ def test_files_of_motive_and_offsets_of_markers(old: bool, tmp_path: Path) -> No
         read_motion_table(path, MotionConfig())
     with pytest.raises(HandoverError, match="wrist_offset must be seven numbers"):
         MotionConfig(wrist_offset=(0.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("object", "Mug", "object is missing; .* this one has time, Mug, wrist; rename"),
+        ("Format Version,1.2", "", "Motive without its first line"),
+        ("Quaternion", "XYZ", "Rotation Type in the first line must be Quaternion, got XYZ"),
+        ("Length Units,Millimeters", "", "Length Units in the first line must be Meters or .*, got none"),
+        ("0.600000", "abc", r"line \d+, column \d+ must be a number, got 'abc'"),
+    ],
+)
+def test_files_of_motive_with_faults(before: str, after: str, message: str, tmp_path: Path) -> None:
+    recording = make_recording()
+    bodies = {name: recording[name] for name in ("object", "wrist")}
+    path = write_motive(tmp_path / "take.csv", bodies, recording["time"], old=False)
+    path.write_text(path.read_text().replace(before, after))
+    with pytest.raises(DataFormatError, match=message):
+        read_motion_table(path, MotionConfig())
+    path.write_text("")
+    with pytest.raises(DataFormatError, match="the file is empty"):
+        read_motion_table(path, MotionConfig())
 
 
 def test_units_frames_and_orders_of_files(tmp_path: Path) -> None:
