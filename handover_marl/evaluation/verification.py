@@ -271,7 +271,7 @@ def check_reports(path: Path) -> tuple[list[Difference], int]:
         n_resumed = min(max(int(stored["n_resumed"]), 0), len(episodes))
         report = replace(report, episodes=episodes, n_resumed=n_resumed)
         found = _compare_json(stored, json.loads(json.dumps(report.to_json())))
-        text = f"{len(found)} other values, e.g. {found[0].key}" if found else ""
+        text = f"other values ({len(found)}), e.g. {found[0].key}" if found else ""
         differences = [Difference(None, REPORT_JSON, text, "the values of these results")] if found else []
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         differences = [Difference(None, REPORT_JSON, shorten_text(error), "a report")]

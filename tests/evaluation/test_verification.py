@@ -161,7 +161,6 @@ def test_a_changed_outcome_is_named(folder: Path, capsys: pytest.CaptureFixture[
     assert f"| {SCENE} " in printed
     assert "timeout" in printed
     assert "Not equal: 1 of 1 episodes" in printed
-    # The outcome comes first, and the report has one row.
     rows = [line.split(" | ") for line in printed.splitlines() if line.startswith(("| 19", "| folder"))]
     assert rows[0][1].strip() == "outcome"
     assert sum("report.json" in row[1] for row in rows) == 1
@@ -182,7 +181,6 @@ def test_values_of_a_giver_are_verified_with_its_code(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_last_run_of_fewer_scenes(tmp_path: Path) -> None:
-    """The report has the scenes of the last run, which is no fault of the folder."""
     options = {**OPTIONS, "world_config": NOISY, "out": tmp_path}
     evaluate_pair("replay", "hold", "s0", "val", scenes=[9, SCENE], **options)
     evaluate_pair("replay", "hold", "s0", "val", scenes=[SCENE], **options)

@@ -217,7 +217,6 @@ def test_fingerprints_and_missing_files(scenes: CustomSceneFolder, tmp_path: Pat
 
 
 def test_a_scene_that_is_removed_by_hand(scenes: CustomSceneFolder, tmp_path: Path) -> None:
-    """The last scene may take the place of another one, as the tutorial says."""
     folder = tmp_path / "copy"
     shutil.copytree(scenes.folder, folder)
     content = json.loads((folder / "scenes.json").read_text())
