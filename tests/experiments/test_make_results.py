@@ -1,6 +1,7 @@
 """experiments/make_results.py stores outcomes, computes the pages from them, and refuses partial evaluations."""
 
 import itertools
+import json
 import re
 import shutil
 from collections.abc import Iterator
@@ -36,9 +37,11 @@ def make_folder(path: Path, receiver: str, outcomes: Iterator[int], wait: str = 
 
 @pytest.fixture
 def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with a copy of the templates and counts, which the script uses in this test."""
+    """Return a folder with a copy of the templates and counts, without outcomes, which the script uses in this test."""
     folder = tmp_path / "docs" / "results"
     shutil.copytree(make_results.DATA, folder / "data", ignore=shutil.ignore_patterns("episodes"))
+    counts = folder / "data" / make_results.EVALUATIONS.name
+    counts.write_text(json.dumps([entry | {"path": ""} for entry in json.loads(counts.read_text())]))
     real = make_results.FOLDER
     for constant in ("FOLDER", "DATA", "EPISODES", "EVALUATIONS", "TEST_USE"):
         monkeypatch.setattr(make_results, constant, folder / getattr(make_results, constant).relative_to(real))
