@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import tyro
 from scipy import stats
 
 from handover_marl.errors import OptionError
 from handover_marl.evaluation.reports.published import PUBLISHED
 from handover_marl.evaluation.reports.report import evaluate
 from handover_marl.evaluation.reports.tables import format_table
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,4 @@ def main(args: Args) -> str:
 
 
 if __name__ == "__main__":
-    try:
-        print(main(tyro.cli(Args)))
-    except OptionError as error:
-        raise SystemExit(f"compute_rank_correlation: {error}") from None
+    print(run_script(main, Args))

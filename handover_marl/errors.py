@@ -33,7 +33,7 @@ class UnknownNameError(HandoverError, ValueError):
 
     def __init__(self, kind: str, name: object, valid: Iterable[object], hint: str = "") -> None:
         names = tuple(map(str, valid))
-        advice = [text for text in (suggest_name(name, names), hint) if text]
+        advice = [text for text in (hint, suggest_name(name, names)) if text]
         super().__init__("; ".join([f"unknown {kind} {name!r}", f"valid: {', '.join(names)}", *advice]))
         self._arguments = (kind, name, names, hint)
 

@@ -2,15 +2,23 @@
 
 import pickle
 from collections.abc import Callable
+from operator import itemgetter
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import handover_marl
+from handover_marl import givers, receivers
+from handover_marl.episode.loop import call_policy
+from handover_marl.episode.spaces import check_receiver_action
 from handover_marl.errors import (
+    ActionError,
+    DataNotFoundError,
     HandoverError,
     OptionError,
+    PolicyError,
     SceneError,
     UnknownArgumentError,
     UnknownNameError,
@@ -37,6 +45,21 @@ def open_dataset(name: str) -> None:
     handover_marl.parallel_env(dataset=name, split="test")
 
 
+def make_env(**options: Any) -> handover_marl.HandoverEnv:
+    return handover_marl.parallel_env(dataset="synthetic", physics="fast", **options)
+
+
+def step(actions: dict[str, Any]) -> None:
+    env = make_env()
+    env.reset(seed=0)
+    env.step(actions)
+
+
+def look_up(key: str) -> None:
+    policy: Any = SimpleNamespace(name="mine", act=itemgetter(key), hold_time=0.1)
+    call_policy(policy, {"time": np.zeros(1)}, 5)
+
+
 @pytest.mark.parametrize(
     ("function", "argument", "error", "message"),
     [
@@ -46,6 +69,15 @@ def open_dataset(name: str) -> None:
         (lambda period: handover_marl.parallel_env(control_period=period), 1 / 30, OptionError, "take 0.033"),
         (lambda name: handover_marl.benchmark(receiver=name), "cooperative", UnknownNameError, "is a giver"),
         (lambda name: handover_marl.evaluate_pair(name, "hold"), "reactive", UnknownNameError, "is a receiver"),
+        (givers.make, "wary.py", UnknownNameError, "a class in this file is wary:CLASS"),
+        (givers.make, "learned:nope.npz", DataNotFoundError, "export_policy or a training script"),
+        (lambda data: receivers.make("yang2021", data), "synthetic", OptionError, r"dataset must be env\.dataset"),
+        (lambda mode: make_env(obs_mode=mode), "rgb,depth", UnknownNameError, r"join parts with '\+'"),
+        (lambda options: make_env().reset(options=options), {"scene": 105}, OptionError, "'scene_id', got .'scene'"),
+        (step, {"receiver": [0.0] * 9}, ActionError, "one of the giver, got none"),
+        (lambda size: givers.make_giver_action(displacement=[0.0] * size), 2, ActionError, "displacement must be 3"),
+        (check_receiver_action, None, ActionError, "got None; return them from the policy"),
+        (look_up, "nope", PolicyError, "KeyError: 'nope'; the observation has time"),
     ],
     ids=lambda value: str(value)[:20],
 )

@@ -17,24 +17,27 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
-import tyro
-from torch import nn
 
 import handover_marl
 from handover_marl.config import ProtocolConfig
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.run_folder import (
-    describe_origin,
-    make_mlp,
-    open_run_folder,
-    select_training_scenes,
-    spawn_seeds,
-    summarize_evaluation,
-)
-from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.learning.training.scene_arguments import SetupArgs, require_extra, run_script
+from handover_marl.policies.reference import parse_policy
+
+with require_extra("train"):
+    import torch
+    from torch import nn
+
+    from handover_marl.learning.training.run_folder import (
+        describe_origin,
+        make_mlp,
+        open_run_folder,
+        select_training_scenes,
+        spawn_seeds,
+        summarize_evaluation,
+    )
 
 FEATURES, ACTIONS, CONTROL_PERIOD = "giver", "offer", 0.1
 OFFERS, POLICY = "offers.npz", "policy.npz"
@@ -270,6 +273,8 @@ def join(parts: list[Offers]) -> Offers:
 
 def main(args: Args) -> Path:
     args = args.resolve_setup()
+    for receiver in args.receivers:
+        parse_policy("receiver", receiver)  # before the run's folder is made
     folder = open_run_folder(args.out, args, args.resume, args.open_dataset().name, ("episodes", "workers"))
     critics, offers = train(args, folder)
     actor = train_actor(critics, offers, args)
@@ -293,4 +298,4 @@ def main(args: Args) -> Path:
 
 
 if __name__ == "__main__":
-    print(main(tyro.cli(Args, description=__doc__)))
+    print(run_script(main, Args, __doc__))

@@ -14,20 +14,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
-import tyro
 from gymnasium.spaces import flatdim
-from torch import nn
-from torch.distributions import Normal
 
 import handover_marl
-from handover_marl.evaluation.reports.tables import compute_wilson_interval
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds
-from handover_marl.learning.training.scene_arguments import SetupArgs
+from handover_marl.learning.training.scene_arguments import SetupArgs, require_extra, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
+
+with require_extra("train"):
+    import torch
+    from torch import nn
+    from torch.distributions import Normal
+
+    from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds, summarize_evaluation
 
 ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
 
@@ -239,7 +240,7 @@ def train(args: Args) -> ActorCritic:
 
 
 def evaluate(args: Args) -> None:
-    """Evaluate the policy file on the validation split, and print the success rate with its interval."""
+    """Evaluate the policy file on the validation split, and print the outcomes."""
     scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
     report = handover_marl.evaluate_pair(
         args.giver,
@@ -251,11 +252,7 @@ def evaluate(args: Args) -> None:
         scenes=scenes,
         physics=args.val_physics,
     )
-    low, high = compute_wilson_interval(report.count(handover_marl.EpisodeStatus.SUCCESS), len(scenes))
-    print(
-        f"success on {len(scenes)} scenes of {args.setup} val, {args.val_physics} physics, giver {args.giver}: "
-        f"{report.success_rate:.1%} (95 % interval {low:.1%} to {high:.1%})"
-    )
+    print(summarize_evaluation(report, f"{args.setup} val with the giver {args.giver}"))
 
 
 def main(args: Args) -> Path:
@@ -275,4 +272,4 @@ def main(args: Args) -> Path:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run_script(main, Args)

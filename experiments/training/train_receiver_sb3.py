@@ -15,11 +15,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-import tyro
-from stable_baselines3 import PPO
+from handover_marl.learning.training.scene_arguments import require_extra, run_script
 
-from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
+with require_extra("train"):
+    import torch
+    from stable_baselines3 import PPO
+
+    from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 
 @dataclass(frozen=True)
@@ -55,4 +57,4 @@ def explore_gripper(initial_std: float, model: PPO) -> None:
 
 
 if __name__ == "__main__":
-    print(main(tyro.cli(Args)))
+    print(run_script(main, Args))

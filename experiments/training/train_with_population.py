@@ -21,13 +21,13 @@ from typing import Any, Literal
 
 import train_giver_sb3
 import train_receiver_ppo
-import tyro
 
 from handover_marl.errors import OptionError, ResultsError
 from handover_marl.execution.files import write_atomically
 from handover_marl.learning.training.run_folder import open_run_folder
-from handover_marl.learning.training.scene_arguments import SetupArgs
-from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population
+from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
+from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population, load_population
+from handover_marl.policies.reference import parse_policy
 
 _PAIRS_FILE = "pairs.json"
 _FIRST_PAIR_SEED = 1000
@@ -143,15 +143,16 @@ def main(args: Args) -> list[Path]:
         ResultsError: The folder holds policies of other arguments.
     """
     args = args.resolve_setup()
+    partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.ego]
+    parse_policy("giver" if args.ego == "receiver" else "receiver", partner)
+    load_population(args.population)  # before the run's folder is made
     folder = args.open_folder(f"{args.ego}_{args.method}", ("seeds",))
-    if args.method == "best_response":
-        partner = args.partner or {"receiver": "replay", "giver": "yang2021"}[args.ego]
-    else:
+    if args.method != "best_response":
         population = train_pairs(args) if args.method == "fictitious_co_play" else args.population
         partner = f"population:population={population}"
     return [train_policy(args, args.ego, partner, folder / f"{seed}.npz", seed) for seed in args.seeds]
 
 
 if __name__ == "__main__":
-    for policy_file in main(tyro.cli(Args, description=__doc__)):
+    for policy_file in run_script(main, Args, __doc__):
         print(policy_file)

@@ -48,13 +48,16 @@ def check_actions(actions: Any, giver_space: spaces.Box) -> tuple[npt.NDArray[np
         giver_space: Action space that the giver's action is clipped to.
 
     Raises:
-        ActionError: `actions` is not a mapping, names an unknown agent, or an action is malformed.
+        ActionError: `actions` is not a mapping, names an unknown agent, or an action is missing or malformed.
     """
     if not isinstance(actions, Mapping):
         raise ActionError(f"actions must be a dict by agent, got {type(actions).__name__}")
     unknown = sorted(map(str, actions.keys() - set(AGENTS)))
     if unknown:
         raise ActionError(f"actions must be for {' and '.join(AGENTS)}, got one for {unknown[0]!r}")
+    for agent in AGENTS:
+        if actions.get(agent) is None:
+            raise ActionError(f"actions must have one of the {agent}, got none; [0.0] * 8 of the giver replays")
     giver_action = check_giver_action(actions.get(GIVER), giver_space)
     return check_receiver_action(actions.get(RECEIVER)), giver_action
 
@@ -63,17 +66,19 @@ def check_scene_option(options: Any, scene_ids: Sequence[int], split_name: str) 
     """Return the scene number that the options of `reset` choose, or None if they choose none.
 
     Args:
-        options: Options of `reset`; unknown keys cause a warning.
+        options: Options of `reset`. Unknown keys, which API checkers pass, cause a warning; those of a scene an error.
         scene_ids: Scene numbers to choose from, ascending.
         split_name: Name of the set of these scenes, for the error message.
 
     Raises:
-        OptionError: `options` is not a mapping.
+        OptionError: `options` is not a mapping, or has another key of a scene than `scene_id`.
         SceneError: The scene is not among `scene_ids`.
     """
     if not isinstance(options, Mapping):
         raise OptionError(f"options must be a dict, got {type(options).__name__}")
     unknown = sorted(map(str, options.keys() - {"scene_id"}))
+    if any("scene" in key.lower() for key in unknown):
+        raise OptionError(f"options of reset() must have the number of the scene as 'scene_id', got {unknown}")
     if unknown:
         warnings.warn(f"unknown options of reset(): {', '.join(unknown)}; valid: scene_id", stacklevel=4)
     scene_id = options.get("scene_id")

@@ -146,20 +146,21 @@ def call_policy(policy: EpisodePolicy, observation: Observation, step: int) -> t
         PolicyError: The policy fails.
         OptionError: The policy's hold time is not a positive number.
     """
-    with _name_policy(policy, f"after {step} steps"):
+    with _name_policy(policy, f"after {step} steps", observation):
         action, hold_time = policy.act(observation), policy.hold_time
     return action, step + steps_from_hold_time(hold_time)
 
 
 @contextlib.contextmanager
-def _name_policy(policy: EpisodePolicy, when: str) -> Iterator[None]:
+def _name_policy(policy: EpisodePolicy, when: str, observation: Observation | None = None) -> Iterator[None]:
     """Raise errors of a policy's code as `PolicyError` with its name and `when` it failed; keep library errors."""
     try:
         yield
     except HandoverError:
         raise
     except (Exception, SystemExit) as error:
-        raise PolicyError(f"policy {policy.name!r} failed ({when}): {type(error).__name__}: {error}") from error
+        keys = f"; the observation has {', '.join(observation)}" if isinstance(error, KeyError) and observation else ""
+        raise PolicyError(f"policy {policy.name!r} failed ({when}): {type(error).__name__}: {error}{keys}") from error
 
 
 def steps_from_hold_time(hold_time: float) -> int:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from handover_marl.config import OFFICIAL_CONFIG, PANDA_DOF, GiverConfig
-from handover_marl.errors import ActionError, UnknownNameError, check_name
+from handover_marl.errors import ActionError, UnknownNameError
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 
 #: Parts of an observation mode, joined by "+": the simulator's state, and data of the wrist camera, named as in
@@ -19,6 +19,7 @@ DEPTH, SEGMENTATION, RGB, RGBD = "depth", "segmentation", "rgb", "rgbd"
 OBS_PARTS = (STATE, POINTCLOUD, SCENE_POINTCLOUD, FULL_POINTCLOUD, DEPTH, SEGMENTATION, RGB, RGBD)
 #: Parts that are images; "rgbd" stands for all three.
 IMAGES = frozenset((DEPTH, SEGMENTATION, RGB))
+_JOIN_PARTS = "join parts with '+', e.g. 'rgb+depth'"
 
 #: Components of the giver's action: playback rate (1), wrist displacement (3), wrist rotation (3), release (1).
 GIVER_ACTION_SIZE = 8
@@ -31,15 +32,15 @@ def parse_obs_mode(obs_mode: str) -> frozenset[str]:
         UnknownNameError: A part is not one of `OBS_PARTS`.
     """
     if not isinstance(obs_mode, str):
-        raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS)
+        raise UnknownNameError("part of obs_mode", obs_mode, OBS_PARTS, _JOIN_PARTS)
     return _parse_obs_mode(obs_mode)
 
 
 @functools.lru_cache(maxsize=64)
 def _parse_obs_mode(obs_mode: str) -> frozenset[str]:
     parts = frozenset(obs_mode.split("+"))
-    for part in parts:
-        check_name("part of obs_mode", part, OBS_PARTS)
+    for part in sorted(parts - set(OBS_PARTS)):
+        raise UnknownNameError("part of obs_mode", part, OBS_PARTS, "" if part.isidentifier() else _JOIN_PARTS)
     return parts - {RGBD} | (IMAGES if RGBD in parts else frozenset())
 
 
@@ -120,7 +121,7 @@ def check_vector(
     if vector is not None and vector.shape == (size,) and np.isfinite(vector[:n_finite]).all():
         return vector
     if vector is None:
-        problem = "got None; pass it by agent" if values is None else f"got {type(values).__name__}"
+        problem = "got None; return them from the policy" if values is None else f"got {type(values).__name__}"
         if hasattr(values, "detach"):
             problem += " with a gradient or on a GPU; pass tensor.detach().cpu()"
     elif vector.shape != (size,):

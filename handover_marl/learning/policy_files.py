@@ -78,7 +78,10 @@ def read_policy(path: Path, agent: str, trust: bool = False, **given: Any) -> tu
     try:
         content = read_plain_file(path)
     except OSError as error:
-        raise DataNotFoundError(f"{path}: cannot read this policy file ({error.strerror or error})") from error
+        raise DataNotFoundError(
+            f"{path}: cannot read this policy file ({error.strerror or error}); give the path of one that "
+            "handover_marl.export_policy or a training script wrote"
+        ) from error
     except ValueError as error:
         raise DataFormatError(f"{path}: cannot read this policy file ({error})") from error
     if path.suffix == ".npz":
@@ -174,5 +177,5 @@ def _read_npz(path: Path, content: bytes) -> tuple[dict[str, Any], DenseNetwork]
     except Exception as error:  # NumPy and zipfile raise exceptions of many types on damaged files
         raise DataFormatError(
             f"{path}: not a policy file of handover_marl ({shorten_text(error)}); "
-            "the scripts in experiments/ write them"
+            "handover_marl.export_policy and training scripts write them, and result files have no policy"
         ) from error

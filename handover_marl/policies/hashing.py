@@ -1,10 +1,11 @@
 """Hashes of policies, so that results of different policies are never mixed.
 
-A hash covers the library's version, the source files of the packages that define a policy, and the values, arrays and
-files that it holds. It is equal in every process. Code without a source file, such as a class that is typed at a
-prompt or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
+A hash covers the library's version, the source files that define a policy, and the values, arrays and files that it
+holds. It is equal in every process, also in a script with the policy's code. Code without a source file, as at a prompt
+or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
 """
 
+import ast
 import functools
 import hashlib
 import inspect
@@ -61,17 +62,20 @@ def hash_object(value: object, arrays_only: bool = False) -> str:
 def hash_package(name: str) -> str:
     """Return the version of a top-level package that is installed, or a hash of the Python files of another package.
 
-    For a module outside a package, the hash covers the files in its folder. It is empty for the standard library, and
-    a random number for code without a file.
+    For a module outside a package, the hash covers its file, and the modules and packages in the same folder that it
+    imports, directly or not. It is empty for the standard library, and a random number for code without a file.
     """
     package, folders = sys.modules.get(name), _find_folders(name)
     if _is_installed(name):
         version = __version__ if name == _LIBRARY else getattr(package, "__version__", "")
         if version or name in sys.stdlib_module_names:
             return str(version)
-    pattern = "**/*.py" if hasattr(package, "__path__") else "*.py"
+    if hasattr(package, "__path__"):
+        files = [path for folder in folders for path in sorted(folder.rglob("*.py")) if path.is_file()]
+    else:
+        files = _find_imported_files(Path(getattr(package, "__file__", ""))) if folders else []
     digest = hashlib.sha256(b"" if folders else secrets.token_bytes())
-    for path in (path for folder in folders for path in sorted(folder.glob(pattern)) if path.is_file()):
+    for path in files:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
@@ -86,12 +90,40 @@ def find_package(function: object) -> str:
     function = function.__self__ if isinstance(function, MethodType) else function
     owner: Any = function if isinstance(function, (type, FunctionType)) else type(function)
     name = _get_package(owner)
-    return "" if name == _SCRIPT or "<" in owner.__qualname__ or name not in sys.modules else name
+    return "" if owner.__module__ == _SCRIPT or "<" in owner.__qualname__ or name not in sys.modules else name
 
 
 def _get_package(definition: Any) -> str:
-    """Return the top-level package that defines a function or class."""
-    return (definition.__module__ or "builtins").partition(".")[0]
+    """Return the top-level package that defines a function or class; also for a script in it that `python -m` runs."""
+    module = definition.__module__ or "builtins"
+    package, is_in_package, _ = _get_import_name(module).partition(".")
+    return package if is_in_package else module
+
+
+def _get_import_name(module: str) -> str:
+    """Return the name from which other programs import a module: for a script, that of its file."""
+    main = sys.modules.get(_SCRIPT) if module == _SCRIPT else None
+    spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
+    return str(spec.name) if spec is not None else Path(file).name.partition(".")[0] if file else module
+
+
+def _find_imported_files(file: Path) -> list[Path]:
+    """Return a Python file and, if not installed, modules and packages beside it that it imports, directly or not."""
+    pending, found = [file], set[Path]()
+    while pending:
+        path = pending.pop()
+        if path in found or not path.is_file():
+            continue
+        found.add(path)
+        try:
+            nodes = [] if _SITE_FOLDERS & set(path.parts) else list(ast.walk(ast.parse(path.read_bytes())))
+        except (SyntaxError, ValueError):  # compiled code, or code for another Python
+            continue
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+        for name in {name.partition(".")[0] for name in names} - {"", _LIBRARY}:
+            pending += [file.parent / f"{name}.py", *(file.parent / name).rglob("*.py")]
+    return sorted(found)
 
 
 def _find_folders(name: str) -> list[Path]:
@@ -132,7 +164,8 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
     if isinstance(value, ModuleType):
         return [value.__name__, hash_package(value.__name__.partition(".")[0])]
     packages = {_get_package(base) for base in (value.__mro__ if isinstance(value, type) else [value])}
-    parts = [value.__module__, value.__qualname__, *map(hash_package, sorted(packages))]
+    hashes = map(hash_package, sorted(packages, key=_get_import_name))
+    parts = [_get_import_name(value.__module__), value.__qualname__, *hashes]
     is_own = not _is_installed(_get_package(value))
     if isinstance(value, FunctionType):
         # Several functions of a file may have one name, and `eval` may make them of any text.
@@ -145,7 +178,7 @@ def _list_parts_of_definition(value: Any) -> list[Any]:
     elif isinstance(value, type) and is_own:
         # A program may change attributes of a class, and the functions of a local class may be closures.
         kinds = (FunctionType, *_PLAIN) if "<" in value.__qualname__ else _PLAIN
-        members = {key: getattr(part, "fget", part) for key, part in vars(value).items()}
+        members = {key: getattr(part, "fget", part) for key, part in vars(value).items() if key != "__module__"}
         parts += [{key: part for key, part in members.items() if isinstance(part, kinds)}, value.__bases__]
     return parts
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from handover_marl.config import OFFICIAL_CONFIG, PandaConfig, ProtocolConfig, WorldConfig
 from handover_marl.datasets.dataset import Dataset
 from handover_marl.episode.observations import Observation
-from handover_marl.episode.spaces import STATE
+from handover_marl.episode.spaces import STATE, check_vector
 from handover_marl.errors import OptionError, ResetNeededError, UnknownNameError
 from handover_marl.execution.files import shorten_text
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -76,6 +76,8 @@ def make_policy_context(
         config: Simulated world, protocol and limits of the giver.
         setup: Setup of the dataset; default: its first.
     """
+    if not isinstance(dataset, Dataset):
+        raise OptionError(f"dataset must be env.dataset or handover_marl.datasets.open_dataset(...), got {dataset!r}")
     return PolicyContext(
         dataset.panda_urdf,
         dataset.load_grasps,
@@ -240,9 +242,13 @@ def make_giver_action(
         displacement: (3,) set-point of the wrist's displacement, world frame (m).
         rotation: (3,) set-point of the rotation vector about the wrist, world frame (rad).
         release: Whether to release the object.
+
+    Raises:
+        ActionError: Displacement or rotation are not three finite numbers.
     """
-    parts = [rate, *np.asarray(displacement), *np.asarray(rotation), float(release)]
-    return np.array(parts, dtype=np.float32)
+    displacement = check_vector("displacement", displacement, 3, "a set-point (m)")
+    rotation = check_vector("rotation", rotation, 3, "a rotation vector (rad)")
+    return np.array([rate, *displacement, *rotation, float(release)], dtype=np.float32)
 
 
 def milliseconds_from_wait(wait: float) -> int:

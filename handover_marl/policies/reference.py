@@ -343,9 +343,11 @@ def _parse_text(agent: str, text: str, extra: Mapping[str, Any], trust: bool) ->
     policy_class, name, file = load_registered(agent, head), head, None
     if policy_class is None:
         # Registered names have no second part, classes are named "module:Class".
-        if not colon or not tail:
+        if not colon or not tail or head.endswith(".py"):
             other = "giver" if agent == "receiver" else "receiver"
             hint = f"{text!r} is a {other}" if text in list_available(other) else ""
+            if head.endswith(".py"):
+                hint = f"the name of a class in this file is {Path(head).stem}:CLASS"
             raise UnknownNameError(agent, text, list_available(agent), hint)
         attribute, _, rest = tail.partition(":")
         name, tail = f"{head}:{attribute}", rest

@@ -68,8 +68,8 @@ SMALLER = {
 }
 
 
-_PYTHONS = ("python", ".venv/bin/python")
-_SHELL = ("cd", "done", "git", "pytest", "tar")
+_PYTHONS = ("python", "python3", ".venv/bin/python")
+_SHELL = ("cd", "done", "git", "pytest", "source", "tar")
 
 
 def commands(text: str) -> Iterator[list[str]]:
@@ -149,7 +149,7 @@ def _check_own(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that a script exists and accepts the arguments; skip one that needs a library that is not installed."""
-    described = re.search(r"tyro\.cli\((\w+)[,)]", path.read_text())
+    described = re.search(r"(?:tyro\.cli\(|run_script\(main, )(\w+)[,)]", path.read_text())
     assert described, f"{path.name} takes no arguments"
     monkeypatch.syspath_prepend(str(path.parent))
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -159,7 +159,7 @@ def _check_script(path: Path, arguments: list[str], monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, path.stem, module)
     try:
         spec.loader.exec_module(module)
-    except ModuleNotFoundError as error:
+    except (ModuleNotFoundError, SystemExit) as error:
         pytest.skip(str(error))
     try:
         tyro.cli(getattr(module, described[1]), args=arguments)

@@ -202,8 +202,7 @@ import pickle, sys
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.givers import Giver, make_giver_action
 from handover_marl.policies.reference import parse_policy
-
-SHARED = {shared}
+from script_helper import SHARED
 
 class Typed(Giver):
     name = "typed"
@@ -230,8 +229,9 @@ def pickle_references(folder: Path, prompt: bool, gain: float = 2.0, shared: flo
 
     If `prompt` is true, the code runs with `python -c` instead, where the class has no file.
     """
-    out, text = folder / "references.pickle", SCRIPT.format(gain=gain, shared=shared)
+    out, text = folder / "references.pickle", SCRIPT.format(gain=gain)
     (folder / "script.py").write_text(text)
+    (folder / "script_helper.py").write_text(f"SHARED = {shared}")
     how = ["-c", text] if prompt else [str(folder / "script.py")]
     subprocess.run([sys.executable, *how, str(out)], check=True, cwd=folder, env=dict(os.environ), timeout=120)
     references: list[PolicyReference] = pickle.loads(out.read_bytes())
@@ -240,12 +240,14 @@ def pickle_references(folder: Path, prompt: bool, gain: float = 2.0, shared: flo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("prompt", [False, True])
-def test_classes_of_scripts(tmp_path: Path, prompt: bool) -> None:
+def test_classes_of_scripts(tmp_path: Path, prompt: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """References to classes of a script work in processes that have not run it.
 
-    Hashes cover the script's code; without a file, every hash is another one.
+    Hashes cover script and imports, and are those of its module; without a file, every hash is another one.
     """
-    first, again = (pickle_references(tmp_path, prompt) for _ in range(2))
+    first = pickle_references(tmp_path, prompt)
+    (tmp_path / "unrelated.py").write_text("x = 1")
+    again = pickle_references(tmp_path, prompt)
     assert "Typed" not in vars(sys.modules["__main__"])
     assert [float(reference.make(DATA).act({})[0]) for reference in first] == [2.0, 1.0, 0.5]
     assert [reference.label for reference in first] == ["typed", "typed:speed=0.5", "typed"]
@@ -253,6 +255,9 @@ def test_classes_of_scripts(tmp_path: Path, prompt: bool) -> None:
     assert len(set(hashes)) == 3
     assert ([reference.code_hash for reference in again] == hashes) != prompt
     if not prompt:
+        monkeypatch.syspath_prepend(str(tmp_path))
+        assert resolve("script:Typed").code_hash == hashes[0]
+        monkeypatch.delitem(sys.modules, "script")
         changed = pickle_references(tmp_path, prompt, shared=5.0)
         assert not set(hashes) & {reference.code_hash for reference in changed}
 

@@ -1,5 +1,6 @@
 """Policies that run a function or a network on encoded observations."""
 
+import copy
 import inspect
 import os
 from collections.abc import Callable, Mapping
@@ -69,6 +70,8 @@ class FunctionPolicy(Policy):
                     f"{name!r} must have {n_inputs} inputs and {self.scheme.size} outputs, got {function.n_inputs} and "
                     f"{function.n_outputs}; pass features and action scheme of its training"
                 )
+        if isinstance(function, TorchFunction) and self._features is not None:
+            self._check_module(function, self._features.size)
 
     @property
     def label(self) -> str:
@@ -112,6 +115,19 @@ class FunctionPolicy(Policy):
         """
         what = f"outputs of the {self.spec.agent} {self.name!r}"
         return check_vector(what, self.function(inputs), self.scheme.size, "as its action scheme decodes")
+
+    def _check_module(self, function: "TorchFunction", n_inputs: int) -> None:
+        """Evaluate a copy of a module on `n_inputs` zeros, so that a wrong size shows before the first episode."""
+        try:
+            outputs = copy.deepcopy(function)(np.zeros(n_inputs, dtype=np.float32))
+            found = f"{outputs.size} outputs" if isinstance(outputs, np.ndarray) else ""
+        except Exception as error:  # code of the user
+            found = f"{type(error).__name__}: {error}"
+        if found not in ("", f"{self.scheme.size} outputs"):
+            raise OptionError(
+                f"{self.name!r} must have {n_inputs} inputs (features {self.spec.features!r}) and {self.scheme.size} "
+                f"outputs, got {found}; pass features and action_scheme of its training"
+            )
 
 
 class TorchFunction:

@@ -54,7 +54,9 @@ def describe_origin(script: str, arguments: object) -> str:
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
-def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = ()) -> Path:
+def open_run_folder(
+    path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = (), write: bool = True
+) -> Path:
     """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
@@ -63,36 +65,37 @@ def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, f
         resume: Whether to continue an existing run.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
+        write: Whether to make the folder, rather than only check it.
 
     Raises:
-        ResultsError: The folder contains another run, or one that must not be resumed, or it cannot be created.
+        ResultsError: The folder has another run, one that must not be resumed, none to resume, or cannot be created.
     """
     recorded = {key: value for key, value in vars(arguments).items() if key not in (*_FREE, *free)}
     text = json.dumps(recorded | {"dataset": dataset}, indent=1, default=repr)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ResultsError(f"cannot make {path}: {error}") from error
     file = path / _ARGUMENTS
+    if resume and not file.exists():
+        raise ResultsError(f"{path} holds no run to continue; leave out --resume, or pass the run's folder as --out")
     if file.exists():
         if not resume:
             raise ResultsError(f"{path} holds a run; pass --resume to continue it, or another --out")
-        _check_arguments(file, json.loads(text))
-    write_atomically(file, text)
+        try:
+            found = dict(json.loads(read_plain_file(file)))
+        except (OSError, ValueError, TypeError) as error:
+            raise ResultsError(f"{file}: not the arguments of a run ({error}); choose another --out") from error
+        expected = json.loads(text)
+        different = [key for key in found.keys() | expected.keys() if found.get(key) != expected.get(key)]
+        if different:
+            raise ResultsError(
+                f"{path} holds a run with other arguments ({', '.join(sorted(different))}); use them again or choose "
+                "another --out"
+            )
+    if write:
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except (OSError, ValueError) as error:
+            raise ResultsError(f"cannot make {path}: {error}") from error
+        write_atomically(file, text)
     return path
-
-
-def _check_arguments(file: Path, expected: dict[str, Any]) -> None:
-    try:
-        found = dict(json.loads(read_plain_file(file)))
-    except (OSError, ValueError, TypeError) as error:
-        raise ResultsError(f"{file}: not the arguments of a run ({error}); choose another --out") from error
-    different = [key for key in found.keys() | expected.keys() if found.get(key) != expected.get(key)]
-    if different:
-        raise ResultsError(
-            f"{file.parent} holds a run with other arguments ({', '.join(sorted(different))}); use them again or "
-            "choose another --out"
-        )
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:

@@ -1,14 +1,40 @@
-"""Arguments that scripts of `experiments/` share, as dataclasses that become command-line options."""
+"""Start of scripts of `experiments/`, and arguments that they share: dataclasses that become command-line options."""
 
+import contextlib
 import math
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import tyro
 
 from handover_marl.datasets import Dataset, open_dataset
+from handover_marl.errors import HandoverError
 from handover_marl.geometry.panda import PANDA
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+_Args = TypeVar("_Args")
+_Result = TypeVar("_Result")
+
+
+@contextlib.contextmanager
+def require_extra(extra: str, constraints: str = "constraints.txt") -> Iterator[None]:
+    """Let a script import packages of an extra; end the program with a message if one is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        sys.exit(f'{error.name} is not installed; run pip install -e ".[{extra}]" -c {constraints}')
+
+
+def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], description: str | None = None) -> _Result:
+    """Call a script's function `main` with arguments of the command line; print library errors without a traceback."""
+    try:
+        return main(tyro.cli(arguments, description=description))
+    except HandoverError as error:
+        sys.exit(f"error: {error}")
 
 
 @dataclass(frozen=True)

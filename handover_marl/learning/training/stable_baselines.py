@@ -121,9 +121,12 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     """
     torch.set_num_threads(1)
     args = args.resolve_setup()
-    folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
+    run = (Path(args.out), args, args.resume, args.open_dataset().name)
+    open_run_folder(*run, write=False)
+    model, envs = _make_ppo(args, agent, partner)  # checks the other arguments before the folder is made
+    callback = EvaluationCallback(args, script, agent, partner)
+    folder = open_run_folder(*run)
     checkpoint = folder / _CHECKPOINT
-    model, envs = _make_ppo(args, agent, partner)
     if args.resume and checkpoint.exists():
         # Without the pickled Python objects in the file, which `PPO.load` reads.
         model.set_parameters(str(checkpoint), device="cpu")
@@ -136,7 +139,6 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     suffix = f"_{model.num_timesteps}" if model.num_timesteps else ""
     formats = [make_output_format("csv", str(folder), suffix)]
     model.set_logger(Logger(str(folder), [*formats, make_output_format("tensorboard", str(folder / "tensorboard"))]))
-    callback = EvaluationCallback(args, script, agent, partner)
     remaining = max(0, args.decisions - model.num_timesteps)
     model.learn(remaining, callback, reset_num_timesteps=False, progress_bar=True, log_interval=1)
     callback.evaluate()

@@ -1,6 +1,7 @@
 """Tests of folders of training runs and of the choice of scenes."""
 
 import json
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 from handover_marl.datasets.splits import select_scenes_evenly
-from handover_marl.errors import OptionError, ResultsError
+from handover_marl.errors import OptionError, ResultsError, check_name
 from handover_marl.learning.training.run_folder import (
     describe_origin,
     open_run_folder,
     select_held_out_scenes,
     select_training_scenes,
 )
+from handover_marl.learning.training.scene_arguments import require_extra, run_script
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,16 @@ def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
             open_run_folder(path, args, resume, dataset)
     arguments = json.loads((path / "arguments.json").read_text())
     assert (arguments["seed"], arguments["rates"]) == (0, [0.1, 0.2])
+    with pytest.raises(ResultsError, match="holds no run to continue"):
+        open_run_folder(tmp_path / "none", Args(), True, "synthetic")
+
+
+def test_scripts_end_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["script.py", "--out", "x"])
+    with pytest.raises(SystemExit, match=r"^error: unknown out 'x'; valid: y$"):
+        run_script(lambda args: check_name("out", args.out, ["y"]), Args)
+    with pytest.raises(SystemExit, match=r"nowhere is not .*\[train\].* -c constraints\.txt"), require_extra("train"):
+        raise ModuleNotFoundError("No module named 'nowhere'", name="nowhere")
 
 
 def test_every_tenth_scene_is_held_out() -> None:

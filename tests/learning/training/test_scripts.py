@@ -12,7 +12,7 @@ from handover_marl import givers, receivers
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.envs.rewards import SHAPED
-from handover_marl.errors import ResultsError
+from handover_marl.errors import ResultsError, UnknownNameError
 from handover_marl.learning.imitation.vision.views import GraspViewConfig
 from handover_marl.learning.training.run_folder import open_run_folder
 from handover_marl.policies.reference import parse_policy
@@ -99,6 +99,15 @@ def test_runs_are_not_resumed_on_another_dataset(
     monkeypatch.setenv(DATA_DIR_VARIABLE, str(fake_data))
     with pytest.raises(ResultsError, match=r"other arguments \(dataset\)"):
         train.main(args)
+
+
+@pytest.mark.slow
+def test_a_wrong_name_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco", reason="needs MuJoCo")
+    train = script("train_receiver_sb3", monkeypatch)
+    with pytest.raises(UnknownNameError, match="did you mean"):
+        train.main(train.Args(**RECEIVER, features="clos", out=str(tmp_path / "run")))
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
