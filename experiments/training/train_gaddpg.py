@@ -15,30 +15,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("train,planning,vision"):
-    import torch
-
-    from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches
-    from handover_marl.learning.imitation.gaddpg.data_generation import (
-        CHUNK_SIZE,
-        DataGeneratorConfig,
-        ExpertPlans,
-        ImitationStates,
-        RolloutTask,
-        collect_states,
-        list_shared_scenes,
-        make_plans,
-    )
-    from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-    from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner
-    from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-    from handover_marl.learning.networks.approach_field import ApproachFieldConfig
-    from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches
+from handover_marl.learning.imitation.gaddpg.data_generation import (
+    CHUNK_SIZE,
+    DataGeneratorConfig,
+    ExpertPlans,
+    ImitationStates,
+    RolloutTask,
+    collect_states,
+    list_shared_scenes,
+    make_plans,
+)
+from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
+from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner
+from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
+from handover_marl.learning.networks.approach_field import ApproachFieldConfig
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
+from handover_marl.learning.training.scene_arguments import run_script
 
 # Index of the repetition that gives held-out states, and first one of training rollouts.
 HELD_OUT_REPETITION, FIRST_REPETITION = 99, 1000

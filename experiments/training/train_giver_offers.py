@@ -17,27 +17,26 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import nn
 
 import handover_marl
 from handover_marl.config import ProtocolConfig
+from handover_marl.execution.files import write_arrays
+from handover_marl.execution.reading import read_arrays
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.scene_arguments import SetupArgs, require_extra, run_script
+from handover_marl.learning.training.run_folder import (
+    describe_origin,
+    make_mlp,
+    open_run_folder,
+    select_training_scenes,
+    spawn_seeds,
+    summarize_evaluation,
+)
+from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.policies.reference import parse_policy
-
-with require_extra("train"):
-    import torch
-    from torch import nn
-
-    from handover_marl.learning.training.run_folder import (
-        describe_origin,
-        make_mlp,
-        open_run_folder,
-        select_training_scenes,
-        spawn_seeds,
-        summarize_evaluation,
-    )
 
 FEATURES, ACTIONS, CONTROL_PERIOD = "giver", "offer", 0.1
 OFFERS, POLICY = "offers.npz", "policy.npz"
@@ -235,26 +234,24 @@ def train(args: Args, folder: Path) -> tuple[Critics, Offers]:
     """
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)
-    path, rounds = folder / OFFERS, []
-    if args.resume and path.exists():
-        with np.load(path) as stored:
-            rounds = [Offers(*(stored[name] for name in Offers._fields))]
-    known = sum(len(part.status) for part in rounds)
+    path, offers = folder / OFFERS, None
+    if path.exists():
+        offers = Offers(**read_arrays(path, Offers._fields))
+    first = known = 0 if offers is None else len(offers.status)
     with ThreadPoolExecutor(args.workers) as pool:
-        collectors = list(pool.map(lambda number: Collector(number, args, known), range(args.workers)))
+        collectors = list(pool.map(lambda number: Collector(number, args, first), range(args.workers)))
         critics = Critics(collectors[0].features.shape[1], collectors[0].envs.single_action_space.shape[0], args)
         optimizer = torch.optim.Adam(critics.parameters(), args.learning_rate, weight_decay=1e-5)
-        if rounds:
-            update(critics, optimizer, rounds[0], args, args.seed)
-        started, first = time.monotonic(), known
-        while known < args.episodes:
-            current = critics if rounds else None
+        if offers is not None:
+            update(critics, optimizer, offers, args, args.seed)
+        started = time.monotonic()
+        while offers is None or known < args.episodes:
+            current = None if offers is None else critics
             parts = pool.map(Collector.collect, collectors, [current] * args.workers)
             found = join([part for each in parts for part in each])
-            offers = join([*rounds, found])
-            known, rounds = len(offers.status), [offers]
-            np.savez(folder / f"part_{OFFERS}", **offers._asdict())
-            (folder / f"part_{OFFERS}").replace(path)
+            offers = found if offers is None else join([offers, found])
+            known = len(offers.status)
+            write_arrays(path, offers._asdict())
             loss = update(critics, optimizer, offers, args, args.seed + known)
             print(
                 f"{known} episodes, {(known - first) / (time.monotonic() - started):.1f} episodes/s: success of the "
@@ -263,7 +260,7 @@ def train(args: Args, folder: Path) -> tuple[Critics, Offers]:
             )
     for collector in collectors:
         collector.envs.close()
-    return critics, rounds[0]
+    return critics, offers
 
 
 def join(parts: list[Offers]) -> Offers:

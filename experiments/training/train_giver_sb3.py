@@ -19,21 +19,18 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from stable_baselines3 import PPO
 
 import handover_marl
 from handover_marl import givers
 from handover_marl.execution.options import PoolConfig
 from handover_marl.execution.pool import map_with_progress
 from handover_marl.learning.schemes import make_scheme, outputs_from_action
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
+from handover_marl.learning.training.run_folder import spawn_seeds
+from handover_marl.learning.training.scene_arguments import run_script
+from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 from handover_marl.policies.reference import parse_policy
-
-with require_extra("train"):
-    import torch
-    from stable_baselines3 import PPO
-
-    from handover_marl.learning.training.run_folder import spawn_seeds
-    from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 Vectors: TypeAlias = npt.NDArray[np.float32]
 

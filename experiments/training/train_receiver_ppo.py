@@ -14,21 +14,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
 from gymnasium.spaces import flatdim
+from torch import nn
+from torch.distributions import Normal
 
 import handover_marl
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
-from handover_marl.learning.training.scene_arguments import SetupArgs, require_extra, run_script
+from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds, summarize_evaluation
+from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
-
-with require_extra("train"):
-    import torch
-    from torch import nn
-    from torch.distributions import Normal
-
-    from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds, summarize_evaluation
 
 ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
 

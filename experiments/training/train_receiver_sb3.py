@@ -15,13 +15,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
+import torch
+from stable_baselines3 import PPO
 
-with require_extra("train"):
-    import torch
-    from stable_baselines3 import PPO
-
-    from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
+from handover_marl.learning.training.scene_arguments import run_script
+from handover_marl.learning.training.stable_baselines import PpoArgs, train_agent
 
 
 @dataclass(frozen=True)

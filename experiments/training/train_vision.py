@@ -16,18 +16,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from handover_marl.datasets import open_dataset
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("train,planning,vision"):
-    import torch
-
-    from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-    from handover_marl.learning.imitation.samples import join_samples
-    from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
-    from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
-    from handover_marl.learning.networks.grasp_network import GraspNetwork
-    from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
+from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
+from handover_marl.learning.imitation.samples import join_samples
+from handover_marl.learning.imitation.vision.training import GraspLearner, ViewBatches
+from handover_marl.learning.imitation.vision.views import GraspViewConfig, GraspViews, generate_views
+from handover_marl.learning.networks.grasp_network import GraspNetwork
+from handover_marl.learning.training.run_folder import select_held_out_scenes, select_training_scenes
+from handover_marl.learning.training.scene_arguments import run_script
 
 # Number of held-out views for the metrics.
 N_HELD_OUT = 1500

@@ -39,8 +39,10 @@ def parse_obs_mode(obs_mode: str) -> frozenset[str]:
 @functools.lru_cache(maxsize=64)
 def _parse_obs_mode(obs_mode: str) -> frozenset[str]:
     parts = frozenset(obs_mode.split("+"))
-    for part in sorted(parts - set(OBS_PARTS)):
-        raise UnknownNameError("part of obs_mode", part, OBS_PARTS, "" if part.isidentifier() else _JOIN_PARTS)
+    unknown = sorted(parts - set(OBS_PARTS))
+    if unknown:
+        hint = "" if unknown[0].isidentifier() else _JOIN_PARTS
+        raise UnknownNameError("part of obs_mode", unknown[0], OBS_PARTS, hint)
     return parts - {RGBD} | (IMAGES if RGBD in parts else frozenset())
 
 

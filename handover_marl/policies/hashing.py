@@ -5,13 +5,14 @@ holds. It is equal in every process, also in a script with the policy's code. Co
 or in a notebook, gets another hash every time, so that its results can be neither resumed nor verified.
 """
 
-import ast
+import contextlib
 import functools
 import hashlib
 import inspect
 import secrets
 import sys
 from collections.abc import Iterator, Mapping
+from modulefinder import ModuleFinder
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any
@@ -109,21 +110,12 @@ def _get_import_name(module: str) -> str:
 
 def _find_imported_files(file: Path) -> list[Path]:
     """Return a Python file and, if not installed, modules and packages beside it that it imports, directly or not."""
-    pending, found = [file], set[Path]()
-    while pending:
-        path = pending.pop()
-        if path in found or not path.is_file():
-            continue
-        found.add(path)
-        try:
-            nodes = [] if _SITE_FOLDERS & set(path.parts) else list(ast.walk(ast.parse(path.read_bytes())))
-        except (SyntaxError, ValueError):  # compiled code, or code for another Python
-            continue
-        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
-        for name in {name.partition(".")[0] for name in names} - {"", _LIBRARY}:
-            pending += [file.parent / f"{name}.py", *(file.parent / name).rglob("*.py")]
-    return sorted(found)
+    finder = ModuleFinder([str(file.parent)], excludes=[_LIBRARY])
+    with contextlib.suppress(SyntaxError, ValueError):  # compiled code, or code for another Python
+        if not _SITE_FOLDERS & set(file.parts):
+            finder.run_script(str(file))
+    imported = (getattr(module, "__file__", None) for module in finder.modules.values())
+    return sorted({file, *map(Path, filter(None, imported))})
 
 
 def _find_folders(name: str) -> list[Path]:

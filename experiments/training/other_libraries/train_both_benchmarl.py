@@ -9,19 +9,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
+from benchmarl.algorithms import MappoConfig
+from benchmarl.environments.pettingzoo.common import PettingZooClass
+from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.models.mlp import MlpConfig
+from pair import PairArgs, make_env, write_pair
+from torchrl.envs import EnvBase, PettingZooWrapper
+from torchrl.modules import MultiAgentMLP
+
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("benchmarl", "constraints-loops.txt"):
-    import torch
-    from benchmarl.algorithms import MappoConfig
-    from benchmarl.environments.pettingzoo.common import PettingZooClass
-    from benchmarl.experiment import Experiment, ExperimentConfig
-    from benchmarl.models.mlp import MlpConfig
-    from pair import PairArgs, make_env, write_pair
-    from torchrl.envs import EnvBase, PettingZooWrapper
-    from torchrl.modules import MultiAgentMLP
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 class HandoverClass(PettingZooClass):

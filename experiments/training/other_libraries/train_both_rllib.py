@@ -8,27 +8,24 @@ The script needs the extra `rllib`.
 import math
 from typing import Any
 
+import ray
+import torch
+from pair import PairArgs, make_env, write_pair
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core.columns import Columns
+from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI
+from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.rllib.core.rl_module.torch import TorchRLModule
+from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+from ray.tune.registry import register_env
 from rich.progress import track
+from torch import nn
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_module
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("rllib", "constraints-loops.txt"):
-    import ray
-    import torch
-    from pair import PairArgs, make_env, write_pair
-    from ray.rllib.algorithms.ppo import PPOConfig
-    from ray.rllib.core.columns import Columns
-    from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI
-    from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
-    from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-    from ray.rllib.core.rl_module.torch import TorchRLModule
-    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-    from ray.tune.registry import register_env
-    from torch import nn
-
-    from handover_marl.learning.training.run_folder import make_mlp
+from handover_marl.learning.training.run_folder import make_mlp
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 class ActorCritic(TorchRLModule, ValueFunctionAPI):

@@ -9,26 +9,23 @@ import math
 from typing import Any
 
 import numpy as np
+import torch
+from pair import PairArgs, make_env, write_pair
 from rich.progress import track
+from tianshou.algorithm import PPO
+from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
+from tianshou.algorithm.optim import AdamOptimizerFactory
+from tianshou.data import Batch, VectorReplayBuffer
+from tianshou.utils.net.common import Net
+from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
+from torch import nn
+from torch.distributions import Independent, Normal
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.envs.wrappers.encode import EncodedEnv
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("tianshou", "constraints-loops.txt"):
-    import torch
-    from pair import PairArgs, make_env, write_pair
-    from tianshou.algorithm import PPO
-    from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
-    from tianshou.algorithm.optim import AdamOptimizerFactory
-    from tianshou.data import Batch, VectorReplayBuffer
-    from tianshou.utils.net.common import Net
-    from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
-    from torch import nn
-    from torch.distributions import Independent, Normal
-
-    from handover_marl.learning.training.run_folder import spawn_seeds
+from handover_marl.learning.training.run_folder import spawn_seeds
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 def make_algorithm(env: EncodedEnv, agent: str, args: PairArgs) -> PPO:

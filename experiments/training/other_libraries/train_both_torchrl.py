@@ -5,23 +5,20 @@
 The loop follows TorchRL's multi-agent examples. It needs the extra `torchrl`.
 """
 
+import torch
+from pair import PairArgs, make_env, write_pair
 from rich.progress import track
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, ParallelEnv, PettingZooWrapper
+from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
+from torchrl.objectives import ClipPPOLoss
 
 from handover_marl.envs.arguments import AGENTS
 from handover_marl.learning.adapters.modules import dense_network_from_layers
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
-
-with require_extra("torchrl"):
-    import torch
-    from pair import PairArgs, make_env, write_pair
-    from tensordict.nn import TensorDictModule, TensorDictSequential
-    from torch import nn
-    from torchrl.collectors import Collector
-    from torchrl.envs import EnvBase, ParallelEnv, PettingZooWrapper
-    from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
-    from torchrl.objectives import ClipPPOLoss
-
-    from handover_marl.learning.training.run_folder import make_mlp
+from handover_marl.learning.training.run_folder import make_mlp
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 def make_loss(env: EnvBase, agent: str, args: PairArgs) -> ClipPPOLoss:

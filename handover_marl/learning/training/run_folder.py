@@ -54,9 +54,7 @@ def describe_origin(script: str, arguments: object) -> str:
     return f"experiments/training/{script}.py {', '.join(parts)}"
 
 
-def open_run_folder(
-    path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = (), write: bool = True
-) -> Path:
+def open_run_folder(path: Path, arguments: object, resume: bool, dataset: str, free: Sequence[str] = ()) -> Path:
     """Make the folder of a training run with its arguments, or check that it holds this run; return its path.
 
     Args:
@@ -65,7 +63,6 @@ def open_run_folder(
         resume: Whether to continue an existing run.
         dataset: Name of the dataset, to which "auto" was resolved.
         free: Names of further arguments that may change when a run is resumed.
-        write: Whether to make the folder, rather than only check it.
 
     Raises:
         ResultsError: The folder has another run, one that must not be resumed, none to resume, or cannot be created.
@@ -89,12 +86,11 @@ def open_run_folder(
                 f"{path} holds a run with other arguments ({', '.join(sorted(different))}); use them again or choose "
                 "another --out"
             )
-    if write:
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except (OSError, ValueError) as error:
-            raise ResultsError(f"cannot make {path}: {error}") from error
-        write_atomically(file, text)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"cannot make {path}: {error}") from error
+    write_atomically(file, text)
     return path
 
 

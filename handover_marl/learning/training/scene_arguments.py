@@ -1,9 +1,8 @@
 """Start of scripts of `experiments/`, and arguments that they share: dataclasses that become command-line options."""
 
-import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,15 +17,6 @@ if TYPE_CHECKING:
 
 _Args = TypeVar("_Args")
 _Result = TypeVar("_Result")
-
-
-@contextlib.contextmanager
-def require_extra(extra: str, constraints: str = "constraints.txt") -> Iterator[None]:
-    """Let a script import packages of an extra; end the program with a message if one is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        sys.exit(f'{error.name} is not installed; run pip install -e ".[{extra}]" -c {constraints}')
 
 
 def run_script(main: Callable[[_Args], _Result], arguments: type[_Args], description: str | None = None) -> _Result:

@@ -121,11 +121,10 @@ def train_agent(args: PpoArgs, script: str, agent: str, partner: str, prepare: C
     """
     torch.set_num_threads(1)
     args = args.resolve_setup()
-    run = (Path(args.out), args, args.resume, args.open_dataset().name)
-    open_run_folder(*run, write=False)
-    model, envs = _make_ppo(args, agent, partner)  # checks the other arguments before the folder is made
+    # Both check arguments, so that the folder is made only for a run that can start.
+    model, envs = _make_ppo(args, agent, partner)
     callback = EvaluationCallback(args, script, agent, partner)
-    folder = open_run_folder(*run)
+    folder = open_run_folder(Path(args.out), args, args.resume, args.open_dataset().name)
     checkpoint = folder / _CHECKPOINT
     if args.resume and checkpoint.exists():
         # Without the pickled Python objects in the file, which `PPO.load` reads.

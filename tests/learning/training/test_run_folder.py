@@ -17,7 +17,7 @@ from handover_marl.learning.training.run_folder import (
     select_held_out_scenes,
     select_training_scenes,
 )
-from handover_marl.learning.training.scene_arguments import require_extra, run_script
+from handover_marl.learning.training.scene_arguments import run_script
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,6 @@ def test_scripts_end_with_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["script.py", "--out", "x"])
     with pytest.raises(SystemExit, match=r"^error: unknown out 'x'; valid: y$"):
         run_script(lambda args: check_name("out", args.out, ["y"]), Args)
-    with pytest.raises(SystemExit, match=r"nowhere is not .*\[train\].* -c constraints\.txt"), require_extra("train"):
-        raise ModuleNotFoundError("No module named 'nowhere'", name="nowhere")
 
 
 def test_every_tenth_scene_is_held_out() -> None:
