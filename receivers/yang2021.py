@@ -50,6 +50,7 @@ class YangConfig(CheckedConfig):
         wait: Time at the waiting pose (s).
         decision_period: Time between decisions during the approach (s).
         close_time: Time for which the fingers close (s).
+        close_decision_period: Time between decisions while the fingers close; longer ones are faster in batches (s).
         standoff: (7,) standoff pose of the hand link, in the frame of the hand link at the grasp.
         preferred_pose: (7,) world pose of the hand link near which a standoff has a low cost.
         rotation_weight: Weight of rotations relative to squared distances in a standoff's cost.
@@ -67,6 +68,7 @@ class YangConfig(CheckedConfig):
     wait: float = bounded(3.0, 0.0, 60.0)
     decision_period: float = bounded(0.1, 0.001, 60.0)
     close_time: float = bounded(0.5, 0.0, 60.0)
+    close_decision_period: float = bounded(0.001, 0.001, 60.0)
     standoff: tuple[float, ...] = panda.RANKING_STANDOFF
     preferred_pose: tuple[float, ...] = panda.PREFERRED_HAND_POSE
     rotation_weight: float = bounded(panda.RANKING_ROTATION_WEIGHT, 0.0, np.inf)
@@ -91,8 +93,8 @@ class YangPhase(IntEnum):
 class Yang2021Receiver(Receiver):
     """Receiver `yang2021`, the reactive baseline of Yang et al. (2021).
 
-    The receiver decides every 0.1 s during the approach, every millisecond while the fingers close
-    (the target is then the present configuration), and once afterwards. Its state is in arrays (n, ...), one row for
+    The receiver decides every 0.1 s during the approach, every millisecond while the fingers close (the target is then
+    the present configuration), and once afterwards. Its state is in arrays (n, ...), one row for
     each episode; a receiver by itself has one. The argument `rows` (r,) of methods contains the indices of the episodes
     to which a method applies; their observations are arrays (r, ...).
 
@@ -183,7 +185,8 @@ class Yang2021Receiver(Receiver):
     def get_hold_times(self, rows: Indices) -> Array:
         """Return the times (r,) until the next decisions in the episodes `rows` (s), infinite during the retreat."""
         config = self.config
-        times = np.array([config.wait or config.decision_period, config.decision_period, 0.001, np.inf])
+        periods = config.decision_period, config.close_decision_period
+        times = np.array([config.wait or config.decision_period, *periods, np.inf])
         return np.take(times, self.phase[rows] - YangPhase.WAIT)
 
     def count_hold_steps(self, rows: Indices) -> AnyIntegers:

@@ -13,7 +13,7 @@ from handover_marl.episode.episode import Episode
 from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.policies.batch import ArrayPolicyBatch
 from handover_marl.policies.policy import make_policy_context
-from handover_marl.receivers.yang2021 import Yang2021Receiver
+from handover_marl.receivers.yang2021 import Yang2021Receiver, YangPhase
 
 
 def test_unknown_names(fake_data: Path) -> None:
@@ -40,6 +40,14 @@ def test_unknown_names(fake_data: Path) -> None:
 def test_wrong_settings(name: str, message: str) -> None:
     with pytest.raises((OptionError, UnknownNameError), match=message):
         receivers.make(name, SyntheticDataset())
+
+
+@pytest.mark.parametrize(("options", "period"), [("", 0.001), (":close_decision_period=0.1", 0.1)])
+def test_time_between_decisions_while_the_fingers_close(options: str, period: float) -> None:
+    robot = receivers.make(f"yang2021{options}", SyntheticDataset())
+    assert isinstance(robot, Yang2021Receiver)
+    robot.phase[0] = YangPhase.CLOSE
+    assert robot.hold_time == period
 
 
 def test_a_batch_with_an_object_without_grasps() -> None:
