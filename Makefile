@@ -4,7 +4,7 @@
 # make quick       lint, types and the fast tests
 # make check       lint and types
 # make loops       a venv with other RL libraries over that of the tests, then the tests of their training loops
-# make lerobot     a venv with LeRobot, then the conversion of demonstrations to its format
+# make lerobot     a venv with LeRobot and vla-eval, then the tests that need them
 # make newer       a venv with everything, then the tests without PyBullet: for Python 3.14, which it has no wheels for
 # make docs        the site in build/site, with the notebook executed; a warning is an error
 # make smoke       the wheel in a clean environment with the lowest versions that setup.cfg claims, and episodes with it
@@ -79,12 +79,13 @@ $(LOOPS)/.installed: setup.cfg constraints-loops.txt $(VENV)/.tested-with
 # LeRobot writes and reads data sets. torchcodec needs FFmpeg's libraries, which are in PyAV's package under other names.
 lerobot: $(LEROBOT)/.installed
 	LD_LIBRARY_PATH="$(abspath $(LEROBOT))/ffmpeg" HF_HUB_OFFLINE=1 HF_HOME="$(abspath $(LEROBOT))/cache" \
-		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/test_to_lerobot.py
+		$(LEROBOT)/bin/python -m pytest tests/evaluation/demonstrations/test_to_lerobot.py tests/experiments/test_harnesses.py
 
-# LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots and training need, hence --no-deps. Its data
-# sets work with these. For Python 3.11.
-LEROBOT_PACKAGES := accelerate==1.15.0 av==15.1.0 datasets==4.8.5 numpy==2.2.6 packaging==25.0 torch==2.13.0 \
-	torchcodec==0.13.0 torchvision==0.28.0
+# LeRobot 0.4 asks for PyTorch before 2.11 and for packages that only robots need, hence --no-deps. Its data sets,
+# training and evaluation work with these. For Python 3.11.
+LEROBOT_PACKAGES := accelerate==1.15.0 av==15.1.0 datasets==4.8.5 deepdiff==8.6.1 diffusers==0.35.2 draccus==0.10.0 \
+	einops==0.8.2 numpy==2.2.6 packaging==25.0 pyserial==3.5 termcolor==3.3.0 torch==2.13.0 torchcodec==0.13.0 \
+	torchvision==0.28.0 vla-eval==0.8.0
 $(LEROBOT)/.installed: setup.cfg Makefile
 	$(PYTHON) -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python $(INSTALL) -e ".[vision]" $(LEROBOT_PACKAGES) hypothesis pytest pytest-timeout

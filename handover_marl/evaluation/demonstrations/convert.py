@@ -30,7 +30,7 @@ _RENAMED = {
 }
 _OMITTED = "time"  # LeRobot's `timestamp`
 # Keys of the true state, which one vector holds, as LeRobot's policies expect.
-_ENVIRONMENT_KEYS = tuple(key for key in state_space() if key not in (*_RENAMED, _OMITTED))
+ENVIRONMENT_KEYS = tuple(key for key in state_space() if key not in (*_RENAMED, _OMITTED))
 _JOINTS = (*(f"panda_joint{number}" for number in range(1, 8)), "panda_finger_joint1", "panda_finger_joint2")
 # Names of the components of a column.
 _COMPONENTS = {
@@ -38,7 +38,7 @@ _COMPONENTS = {
     "observation.joint_velocity": _JOINTS,
     "observation.gripper_pose": ("x", "y", "z", "qx", "qy", "qz", "qw"),
     _ENVIRONMENT_STATE: tuple(
-        f"{key}.{index}" for key in _ENVIRONMENT_KEYS for index in range(int(np.prod(state_space()[key].shape or ())))
+        f"{key}.{index}" for key in ENVIRONMENT_KEYS for index in range(int(np.prod(state_space()[key].shape or ())))
     ),
     _VIDEO: ("height", "width", "channels"),
     "action": _JOINTS,
@@ -133,9 +133,7 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
         raise OptionError(f"name must be a new data set of LeRobot, got {name!r} ({shorten_text(error)})") from error
     for demonstration in demonstrations:
         columns = make_columns(demonstration)
-        # Class names such as "003_cracker_box" have a number in front.
-        object_name = re.sub(r"^[0-9]+_", "", demonstration.metadata["object_name"]).replace("_", " ")
-        task = f"Take the {object_name} from the person's hand."
+        task = describe_task(demonstration.metadata["object_name"])
         for row in range(len(demonstration)):
             dataset.add_frame({"task": task, **{name: values[row] for name, values in columns.items()}})
         dataset.save_episode()
@@ -146,16 +144,22 @@ def convert_to_lerobot(folder: str | os.PathLike[str], name: str) -> Path:
     return root
 
 
+def describe_task(object_name: str) -> str:
+    """Return the task in words for an object such as "003_cracker_box"; class names have a number in front."""
+    name = re.sub(r"^[0-9]+_", "", object_name).replace("_", " ")
+    return f"Take the {name} from the person's hand."
+
+
 def make_columns(demonstration: Demonstration) -> dict[str, npt.NDArray[Any]]:
     """Return LeRobot's columns (T, ...) of an episode with T frames, by name; columns of single numbers are (T, 1)."""
     observations = {key: values[:-1] for key, values in demonstration.observations.items()}
     columns = {
         _RENAMED.get(key, f"observation.{key}"): values
         for key, values in observations.items()
-        if key not in (*_ENVIRONMENT_KEYS, _OMITTED)
+        if key not in (*ENVIRONMENT_KEYS, _OMITTED)
     }
-    if _ENVIRONMENT_KEYS[0] in observations:
-        parts = [observations[key].reshape(len(demonstration), -1) for key in _ENVIRONMENT_KEYS]
+    if ENVIRONMENT_KEYS[0] in observations:
+        parts = [observations[key].reshape(len(demonstration), -1) for key in ENVIRONMENT_KEYS]
         columns[_ENVIRONMENT_STATE] = np.concatenate(parts, axis=1)
     is_last = np.arange(len(demonstration))[:, None] == len(demonstration) - 1
     return columns | {

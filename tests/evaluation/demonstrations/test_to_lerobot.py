@@ -1,7 +1,6 @@
 """Tests of the conversion to LeRobot's format; `make lerobot` installs LeRobot, without which some are skipped."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from handover_marl.evaluation.demonstrations.convert import (
 )
 from handover_marl.evaluation.demonstrations.demonstration import Demonstration
 from tests.evaluation.demonstrations.recording import SCENES, record
+from tests.lerobot import prepare_lerobot
 
 FPS = 10
 NAME = "local/handovers"
@@ -67,14 +67,8 @@ def test_decisions_have_no_frame_rate(out: Path) -> None:
 
 @pytest.fixture(scope="module")
 def lerobot() -> Any:
-    """Import LeRobot's data sets; declare operators that torchvision's wheel lacks if PyTorch has no CUDA."""
-    pytest.importorskip("lerobot")
-    import torch
-
-    assert os.environ.get("HF_HUB_OFFLINE"), "nothing is to be downloaded"
-    if torch.version.cuda is None:
-        for name in ("nms", "qnms"):
-            torch.library.define(f"torchvision::{name}", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+    """Import LeRobot's data sets."""
+    prepare_lerobot()
     from lerobot.datasets import lerobot_dataset
 
     return lerobot_dataset
