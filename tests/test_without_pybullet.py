@@ -60,7 +60,7 @@ def rollout() -> str:
     """
     data, episode = SyntheticDataset(), Episode("mujoco")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(yang2021, "make_ik_solver", PandaIkSolver)
+        patch.setattr(yang2021, "ThreadIkSolver", PandaIkSolver)
         actions, _ = play(episode, data.load_scene(SCENE), make("yang2021", data))
     values = [actions, *map(np.asarray, episode.observe().values())]
     episode.close()
