@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import TEMPLATES_PACKAGE
-from handover_marl.errors import check_name
 from handover_marl.geometry.model_files.urdf import render_urdf
 
 Side = Literal["left", "right"]
@@ -121,7 +120,7 @@ SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
 #: Order of the digits in the joint vector and among the links, three joints each, as in MANO.
 DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
-#: Folder of the hand models, made by `building/hands.py`.
+#: Folder of the shipped hand models: a folder with a URDF for each hand, and the meshes of all hands.
 HANDS_FOLDER: Final = Path(__file__).parent / "data" / "hands"
 
 # Reference hand: positions z and y (m) of the knuckles and splay angles (rad) of straight fingers,
@@ -188,7 +187,7 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions, see `compute_link_poses`.
+        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions (..., 51), in their frame.
 
         They are the wrist, then three joints and the fingertip of index, middle, little and ring finger and thumb.
         """
@@ -235,8 +234,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return the reference hand, "right" or "left" (else `UnknownNameError`), scaled to a length and a breadth."""
-    check_name("side", side, SIDES)
+    """Return the reference hand, "right" or "left", scaled to a length and a breadth."""
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
@@ -255,12 +253,7 @@ def scale_hand(size: HandSize, side: Side) -> HandGeometry:
 
 @cache
 def make_hand_geometry(subject: int, side: Side) -> HandGeometry:
-    """Return the hand of one of the ten subjects, numbered from 1.
-
-    Raises:
-        UnknownNameError: The subject or the side does not exist.
-    """
-    check_name("subject", subject, SUBJECTS)
+    """Return the "left" or "right" hand of one of the ten subjects, numbered from 1."""
     return scale_hand(SUBJECT_SIZES[subject - 1], side)
 
 
@@ -270,9 +263,7 @@ def format_hand_name(subject: int, side: Side) -> str:
 
 
 def find_hand_urdf(subject: int, side: Side) -> Path:
-    """Return the path of the URDF of a subject's left or right hand; raise `UnknownNameError` if there is none."""
-    check_name("subject", subject, SUBJECTS)
-    check_name("side", side, SIDES)
+    """Return the path of the URDF of the "left" or "right" hand of a subject, numbered from 1 to 10."""
     return HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
 
 

@@ -216,22 +216,16 @@ class WarpCamera:
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
     def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
-        """Render wrist-camera images with all bodies of the scenes.
+        """Render wrist-camera images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
 
-        Args:
-            rows: Numbers (r,) of the worlds.
-            states: States (r, ...) of these worlds.
-            color: Whether to render colours: those of the models' materials and textures, in PyBullet's light.
+        With `color` they have the colours of the models' materials and textures in PyBullet's light.
         """
         return self._render(rows, states, tuple(SegmentationLabel), color)
 
     def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
-        """Render the visible pixels of target objects and human hands; all other pixels are background.
+        """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
 
-        Args:
-            rows: Numbers (r,) of the worlds.
-            states: States (r, ...) of these worlds.
-            with_others: Whether to render the other objects, too.
+        With `with_others`, those of the other objects are rendered, too. All other pixels are background.
         """
         return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
 
