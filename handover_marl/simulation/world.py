@@ -174,7 +174,7 @@ class WorldState(NamedTuple):
 
     @classmethod
     def from_zeros(cls, count: int, arrays: ArrayFactory) -> "WorldState":
-        """Return a state of `count` worlds in which all values are zero, with arrays made by a factory."""
+        """Return the state of `count` worlds in which all values are zero; `arrays` creates its arrays."""
         shapes = ((PANDA_DOF,), (PANDA_DOF,), (7,), (MAX_OBJECTS, 7), (1,), (HAND_DOF,), (N_KEYPOINTS, 3))
         return cls(*(arrays.zeros((count, *shape), "float32") for shape in shapes))
 

@@ -102,12 +102,10 @@ class SceneModel:
 
 @functools.lru_cache(maxsize=64)
 def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "mujoco.MjModel":
-    """Return a variant of a scene's MuJoCo model.
+    """Return a variant of a scene's MuJoCo model, in which the hand collides, and actuators hold the target object.
 
-    Args:
-        scene: Model in which the hand collides, and actuators hold the target object.
-        released: Whether the target object is free: its actuators are off and it collides with supports.
-        hand_collides: Whether the hand collides. Otherwise steps take a tenth less time.
+    If `released`, the object's actuators are off and it collides with supports. Unless `hand_collides`, the hand does
+    not collide, and steps take a tenth less time.
     """
     if hand_collides and not released:
         return scene.model
