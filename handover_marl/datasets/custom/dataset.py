@@ -348,7 +348,7 @@ def check_start(
 
     Args:
         objects: (T, n, 6) motion of the objects in the world frame.
-        hand: (T, 51) motion of the hand, likewise.
+        hand: (T, 51) base position (m) and angles of the hand (rad), likewise.
         first: First frame with the hand, or -1.
         bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
 

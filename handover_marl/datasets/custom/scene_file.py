@@ -52,7 +52,7 @@ class CustomObject:
         repairs: Changes that were made to the user's mesh.
 
     Raises:
-        ValueError: A value is out of its range, as of `CustomScene` and `SceneFile`.
+        ValueError: A value is out of its range, also in `CustomScene` and `SceneFile`.
     """
 
     name: str

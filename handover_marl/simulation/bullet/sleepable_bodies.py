@@ -68,7 +68,7 @@ class SleepableObject(BodyTrajectory):
     Args:
         client: Physics client.
         urdf: Model file.
-        mask: Collision group and mask before the release, see `compute_object_masks`.
+        mask: Collision group and mask before the release, from `compute_object_masks`.
         start: (6,) initial joint positions: xyz (m) and intrinsic XYZ Euler angles (rad).
         config: Motors of the six joints.
 

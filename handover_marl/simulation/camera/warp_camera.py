@@ -51,7 +51,7 @@ class MeshBank:
         identifiers: Identifiers (m,) of Warp's meshes, int64.
         spheres: Centers and radii (m, 4) of bounding spheres in the meshes' frames (m).
         first_faces: Numbers (m,) of the meshes' first faces among the f faces of all meshes.
-        corners: Texture coordinates (f, 3, 2) of the faces' corners; see `Surface`.
+        corners: Positions (f, 3, 2) of the faces' corners in their textures, in units of the texture's size.
         textures: First texel, width and height (f, 3) of the faces' textures.
         texels: Red, green and blue (t, 3) of all textures, uint8.
     """

@@ -277,7 +277,7 @@ class MujocoWorld(RolloutWorld):
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand; see `WorldState`."""
+        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
@@ -296,7 +296,7 @@ class MujocoWorld(RolloutWorld):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
+        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
         robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 

@@ -182,7 +182,7 @@ class MujocoRollout(NamedTuple):
     Attributes:
         controls: Controls (n, k, c) of all steps.
         sensordata: Sensor data (n, k, s) of all steps.
-        step_states: Part (n, k, p) of the state that a step changes, after each step; see `WorldData`.
+        step_states: Time, positions, velocities and warm start (n, k, p) after each step.
     """
 
     controls: Array

@@ -26,7 +26,7 @@ from handover_marl.simulation.worlds import Worlds
 
 
 class DeviceHands:
-    """Hands of n worlds without contact; see `reference_tracking.BodyTrajectory` for one body.
+    """Hands of n worlds, which track their references as `BodyTrajectory` does, without contact.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
     r of the worlds; other arrays have one row for each of them.

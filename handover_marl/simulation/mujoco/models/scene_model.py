@@ -218,7 +218,7 @@ def _load_robot_only(
 
 @functools.lru_cache(maxsize=512)
 def _compute_reach(urdf: Path, mtimes: _Mtimes, link: int) -> float:
-    """Return the largest distance (m) from a link's origin to the shapes that it carries; see `compute_reach`."""
+    """Return the largest distance (m) from a link's origin to the shapes that it carries, at any joint angles."""
     tree = read_tree(urdf)
     return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))
 
