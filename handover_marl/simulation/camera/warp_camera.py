@@ -71,12 +71,9 @@ class MeshBank:
     def add_model(
         self, urdf: Path, base: tuple[float, ...] = tuple(IDENTITY.tolist()), without: tuple[str, ...] = ()
     ) -> list[DeviceMesh]:
-        """Copy the meshes of a model to the device, unless they are there, and return their numbers and links.
+        """Copy the meshes of a URDF file to the device, unless they are there, and return their numbers and links.
 
-        Args:
-            urdf: Model file.
-            base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
-            without: Names of links to leave out.
+        `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw. Links named in `without` are left out.
 
         Raises:
             SimulationError, DataFormatError: The model or one of its meshes cannot be read.
@@ -174,11 +171,7 @@ class WarpCamera:
         self._bank: MeshBank | None = None
 
     def reset(self, row: int, assets: SceneAssets) -> None:
-        """Load the models of a world's scene.
-
-        Args:
-            row: Number of the world.
-            assets: Models of the scene.
+        """Load the models of the scene of the world with number `row`.
 
         Raises:
             OptionError: Robot or hand have other joints than those of the other worlds.

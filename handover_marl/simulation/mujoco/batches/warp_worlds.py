@@ -49,12 +49,7 @@ class DeviceHands:
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand of a world to its start.
-
-        Args:
-            row: Index of the world.
-            urdf: Model of the hand.
-            joints: Joint positions (51,) (m, rad); None without a hand at the start.
+        """Set the hand of world `row` to the model `urdf` at joint positions (51,) (m, rad), None for no hand yet.
 
         Raises:
             OptionError: The hand has other joints than the hands before.
