@@ -5,9 +5,7 @@ fixed to the base at an offset, and 15 finger joints with three revolute axes (x
 frames are parallel to the base: fingers along -x, back of the hand along +y, thumb towards +z. A left hand is a right
 hand mirrored in x. Joint angles are intrinsic XYZ Euler angles (rad).
 
-Dimensions are from published tables.
-
-Sources:
+Sources of the dimensions:
     Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean
     lengths of the bones of 66 adults' hands in radiographs, and of the soft tissue at the fingertip.
     Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary
@@ -257,14 +255,9 @@ def make_hand_geometry(subject: int, side: Side) -> HandGeometry:
     return scale_hand(SUBJECT_SIZES[subject - 1], side)
 
 
-def format_hand_name(subject: int, side: Side) -> str:
-    """Return the folder name `synthetic-subject-NN_SIDE` of the hand model of a subject, numbered from 1."""
-    return f"synthetic-subject-{subject:02d}_{side}"
-
-
 def find_hand_urdf(subject: int, side: Side) -> Path:
     """Return the path of the URDF of the "left" or "right" hand of a subject, numbered from 1 to 10."""
-    return HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
+    return HANDS_FOLDER / f"synthetic-subject-{subject:02d}_{side}" / "mano.urdf"
 
 
 def _round_to_micrometres(values: FloatArray) -> FloatArray:

@@ -121,8 +121,7 @@ def find_bullet_data(feature: str, advice: str) -> Path:
 def find_vision_weights(setup: str) -> Path:
     """Return the path of the weights of the receiver `vision` for an official setup.
 
-    They were trained on the training split of the setup by `experiments/training/train_vision.py`.
-    For other setups the file does not exist.
+    `experiments/training/train_vision.py` trained them on its training split. Other setups have no such file.
     """
     return DATA_ROOT / f"vision_{setup}.npz"
 

@@ -138,13 +138,9 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
-    """Create a query of distances between robot and hand in the installed engine.
+    """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
 
-    PyBullet is preferred to MuJoCo; their distances agree to 0.5 mm.
-
-    Args:
-        panda_urdf: Model of the robot.
-        config: Base pose of the robot.
+    It uses PyBullet, or MuJoCo if PyBullet is not installed; their distances agree to 0.5 mm.
 
     Raises:
         SimulationError, DataFormatError: The model cannot be read.
@@ -163,10 +159,8 @@ def make_grasp_validator(
 ) -> "GraspValidator":
     """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
 
-    Args:
-        object_urdf: Model of the object, on HandoverSim's chain of six joints.
-        config: Conditions of a valid grasp; None for the defaults.
-        panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
+    The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
+    The hand link and the fingers are those of the Panda `panda_urdf`.
 
     Raises:
         OptionError: MuJoCo is not installed.

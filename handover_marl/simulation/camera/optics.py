@@ -77,7 +77,7 @@ def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HAN
 
 
 def compute_points(pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL) -> AnyArray:
-    """Compute the 3D points (..., 3) of `pixels` (...) of depth images, numbers in image order, with `depth` (...).
+    """Compute the 3D points (..., 3) of pixels from their numbers in image order and their depths, both (...).
 
     Depths are float32 along the viewing axis (m), points float32 in the hand link's frame (m), as arrays or tensors.
     `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name raises `UnknownNameError`.
