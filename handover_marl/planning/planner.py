@@ -103,11 +103,10 @@ class Planner:
 
     Attributes:
         arm: Kinematics of the arm in its base frame.
-        start: (7,) configuration at which planned trajectories start (rad), which may be changed before each plan.
     """
 
     def __init__(self, panda_urdf: Path, start: Array, config: PlannerConfig) -> None:
-        self.config, self.start = config, start
+        self.config = config
         self.arm = ArmKinematics(read_tree(panda_urdf))
         joints = self.arm.n_joints
         self._limits = (
@@ -116,6 +115,11 @@ class Planner:
         )
         self._body = sample_body_points(panda_urdf, tuple(self.arm.link_names), _N_POINTS_PER_LINK)
         self._gripper = sample_body_points(panda_urdf, (HAND_LINK, *FINGER_LINKS), _N_GRIPPER_POINTS)
+        self._start = start
+
+    def set_start(self, start: Array) -> None:
+        """Set the configuration (7,) in rad at which planned trajectories start."""
+        self._start = start
 
     def plan(self, grasps: Array, objects: Sequence[Obstacle], hand: Capsules | None = None) -> Plan | None:
         """Compute a trajectory to one of the grasps, hand link poses (n, 7); return None if none can be reached.
@@ -125,7 +129,7 @@ class Planner:
         config = self.config
         person = make_hand_obstacle(hand) if hand is not None and config.avoids_hand else None
         robot = self.arm, self._body, self._gripper
-        builder = GoalSetBuilder(*robot, self.start, self._limits, config.unchecked_last)
+        builder = GoalSetBuilder(*robot, self._start, self._limits, config.unchecked_last)
         goals = builder.build(grasps, objects, person)
         if not len(goals):
             return None
@@ -133,25 +137,25 @@ class Planner:
         cost = ObstacleCost(self.arm, self._body, obstacles, N_TAIL)
         # Missing clearance to the person's hand has a cost; without a hand, clearances are infinite.
         goal_costs = _CLEARANCE_COST * np.maximum(0.0, _HAND_PADDING - goals.clearances)
-        chomp = Chomp(cost, self.start, self._limits, config.n_waypoints)
+        chomp = Chomp(cost, self._start, self._limits, config.n_waypoints)
         selector = GoalSelector(cost, goals.goals, goal_costs, config.n_waypoints, config.unchecked_last)
         return self._optimize(goals, selector, chomp)
 
     def _optimize(self, goals: GoalSet, selector: GoalSelector, chomp: "Chomp") -> Plan:
         """Compute a plan by alternating goal selection and trajectory steps."""
         n_waypoints = self.config.n_waypoints
-        first = make_initial_trajectory(self.start, goals.goals[0], n_waypoints)
+        first = make_initial_trajectory(self._start, goals.goals[0], n_waypoints)
         chosen = selector.select_first(first)
-        trajectory = make_initial_trajectory(self.start, goals.goals[chosen], n_waypoints)
+        trajectory = make_initial_trajectory(self._start, goals.goals[chosen], n_waypoints)
         max_steps = _N_SELECTION_STEPS + _N_FIXED_GOAL_STEPS
         for step in range(max_steps):
             if step < _N_SELECTION_STEPS:
                 chosen = selector.select_next(trajectory, step + 1)
             goal = goals.goals[chosen]
             if step > 0 and chomp.is_finished(trajectory, goal):
-                return Plan(self.start, goals, chosen, trajectory, step)
+                return Plan(self._start, goals, chosen, trajectory, step)
             trajectory = chomp.step(trajectory, goals.tails[chosen], step + 1)
-        return Plan(self.start, goals, chosen, trajectory, max_steps)
+        return Plan(self._start, goals, chosen, trajectory, max_steps)
 
 
 def make_hand_obstacle(hand: Capsules) -> Obstacle:

@@ -164,7 +164,7 @@ class GraspExpert:
             return _NO_PLAN
         if not self._config.use_planner:
             return ExpertPlan(goals, costs - costs.min(), np.array(approach))
-        self._planner.start = scenario.joints
+        self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self._world_from_base)
         sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), OBJECT_PADDING)
         obstacle = Obstacle(sdf, compose(base_from_world, scenario.object_pose), OBJECT_PADDING)
