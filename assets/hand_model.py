@@ -5,9 +5,7 @@ fixed to the base at an offset, and 15 finger joints with three revolute axes (x
 frames are parallel to the base: fingers along -x, back of the hand along +y, thumb towards +z. A left hand is a right
 hand mirrored in x. Joint angles are intrinsic XYZ Euler angles (rad).
 
-Dimensions are from published tables.
-
-Sources:
+Sources of the dimensions:
     Buryanov and Kotiuk, "Proportions of hand segments", Int. J. Morphol. 28(3):755-758, 2010: mean
     lengths of the bones of 66 adults' hands in radiographs, and of the soft tissue at the fingertip.
     Gordon et al., "1988 Anthropometric Survey of U.S. Army Personnel: Methods and Summary
@@ -27,7 +25,6 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl.assets.shipped import TEMPLATES_PACKAGE
-from handover_marl.errors import check_name
 from handover_marl.geometry.model_files.urdf import render_urdf
 
 Side = Literal["left", "right"]
@@ -121,7 +118,7 @@ SUBJECTS: Final = range(1, len(SUBJECT_SIZES) + 1)
 #: Order of the digits in the joint vector and among the links, three joints each, as in MANO.
 DIGIT_ORDER: Final = ("index", "middle", "little", "ring", "thumb")
 
-#: Folder of the hand models, made by `building/hands.py`.
+#: Folder of the shipped hand models: a folder with a URDF for each hand, and the meshes of all hands.
 HANDS_FOLDER: Final = Path(__file__).parent / "data" / "hands"
 
 # Reference hand: positions z and y (m) of the knuckles and splay angles (rad) of straight fingers,
@@ -188,7 +185,7 @@ class HandGeometry:
         return positions, rotations
 
     def compute_keypoints(self, dof: npt.ArrayLike) -> FloatArray:
-        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions, see `compute_link_poses`.
+        """Compute the keypoints (..., 21, 3) in m of the hand from joint positions (..., 51), in their frame.
 
         They are the wrist, then three joints and the fingertip of index, middle, little and ring finger and thumb.
         """
@@ -235,8 +232,7 @@ def _compute_reference_bones() -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def scale_hand(size: HandSize, side: Side) -> HandGeometry:
-    """Return the reference hand, "right" or "left" (else `UnknownNameError`), scaled to a length and a breadth."""
-    check_name("side", side, SIDES)
+    """Return the reference hand, "right" or "left", scaled to a length and a breadth."""
     across = size.breadth / REFERENCE_SIZE.breadth
     scale = np.array([size.length / REFERENCE_SIZE.length, across, across])
     stretch = scale * np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
@@ -255,25 +251,13 @@ def scale_hand(size: HandSize, side: Side) -> HandGeometry:
 
 @cache
 def make_hand_geometry(subject: int, side: Side) -> HandGeometry:
-    """Return the hand of one of the ten subjects, numbered from 1.
-
-    Raises:
-        UnknownNameError: The subject or the side does not exist.
-    """
-    check_name("subject", subject, SUBJECTS)
+    """Return the "left" or "right" hand of one of the ten subjects, numbered from 1."""
     return scale_hand(SUBJECT_SIZES[subject - 1], side)
 
 
-def format_hand_name(subject: int, side: Side) -> str:
-    """Return the folder name `synthetic-subject-NN_SIDE` of the hand model of a subject, numbered from 1."""
-    return f"synthetic-subject-{subject:02d}_{side}"
-
-
 def find_hand_urdf(subject: int, side: Side) -> Path:
-    """Return the path of the URDF of a subject's left or right hand; raise `UnknownNameError` if there is none."""
-    check_name("subject", subject, SUBJECTS)
-    check_name("side", side, SIDES)
-    return HANDS_FOLDER / format_hand_name(subject, side) / "mano.urdf"
+    """Return the path of the URDF of the "left" or "right" hand of a subject, numbered from 1 to 10."""
+    return HANDS_FOLDER / f"synthetic-subject-{subject:02d}_{side}" / "mano.urdf"
 
 
 def _round_to_micrometres(values: FloatArray) -> FloatArray:

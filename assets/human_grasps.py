@@ -2,16 +2,15 @@
 
 import json
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from handover_marl.assets.hand_model import SIDES, SUBJECTS, Side
-from handover_marl.errors import check_name
+from handover_marl.assets.hand_model import SIDES, Side
+from handover_marl.assets.shipped import load_shipped_arrays
 from handover_marl.geometry.poses import rotate_points
 from handover_marl.geometry.rotations import euler_from_matrices
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
@@ -67,29 +66,19 @@ class HumanGrasps:
         along = [1.0 if self.side == "left" else -1.0, 0.0, 0.0]
         return np.asarray(rotate_points(self.object_from_base[:, 3:], np.tile(along, (len(self), 1))))
 
-    def compute_hand_dof(self, rows: int | slice = slice(None)) -> npt.NDArray[np.float64]:
-        """Return the hand's joint positions in grasps, (n, 51), or (51,) for one index, in the object's frame.
+    def compute_hand_dof(self) -> npt.NDArray[np.float64]:
+        """Return the hand's joint positions (n, 51) in the grasps, in the object's frame.
 
         These are the base's position (m), its intrinsic XYZ Euler angles and the finger joint angles (rad).
         """
-        poses = self.object_from_base[rows]
-        matrices = rotate_points(poses[..., None, 3:], np.eye(3)).swapaxes(-1, -2)
-        return np.concatenate([poses[..., :3], euler_from_matrices(matrices), self.finger_angles[rows]], axis=-1)
+        poses = self.object_from_base
+        matrices = rotate_points(poses[:, None, 3:], np.eye(3)).swapaxes(-1, -2)
+        return np.concatenate([poses[:, :3], euler_from_matrices(matrices), self.finger_angles], axis=-1)
 
 
 def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps:
-    """Load the grasps of an object, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10.
-
-    Raises:
-        UnknownNameError: The object, the subject or the side does not exist.
-    """
-    for kind, value, valid in (
-        ("object", object_name, GRASPED_OBJECTS),
-        ("subject", subject, SUBJECTS),
-        ("side", side, SIDES),
-    ):
-        check_name(kind, value, valid)
-    data = _load_arrays()
+    """Load the grasps of a YCB class, e.g. "025_mug", by the "left" or "right" hand of a synthetic subject, 1 to 10."""
+    data = load_shipped_arrays(GRASPS_FILE)
     at = GRASPED_OBJECTS.index(object_name), SIDES.index(side), subject - 1
     return HumanGrasps(
         object_from_base=data["object_from_base"][at].astype(np.float64),
@@ -100,9 +89,3 @@ def load_human_grasps(object_name: str, subject: int, side: Side) -> HumanGrasps
         overlap=data["overlap"][at].astype(np.float64),
         side=side,
     )
-
-
-@cache
-def _load_arrays() -> dict[str, npt.NDArray[Any]]:
-    with np.load(GRASPS_FILE, allow_pickle=False) as archive:
-        return {key: archive[key] for key in archive.files}

@@ -41,6 +41,13 @@ TEMPLATES_PACKAGE: Final = "handover_marl.assets.building"
 #: sRGB values (0 to 255) by color name.
 PALETTE: Mapping[str, Sequence[int]] = json.loads((files(TEMPLATES_PACKAGE) / "palette.json").read_text())
 
+#: Paths of the Panda's URDFs, without and with a camera on its hand. Links have the names of HandoverSim's URDF, but
+#: other numbers. `data/panda` is an unchanged copy of PyBullet's model, under its Apache license, so that the robot is
+#: the same without PyBullet. `panda_camera.urdf` has in addition a box of the size of a RealSense D435, at the pose of
+#: HandoverSim's camera. The box is behind the lens, so it is not in the camera's images.
+PANDA_URDF: Final = DATA_ROOT / "panda" / "panda.urdf"
+CAMERA_PANDA_URDF: Final = PANDA_URDF.with_name("panda_camera.urdf")
+
 #: Path of the table's URDF: HandoverSim's table as boxes, with a top of 1.77 x 0.73 x 0.04 m at a
 #: height of 0.92 m and four legs.
 TABLE_URDF: Final = DATA_ROOT / "table" / "table.urdf"
@@ -114,8 +121,7 @@ def find_bullet_data(feature: str, advice: str) -> Path:
 def find_vision_weights(setup: str) -> Path:
     """Return the path of the weights of the receiver `vision` for an official setup.
 
-    They were trained on the training split of the setup by `experiments/training/train_vision.py`.
-    For other setups the file does not exist.
+    `experiments/training/train_vision.py` trained them on its training split. Other setups have no such file.
     """
     return DATA_ROOT / f"vision_{setup}.npz"
 
@@ -130,7 +136,7 @@ def load_object_grasps(name: str) -> npt.NDArray[np.float64] | None:
     check_name("object", name, CLASS_NAMES.values())
     if name in CLASSES_WITHOUT_GRASPS:
         return None
-    return np.asarray(_load_npz(GRASPS_PATH)[name].astype(np.float64))
+    return np.asarray(load_shipped_arrays(GRASPS_PATH)[name].astype(np.float64))
 
 
 def load_validation_record(name: str) -> ValidationRecord | None:
@@ -145,10 +151,11 @@ def load_validation_records(path: Path) -> Mapping[str, ValidationRecord]:
     Raises:
         DataFormatError: The file is damaged.
     """
-    return _load_npz(path) if path.is_file() else {}
+    return load_shipped_arrays(path) if path.is_file() else {}
 
 
 @functools.cache
-def _load_npz(path: Path) -> Mapping[str, npt.NDArray[Any]]:
+def load_shipped_arrays(path: Path) -> Mapping[str, npt.NDArray[Any]]:
+    """Load all arrays of a shipped `.npz` file by name, once; raise `DataFormatError` if it is damaged."""
     with report_damage(path, "file of arrays", "install the library again"):
         return MappingProxyType(read_arrays(path))

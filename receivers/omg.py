@@ -22,7 +22,7 @@ from handover_marl.geometry.panda import CLOSED, HALF_TURN, OPEN, WAITING_JOINTS
 from handover_marl.geometry.poses import compose, invert_pose, poses_from_rotations, transform_points
 from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.hand_tracker import Capsules, hand_capsules_from_observation
-from handover_marl.planning.ik_solvers import make_ik_solver
+from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.planning.planner import OBJECT_PADDING, Plan, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import Action, PolicyContext, require_reset
@@ -110,7 +110,7 @@ class OmgReceiver(PhasedReceiver):
             # Loaded here so that it does not count as planning time.
             start = np.array(WAITING_JOINTS[:ARM_DOF])
             self._planner = Planner(self.context.panda_urdf, start, self.config)
-            self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
+            self._ik_solver = ThreadIkSolver(self.context.panda_urdf, self.context.panda)
         self._start_timing()
         self.has_planned, self.plan = False, None
 

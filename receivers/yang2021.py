@@ -26,7 +26,7 @@ from handover_marl.geometry.poses import (
     compute_pose_distances,
     compute_rotation_angles,
 )
-from handover_marl.planning.ik_solvers import make_ik_solver
+from handover_marl.planning.ik_solvers import ThreadIkSolver
 from handover_marl.policies.policy import (
     Action,
     PolicyContext,
@@ -178,7 +178,7 @@ class Yang2021Receiver(Receiver):
         """Start the episode with index `row`; `seed` is ignored, since the receiver is deterministic."""
         if self._ik_solver is None:
             # Loaded here so that it does not count as planning time.
-            self._ik_solver = make_ik_solver(self.context.panda_urdf, self.context.panda)
+            self._ik_solver = ThreadIkSolver(self.context.panda_urdf, self.context.panda)
         self.phase[row] = YangPhase.WAIT
         self.selected[row], self._references[row] = np.nan, np.nan
 

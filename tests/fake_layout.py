@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES, SUBJECTS
 
 N_FRAMES = 400

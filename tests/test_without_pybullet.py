@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.cli import main
 from handover_marl.datasets import DATA_DIR_VARIABLE
 from handover_marl.datasets.synthetic import SyntheticDataset
@@ -60,7 +60,7 @@ def rollout() -> str:
     """
     data, episode = SyntheticDataset(), Episode("mujoco")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(yang2021, "make_ik_solver", PandaIkSolver)
+        patch.setattr(yang2021, "ThreadIkSolver", PandaIkSolver)
         actions, _ = play(episode, data.load_scene(SCENE), make("yang2021", data))
     values = [actions, *map(np.asarray, episode.observe().values())]
     episode.close()

@@ -36,9 +36,8 @@ from handover_marl.assets.shipped import (
     load_validation_records,
 )
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.generated.human_grasps import draw_human_grasps
+from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Solid, read_solid
 from handover_marl.errors import OptionError
 from handover_marl.execution.files import write_arrays

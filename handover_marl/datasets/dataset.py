@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from handover_marl import config
-from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
-from handover_marl.assets.shipped import TABLE_URDF, find_object_urdf, load_object_grasps
-from handover_marl.datasets.splits import N_SCENES, SETUPS, SPLITS, list_split_scenes
+from handover_marl.assets.shipped import CAMERA_PANDA_URDF, PANDA_URDF, TABLE_URDF, find_object_urdf, load_object_grasps
+from handover_marl.datasets.splits import N_SCENES, SETUPS, list_split_scenes
 from handover_marl.errors import SceneError, check_name
 from handover_marl.geometry.panda import PANDA, ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
@@ -236,7 +235,6 @@ class Dataset(ABC):
         Raises:
             UnknownNameError: The setup or the split does not exist.
         """
-        check_name("split", split, SPLITS)
         return list_split_scenes(self.resolve_setup(setup), split, self.find_side)
 
     def check_scene_id(self, scene_id: int) -> None:

@@ -192,7 +192,7 @@ class OfficialDataset(Dataset):
         return require_file(self._assets / object_name / "model_normalized.urdf")
 
     def load_grasps(self, object_name: str) -> npt.NDArray[np.float64] | None:
-        """Load the robot grasps (n, 4, 4) of a YCB class, see `Dataset.load_grasps`; None for one without grasps."""
+        """Load robot grasps of a YCB class: gripper poses (n, 4, 4) in its frame (m); None for one without grasps."""
         path = self._find_grasp_file(object_name)
         return None if path is None else self._load_grasps(path)
 

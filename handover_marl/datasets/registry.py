@@ -73,7 +73,7 @@ def open_dataset(dataset: str = AUTO, data_dir: str | os.PathLike[str] | None = 
     if kind == "dexycb":
         return _open_dexycb(given, robot)
     if kind == "own":
-        from handover_marl.datasets.custom import open_custom_dataset
+        from handover_marl.datasets.custom.dataset import open_custom_dataset
 
         return open_custom_dataset(argument, given, robot)
     if given is not None:
@@ -165,7 +165,7 @@ class DataLocation:
 def check_scene_fingerprint(scene_id: int, found: str, expected: str) -> None:
     """Check that a scene is the same on this machine as on the machine that started the evaluation.
 
-    `found` and `expected` are the fingerprints here and there, see `Dataset.compute_fingerprint`; "" accepts any.
+    `found` and `expected` are the fingerprints of the scene here and there; "" as `expected` accepts any.
 
     Raises:
         DataFormatError: The fingerprints differ.

@@ -62,12 +62,6 @@ _FILTERS = {
 }
 
 
-def check_setup_and_split(setup: str, split: str) -> None:
-    """Raise `UnknownNameError` unless the setup and the split exist."""
-    check_name("setup", setup, SETUPS)
-    check_name("split", split, SPLITS)
-
-
 def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -> tuple[int, ...]:
     """Return the scene numbers of a split in ascending order.
 
@@ -82,7 +76,8 @@ def list_split_scenes(setup: str, split: str, find_side: Callable[[int], str]) -
     Raises:
         UnknownNameError: The setup or the split does not exist.
     """
-    check_setup_and_split(setup, split)
+    check_name("setup", setup, SETUPS)
+    check_name("split", split, SPLITS)
     selected = _FILTERS[setup, split]
     return tuple(scene for scene in range(N_SCENES) if _is_in_split(scene, selected, find_side))
 

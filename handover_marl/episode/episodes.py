@@ -123,7 +123,7 @@ class Episodes:
 
     def are_grasped(self, rows: AnyIndices) -> AnyArray:
         """Return (r,) whether both robot fingers touched the object in the last physics step of the episodes `rows`."""
-        return self._worlds.are_grasped(rows, self.config.protocol) & (self.referees.steps[rows] > 0)
+        return self._worlds.are_grasped(rows) & (self.referees.steps[rows] > 0)
 
     def read_contacts(self, row: int) -> Contacts:
         """Return the contacts in the last physics step of the episode `row`; no contacts before the first step."""

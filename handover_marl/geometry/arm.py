@@ -250,4 +250,7 @@ class IkSolver(Protocol):
     def solve_many(
         self, starts: npt.NDArray[np.floating], positions: Array, orientations: Array | None = None
     ) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `solve`."""
+        """Return arm joints (n, 7) in rad that bring the hand link to n world poses, nan without convergence.
+
+        Searches start at joints (n, 9). Positions (n, 3) are in m, orientations (n, 4) quaternions xyzw, None for any.
+        """

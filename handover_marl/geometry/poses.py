@@ -155,16 +155,8 @@ def inverse_transform_points(a_from_b: AnyArray, points: AnyArray) -> AnyArray:
     return rotate_points(conjugate_quaternions(pose[..., 3:]), at - pose[..., :3])
 
 
-def compute_rotation_angle(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
-    """Return the rotation angle (rad, 0 to pi) between two unit quaternions (4,) xyzw.
-
-    A quaternion and its negative are the same rotation.
-    """
-    return float(compute_rotation_angles(first, second))
-
-
 def compute_rotation_angles(first: npt.ArrayLike, second: npt.ArrayLike) -> Array:
-    """Return the angles (...) in rad, 0 to pi, between unit quaternions (..., 4) xyzw; see `compute_rotation_angle`."""
+    """Return the angles (...) in rad, 0 to pi, between unit quaternions (..., 4) xyzw, which may have either sign."""
     product = np.vecdot(np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64))
     return np.asarray(np.arccos(np.clip(2.0 * product**2 - 1.0, -1.0, 1.0)))
 

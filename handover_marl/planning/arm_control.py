@@ -154,6 +154,7 @@ class ArmServo:
     Attributes:
         period: Control period (s), which may be changed before each command.
         max_speeds: (7,) joint speed limits (rad/s).
+        velocity: (7,) joint velocities of the last command (rad/s).
     """
 
     def __init__(self, config: ServoConfig, gain: float, period: float, time_step: float) -> None:
@@ -161,16 +162,11 @@ class ArmServo:
         self.period = period
         self.max_speeds = config.speed_scale * np.array(config.max_joint_speeds)
         self._gain, self._time_step = gain, time_step
-        self._velocity = np.zeros(len(config.max_joint_speeds))
+        self.velocity = np.zeros(len(config.max_joint_speeds))
 
     def reset(self) -> None:
         """Set the last commanded joint velocity to zero, as at the start of an episode."""
-        self._velocity = np.zeros(len(self.config.max_joint_speeds))
-
-    @property
-    def velocity(self) -> Array:
-        """(7,) joint velocities of the last command (rad/s)."""
-        return self._velocity
+        self.velocity = np.zeros(len(self.config.max_joint_speeds))
 
     def compute_goal_velocity(self, joints: Array, goal: Array) -> Array:
         """Return joint velocities (7,) in rad/s from joints towards a goal, (7,) in rad, slowing down to stop there."""
@@ -197,13 +193,13 @@ class ArmServo:
         # Each joint is clipped on its own: with one common factor, a joint that reverses would make
         # the other joints overshoot.
         most = (acceleration or self.config.max_acceleration) * self.period
-        return np.asarray(self._velocity + np.clip(velocity - self._velocity, -most, most))
+        return np.asarray(self.velocity + np.clip(velocity - self.velocity, -most, most))
 
     def compute_motor_targets(self, joints: Array, velocity: Array, acceleration: float | None = None) -> Array:
         """Return motor position targets (7,) in rad that make the arm, now at joints (7,), move at a velocity (7,).
 
         The velocity (rad/s) is clipped by `limit_acceleration` first, and is stored as that of the last command.
         """
-        self._velocity = self.limit_acceleration(velocity, acceleration)
+        self.velocity = self.limit_acceleration(velocity, acceleration)
         lead = 1.0 / (1.0 - (1.0 - self._gain) ** (self.period / self._time_step))
-        return np.asarray(joints + lead * self.period * self._velocity)
+        return np.asarray(joints + lead * self.period * self.velocity)

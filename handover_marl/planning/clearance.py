@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handover_marl.geometry.model_files.meshes import find_farthest_points
 from handover_marl.geometry.poses import inverse_transform_points
 from handover_marl.planning.arm_control import ArmInWorld
 
@@ -91,13 +92,11 @@ class ClosestPoints:
         distance: Distance of the two surfaces (m), negative where they overlap.
         point: (3,) closest point on the robot, in the world (m).
         normal: (3,) unit vector in the world from the closest sphere to the robot.
-        sphere: Index of the closest sphere of the body.
     """
 
     distance: float
     point: Array
     normal: Array
-    sphere: int
 
 
 def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: int, radius: float) -> Spheres:
@@ -106,15 +105,6 @@ def sample_surface_spheres(vertices: Array, faces: npt.NDArray[np.int_], count: 
     points = np.einsum("sk,fkc->fsc", weights, vertices[faces]).reshape(-1, 3)
     chosen = find_farthest_points(points, min(count, len(points)), 0)
     return Spheres(points[chosen], np.full(len(chosen), radius))
-
-
-def find_farthest_points(points: Array, count: int, first: int) -> list[int]:
-    """Return the indices of `count` of the points (n, 3) by farthest point sampling, the first of which is `first`."""
-    chosen, distances = [first], np.full(len(points), np.inf)
-    while len(chosen) < count:
-        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(distances)))
-    return chosen
 
 
 def compute_gripper_corners(hands: Array) -> Array:
@@ -132,7 +122,7 @@ def compute_flange_clearances(hands: Array, spheres: Spheres) -> Array:
 
 
 def compute_open_gripper_clearances(hands: Array, spheres: Spheres) -> Array:
-    """Return the clearances (n,) in m of open gripper with flange, at hand link poses (n, 7), from a body."""
+    """Return the clearances (n,) in m of open gripper and flange at hand poses (n, 7) from a body in the same frame."""
     local = _points_in_hands(hands, spheres.centers)
     boxes = zip(GRIPPER_BOX_CENTERS, GRIPPER_BOX_HALF_SIZES, strict=True)
     by_box = [(_box_distances(local - center, half) - spheres.radii).min(axis=1) for center, half in boxes]
@@ -179,7 +169,7 @@ def find_closest_points(hand: Array, spheres: Spheres) -> ClosestPoints:
         # No face of the box is a meaningful exit for a center inside it: push from the box center.
         direction = -offset / max(float(np.linalg.norm(offset)), _MIN_LENGTH)
     distance = float(distances[box, sphere] - spheres.radii[sphere])
-    return ClosestPoints(distance, hand[:3] + rotation @ on_box, rotation @ direction, int(sphere))
+    return ClosestPoints(distance, hand[:3] + rotation @ on_box, rotation @ direction)
 
 
 def compute_arm_clearances(arm: ArmInWorld, joints: Array, spheres: Spheres) -> Array:
@@ -216,7 +206,7 @@ def find_closest_arm_points(arm: ArmInWorld, joints: Array, spheres: Spheres) ->
     capsule, sphere = np.unravel_index(int(np.argmin(distances)), distances.shape)
     normal = offsets[capsule, sphere] / max(float(lengths[capsule, sphere]), _MIN_LENGTH)
     point = feet[capsule, sphere] - _RADII[capsule] * normal
-    return ClosestPoints(float(distances[capsule, sphere]), point, normal, int(sphere)), int(_LINKS[capsule])
+    return ClosestPoints(float(distances[capsule, sphere]), point, normal), int(_LINKS[capsule])
 
 
 def _arm_segments(arm: ArmInWorld, joints: Array) -> tuple[Array, Array]:

@@ -174,7 +174,7 @@ class GoalSetBuilder:
         return np.asarray(by_point.min(axis=(0, 2)).astype(np.float64))
 
     def _solve_tails(self, grasps: Array) -> GoalSet:
-        """Return the tails from all IK seeds to all grasps for which IK converges."""
+        """Return a goal for each grasp (n, 7) and each IK seed from which IK converges at all poses of the tail."""
         seeds = np.array([self._start, *_IK_SEEDS])
         numbers = np.repeat(np.arange(len(grasps)), len(seeds))
         joints, solved = self._solve(self._tail_poses(grasps, 0), numbers, np.tile(seeds, (len(grasps), 1)))
@@ -193,7 +193,7 @@ class GoalSetBuilder:
         return np.asarray(compose(grasps, np.array([0.0, 0.0, -back, 0.0, 0.0, 0.0, 1.0])))
 
     def _solve(self, poses: Array, numbers: npt.NDArray[np.int_], seeds: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Solve IK for the poses with the given indices, one seed each."""
+        """Solve IK for the poses (n, 7) with indices `numbers` (k,) from seeds (k, 7): joints (k, 7), success (k,)."""
         rotations = Rotation.from_quat(poses[:, 3:]).as_matrix()
         targets = poses[numbers, :3], rotations[numbers]
         return solve_ik(self._arm, *targets, seeds, self._limits, _TOLERANCE, _MAX_ITERATIONS)

@@ -136,19 +136,13 @@ def _smallest_motion(jacobian: Array, error: Array, damping: float) -> Array:
     return np.asarray((rows.transpose(0, 2, 1) @ weights)[..., 0])
 
 
-def make_ik_solver(urdf: Path, config: PandaConfig) -> IkSolver:
-    """Create an IK solver that iterates until it converges, for a Panda at its base pose; PyBullet's where installed.
+def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
+    """Create an IK solver of few iterations, which may not converge, for a Panda's model at the base pose of `config`.
+
+    It is PyBullet's where PyBullet is installed.
 
     Raises:
         SimulationError: The model cannot be read.
-    """
-    return ThreadIkSolver(urdf, config)
-
-
-def make_ik_stepper(urdf: Path, config: PandaConfig) -> IkStepper:
-    """Create an IK solver of few iterations, which may not converge; PyBullet's where PyBullet is installed.
-
-    Arguments and errors are the same as for `make_ik_solver`.
     """
     if not is_pybullet_installed():
         return PandaIkSolver(urdf, config)
@@ -171,7 +165,7 @@ _thread_solvers = _ThreadSolvers()
 
 
 class ThreadIkSolver(IkSolver):
-    """Inverse kinematics by a solver that all policies of a thread share.
+    """Inverse kinematics by a solver that all policies of a thread share, PyBullet's where PyBullet is installed.
 
     A solver of PyBullet takes 44 to 90 MB, depending on the model, and a process can have 1,024 of them at most.
     Solutions do not depend on earlier queries, so policies that share a solver get the same solutions as with one
@@ -194,7 +188,7 @@ class ThreadIkSolver(IkSolver):
         self._find()
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for starts (n, 9) and world poses of the hand."""
         parts = [part for part in (starts[:, :ARM_DOF], positions, orientations) if part is not None]
         keys = [row.tobytes() for row in np.concatenate(parts, axis=1, dtype=np.float64)]
         rows = np.flatnonzero([key not in self._unsolved for key in keys])
@@ -215,16 +209,13 @@ class ThreadIkSolver(IkSolver):
             if len(solvers) >= _MAX_SOLVERS:
                 solvers.pop(next(iter(solvers)))
             urdf, _, config = self._key
-            solvers[self._key] = _make_solver(urdf, config)
+            if is_pybullet_installed():
+                from handover_marl.simulation.bullet.kinematics import BulletIKSolver
+
+                solvers[self._key] = BulletIKSolver(urdf, config)
+            else:
+                solvers[self._key] = PandaIkSolver(urdf, config)
         return solvers[self._key]
-
-
-def _make_solver(urdf: Path, config: PandaConfig) -> IkSolver:
-    if not is_pybullet_installed():
-        return PandaIkSolver(urdf, config)
-    from handover_marl.simulation.bullet.kinematics import BulletIKSolver
-
-    return BulletIKSolver(urdf, config)
 
 
 class PandaIkSolver(IkSolver):
@@ -248,7 +239,7 @@ class PandaIkSolver(IkSolver):
         self._reach = ReachabilityBound(self._base)
 
     def solve_many(self, starts: Joints, positions: Array, orientations: Array | None = None) -> Array:
-        """Return arm joints (n, 7) in rad, nan without convergence, for n starts and world poses; see `IkSolver`."""
+        """Return arm joints (n, 7) in rad, nan without convergence, for starts (n, 9) and world poses of the hand."""
         found = np.full((len(starts), ARM_DOF), np.nan)
         rows = np.flatnonzero(~self._reach.is_unreachable(positions, orientations, _REACH_DISTANCE, _REACH_ANGLE))
         if len(rows):

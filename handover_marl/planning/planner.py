@@ -94,7 +94,7 @@ class Planner:
 
     Args:
         panda_urdf: URDF model of the robot.
-        start: (7,) configuration at which motions start (rad).
+        start: (7,) configuration at which planned trajectories start (rad).
         config: Configuration of the planner.
 
     Raises:
@@ -198,13 +198,9 @@ class Chomp:
         steps = np.diff(trajectory, axis=0, prepend=self._start[None]) / WAYPOINT_PERIOD
         return float(0.5 * (steps**2).sum())
 
-    def compute_smoothness_gradient(self, trajectory: Array) -> Array:
-        """Return the gradient (w, 7) of the smoothness cost of a trajectory (w, 7)."""
-        return np.asarray(self._metric @ trajectory + self._start_gradient[:, None] * self._start)
-
     def step(self, trajectory: Array, tail: Array, number: int) -> Array:
         """Return a trajectory (w, 7) after gradient step `number`, from 1; it ends on the approach `tail` (t, 7)."""
-        smooth = self.compute_smoothness_gradient(trajectory)
+        smooth = self._metric @ trajectory + self._start_gradient[:, None] * self._start
         near = _OBSTACLE_WEIGHT * self._cost.compute_gradient(trajectory, self._start, tail[-1])
         near = np.clip(near, -_MAX_GRADIENT, _MAX_GRADIENT)
         weight = _SMOOTHNESS_WEIGHT * _SMOOTHNESS_GROWTH**number

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.geometry.arm import ArmKinematics, LinkFrames, transform_body_points
 from handover_marl.geometry.distance_field import DistanceField
-from handover_marl.geometry.model_files.meshes import read_link_vertices
-from handover_marl.planning.clearance import find_farthest_points
+from handover_marl.geometry.model_files.meshes import find_farthest_points, read_link_vertices
 
 Array = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.config import PandaConfig, PhysicsConfig
 from handover_marl.errors import OptionError, check_name
 from handover_marl.execution.options import is_installed, is_pybullet_installed, require_modules, require_pybullet
@@ -46,7 +46,7 @@ def check_physics(physics: str) -> None:
 
 def list_available_physics() -> tuple[str, ...]:
     """Return the names of the kinds of physics whose engines are installed."""
-    installed = {EXACT: is_pybullet_installed(), FAST: is_pybullet_installed(), MUJOCO: _is_mujoco_installed()}
+    installed = {EXACT: is_pybullet_installed(), FAST: is_pybullet_installed(), MUJOCO: is_installed("mujoco")}
     return tuple(name for name in PHYSICS if installed[name])
 
 
@@ -69,13 +69,9 @@ def make_world(physics: str, config: PhysicsConfig, window: bool = False) -> Wor
         from handover_marl.simulation.mujoco.world import MujocoWorld
 
         return MujocoWorld(config, window)
-    if physics == EXACT:
-        from handover_marl.simulation.bullet.exact_world import ExactWorld
+    from handover_marl.simulation.bullet.worlds import ExactWorld, FastWorld
 
-        return ExactWorld(config, window)
-    from handover_marl.simulation.bullet.fast_world import FastWorld
-
-    return FastWorld(config, window)
+    return ExactWorld(config, window) if physics == EXACT else FastWorld(config, window)
 
 
 @dataclass(frozen=True)
@@ -142,13 +138,9 @@ def make_worlds(config: PhysicsConfig, count: int, backend: BatchBackend, arrays
 
 
 def make_distance_query(panda_urdf: Path, config: PandaConfig) -> DistanceQuery:
-    """Create a query of distances between robot and hand in the installed engine.
+    """Create a query of distances between a Panda's model, at the base pose of `config`, and a hand.
 
-    PyBullet is preferred to MuJoCo; their distances agree to 0.5 mm.
-
-    Args:
-        panda_urdf: Model of the robot.
-        config: Base pose of the robot.
+    It uses PyBullet, or MuJoCo if PyBullet is not installed; their distances agree to 0.5 mm.
 
     Raises:
         SimulationError, DataFormatError: The model cannot be read.
@@ -167,10 +159,8 @@ def make_grasp_validator(
 ) -> "GraspValidator":
     """Create a validator of grasps of one object in MuJoCo, whatever the physics of the scenes.
 
-    Args:
-        object_urdf: Model of the object, on HandoverSim's chain of six joints.
-        config: Conditions of a valid grasp; None for the defaults.
-        panda_urdf: Model of the Panda from which the hand link and the fingers are taken.
+    The object has HandoverSim's chain of six joints. `config` has the conditions of a valid grasp, None the defaults.
+    The hand link and the fingers are those of the Panda `panda_urdf`.
 
     Raises:
         OptionError: MuJoCo is not installed.
@@ -182,12 +172,8 @@ def make_grasp_validator(
     return GraspValidator(object_urdf, config, panda_urdf)
 
 
-def _is_mujoco_installed() -> bool:
-    return is_installed("mujoco")
-
-
 def _require_mujoco(feature: str, advice: str) -> None:
-    if not _is_mujoco_installed():
+    if not is_installed("mujoco"):
         raise OptionError(
             f"{feature} needs MuJoCo, which is not installed (it has wheels for Python 3.11 and later); {advice}"
         )

@@ -93,7 +93,7 @@ class BodyTrajectory:
         self.reset(start)
 
     def reset(self, start: npt.NDArray[np.float32] | None) -> None:
-        """Set the body to its start, at rest; see the arguments of the class."""
+        """Set the body to joint positions (d,) (m, rad), at rest; None for a body that is absent at first."""
         self.present = np.full(2, start is not None)
         self.joints: Array = np.zeros((2, len(self.gains)))
         if start is not None:

@@ -156,7 +156,7 @@ class WorldState(NamedTuple):
         hand_joints: npt.NDArray[np.float32] | None,
         hand_keypoints: npt.NDArray[np.float32] | None,
     ) -> "WorldState":
-        """Return the state of one world from the readings of its bodies; see the attributes for shapes and frames.
+        """Return the state of one world from the readings of its bodies, with the shapes and frames of the attributes.
 
         `robot_joints` are positions and velocities, `object_poses` (m, 7) those of m objects. `hand_joints` and
         `hand_keypoints` are None without a human hand.
@@ -174,7 +174,7 @@ class WorldState(NamedTuple):
 
     @classmethod
     def from_zeros(cls, count: int, arrays: ArrayFactory) -> "WorldState":
-        """Return a state of `count` worlds in which all values are zero, with arrays made by a factory."""
+        """Return the state of `count` worlds in which all values are zero; `arrays` creates its arrays."""
         shapes = ((PANDA_DOF,), (PANDA_DOF,), (7,), (MAX_OBJECTS, 7), (1,), (HAND_DOF,), (N_KEYPOINTS, 3))
         return cls(*(arrays.zeros((count, *shape), "float32") for shape in shapes))
 
@@ -241,11 +241,11 @@ class World(ABC):
 
     @abstractmethod
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand; see `WorldState`."""
+        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
 
     @abstractmethod
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
+        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
 
     @abstractmethod
     def read_joints_float64(self) -> npt.NDArray[np.float64]:
@@ -256,7 +256,7 @@ class World(ABC):
         """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
 
     def read_joint_snapshot(self) -> JointSnapshot:
-        """Return the current joint positions of robot, human hand and objects; see `JointSnapshot`."""
+        """Return the current joint positions of robot (9,), hand (51,) or None, and objects (n, 6), float32."""
         return JointSnapshot(*self.read_agent_joints(), self.read_object_joints())
 
     def render(self, camera: CameraConfig) -> npt.NDArray[np.uint8]:

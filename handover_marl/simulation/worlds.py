@@ -20,7 +20,7 @@ class Worlds(ABC):
 
     @abstractmethod
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row` and set robot, objects and hand to their start positions; see `World.reset`."""
+        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
 
     @abstractmethod
     def rollout(
@@ -56,12 +56,12 @@ class Worlds(ABC):
         """Return the states (r, ...) of the worlds `rows` (r,)."""
 
     @abstractmethod
-    def are_grasped(self, rows: AnyIndices, rules: ProtocolConfig) -> AnyArray:
+    def are_grasped(self, rows: AnyIndices) -> AnyArray:
         """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
 
     @abstractmethod
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
 
     @abstractmethod
     def close(self) -> None:
@@ -80,7 +80,7 @@ class HostWorlds(Worlds):
         self._n_objects = [0] * len(worlds)
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row` and set robot, objects and hand to their start positions; see `World.reset`."""
+        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints."""
         self._worlds[row].reset(scene, start, robot_joints)
         self._n_objects[row] = start.objects.shape[1]
 
@@ -92,7 +92,7 @@ class HostWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyIntegers:
-        """Simulate r worlds for all steps of a reference motion, or to their ends; see `Worlds.rollout`."""
+        """Simulate r worlds for all steps of `reference`, or to their ends; return the numbers (r,) of steps."""
         worlds = [self._worlds[row] for row in rows.tolist()]
         for number, row in enumerate(rows.tolist()):
             worlds[number].set_reference(reference.select(number, self._n_objects[row]))
@@ -108,14 +108,14 @@ class HostWorlds(Worlds):
         states = [self._worlds[row].read_state() for row in rows.tolist()]
         return WorldState(*map(np.stack, zip(*states, strict=True)))
 
-    def are_grasped(self, rows: Indices, rules: ProtocolConfig) -> AnyArray:
+    def are_grasped(self, rows: Indices) -> AnyArray:
         """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
         return np.array(
             [self._worlds[row].read_contacts(False).both_fingers_touch for row in rows.tolist()], dtype=bool
         )
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of world `row` in the last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
         return self._worlds[row].read_contacts(released)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from handover_marl.config import TABLE_HEIGHT, TIME_STEP
 from handover_marl.geometry.panda import CLOSED, OPEN
-from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angle, transform_points
+from handover_marl.geometry.poses import IDENTITY, compose, compute_rotation_angles, transform_points
 from handover_marl.planning.arm_control import ArmInWorld, ArmServo
 from handover_marl.planning.clearance import Spheres
 from handover_marl.planning.collision_avoidance import (
@@ -275,4 +275,4 @@ class ApproachController:
 
 def _compute_angle(pose: Array) -> float:
     """Return the rotation angle (rad) of a pose (7,)."""
-    return compute_rotation_angle(pose[3:], IDENTITY[3:])
+    return float(compute_rotation_angles(pose[3:], IDENTITY[3:]))

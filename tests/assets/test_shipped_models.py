@@ -14,8 +14,14 @@ from handover_marl.assets.hand_model import (
     find_hand_urdf,
     make_hand_geometry,
 )
-from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
-from handover_marl.assets.shipped import COLLISION_NAME, OBJECTS_ROOT, VISUAL_NAME, find_object_urdf
+from handover_marl.assets.shipped import (
+    CAMERA_PANDA_URDF,
+    COLLISION_NAME,
+    OBJECTS_ROOT,
+    PANDA_URDF,
+    VISUAL_NAME,
+    find_object_urdf,
+)
 from handover_marl.config import HandConfig, PandaConfig
 from handover_marl.geometry.model_files.obj_files import read_obj
 from handover_marl.geometry.panda import CAMERA_LINK, HAND_LINK, LOWER_LIMITS, UPPER_LIMITS

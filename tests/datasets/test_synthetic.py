@@ -12,7 +12,7 @@ from handover_marl.datasets.splits import SETUPS, SPLIT_SIZES, SPLITS
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
 from handover_marl.errors import SceneError
-from handover_marl.simulation.bullet.exact_world import ExactWorld
+from handover_marl.simulation.bullet.worlds import ExactWorld
 
 DATASET = SyntheticDataset()
 #: First digits of the scenes' hashes: they change with the generator's version and with nothing else.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.config import PandaConfig
 from handover_marl.geometry.arm import ReachabilityBound
 from handover_marl.geometry.panda import HAND_LINK

@@ -52,7 +52,7 @@ def test_matrices_and_angles_equal_scipy(vector: Array, angle: float) -> None:
     np.testing.assert_array_equal(poses.poses_from_matrices([transform]), [[1.0, 2.0, 3.0, *found]])
     turned = (base * Rotation.from_rotvec([0.0, angle, 0.0])).as_quat()
     for other in (turned, -turned):
-        assert abs(poses.compute_rotation_angle(base.as_quat(), other) - angle) < 1e-6
+        assert abs(poses.compute_rotation_angles(base.as_quat(), other) - angle) < 1e-6
 
 
 def test_quaternions_of_euler_angles_are_bit_equal_to_scipy() -> None:

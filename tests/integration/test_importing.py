@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handover_marl.datasets import OfficialDataset
-from handover_marl.datasets.dexycb import import_dexycb
+from handover_marl.datasets.dexycb.importer import import_dexycb
 from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
 from handover_marl.datasets.dexycb.raw_files import SequenceFolder, find_sequences
 from handover_marl.datasets.dexycb.scenes import BetasBySubject, find_first_betas, import_scene

@@ -13,7 +13,7 @@ from handover_marl.datasets.dataset import Scene
 from handover_marl.episode.episode import Episode
 from handover_marl.episode.giver_motion import NO_DEVIATION
 from handover_marl.episode.referee import EpisodeStatus, ReleaseReason
-from handover_marl.simulation.bullet.fast_world import FastWorld
+from handover_marl.simulation.bullet.worlds import FastWorld
 from handover_marl.simulation.camera.images import SegmentationLabel
 from tests.integration.test_reference import SEVERAL
 

@@ -8,7 +8,7 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.geometry.panda import WAITING_JOINTS
-from handover_marl.geometry.poses import compose, compute_rotation_angle
+from handover_marl.geometry.poses import compose, compute_rotation_angles
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.ik_solvers import PandaIkSolver
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
@@ -47,7 +47,7 @@ def test_single_step_reaches_a_near_pose() -> None:
     assert found.shape == solvers[1].solve_step(START, near[:3], near[3:]).shape
     hand = ARM.compute_hand_pose(found[:7])
     assert np.linalg.norm(hand[:3] - near[:3]) < 2e-3
-    assert compute_rotation_angle(hand[3:], near[3:]) < 0.02
+    assert compute_rotation_angles(hand[3:], near[3:]) < 0.02
     # It moves closer to a pose out of reach, as PyBullet does.
     far = here[:3] + np.array([0.0, 2.0, 0.0])
     ends = [ARM.compute_hand_pose(solver.solve_step(START, far)[:7])[:3] for solver in solvers]

@@ -69,6 +69,6 @@ def test_shipped_grasps_hold() -> None:
 
 
 def test_grasps_cannot_be_validated_without_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engines, "_is_mujoco_installed", lambda: False)
+    monkeypatch.setattr(engines, "is_installed", lambda module: False)
     with pytest.raises(OptionError, match=r"the validation of grasps needs MuJoCo, .* or grasps=0"):
         make_grasp_validator(DATA.find_object_urdf(BRICK))

@@ -22,7 +22,7 @@ from handover_marl.errors import OptionError, UnknownNameError
 from handover_marl.geometry.arrays import to_numpy
 from handover_marl.geometry.panda import LOWER_LIMITS, UPPER_LIMITS
 from handover_marl.policies.policy import Action
-from handover_marl.simulation.bullet.fast_world import FastWorld
+from handover_marl.simulation.bullet.worlds import FastWorld
 from handover_marl.simulation.engines import (
     PHYSICS,
     THREADS,

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.assets.building.custom_scenes.motion_tables import OBJECT, MotionTable
 from handover_marl.assets.hand_model import SUBJECT_SIZES, Side
+from handover_marl.datasets.generated.grasps import SKIN_YIELD, close_fingers, measure_body
 from handover_marl.datasets.generated.hands import Palms, make_hand_templates
-from handover_marl.datasets.generated.human_grasps import SKIN_YIELD, close_fingers, measure_body
 from handover_marl.datasets.generated.motion import minimum_jerk
 from handover_marl.datasets.generated.shapes import Solid
 from handover_marl.errors import DataFormatError

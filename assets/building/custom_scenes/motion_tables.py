@@ -364,7 +364,7 @@ def _fill_gaps(key: str, poses: Array, time: Array, first: int, config: MotionCo
 def make_trajectory(
     table: MotionTable, others: Sequence[str], model: HandGeometry | None, fingers: Array | None
 ) -> dict[str, npt.NDArray[Any]]:
-    """Resample recorded poses to 1 kHz, as arrays of a motion file, see `handover_marl.datasets.custom.dataset`.
+    """Resample recorded poses to 1 kHz; return the arrays `object_dof`, `hand_dof` and `hand_span` of a motion file.
 
     `others` are the other objects, in the order of the result; `fingers` (n, 45) are angles (rad) in the rows with the
     wrist. `model` and `fingers` are None without a hand.

@@ -229,7 +229,10 @@ class CustomDataset(Dataset):
 def _read_motion(
     path: Path, bodies: Mapping[str, Array], has_hand: bool
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], tuple[int, int] | tuple[None, None]]:
-    """Return the checked motion of objects (T, n, 6) and hand (T, 51), and the first and last frame with the hand."""
+    """Return the checked motion of objects (T, n, 6) and hand (T, 51), and the first and last frame with the hand.
+
+    `bodies` has the objects' vertices (v, 3) in their frames (m) by name, the handed-over object first.
+    """
     _require_file(path)
     with report_damage(path, "motion", "add the motion again"):
         arrays = read_arrays(path, ("object_dof", "hand_dof", "hand_span"), _MAX_BYTES)
@@ -345,7 +348,7 @@ def check_start(
 
     Args:
         objects: (T, n, 6) motion of the objects in the world frame.
-        hand: (T, 51) motion of the hand, likewise.
+        hand: (T, 51) base position (m) and angles of the hand (rad), likewise.
         first: First frame with the hand, or -1.
         bodies: Vertices (v, 3) of the n objects in their frames (m) by name, the handed-over one first.
 

@@ -52,7 +52,7 @@ class CustomObject:
         repairs: Changes that were made to the user's mesh.
 
     Raises:
-        ValueError: A value is out of its range, as of `CustomScene` and `SceneFile`.
+        ValueError: A value is out of its range, also in `CustomScene` and `SceneFile`.
     """
 
     name: str
@@ -182,8 +182,8 @@ class SceneFile:
             "format": FORMAT_NAME,
             "version": FORMAT_VERSION,
             "name": self.name,
-            "objects": [_encode(item) for item in self.objects],
-            "scenes": [_encode(scene) for scene in self.scenes],
+            "objects": [vars(item) for item in self.objects],
+            "scenes": [vars(scene) for scene in self.scenes],
             "setups": self.setups,
         }
         write_atomically(folder / SCENE_FILE, json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -238,10 +238,6 @@ def _is_index(value: object) -> bool:
 def _check_repairs(repairs: object) -> None:
     is_list = isinstance(repairs, tuple) and all(isinstance(repair, str) for repair in repairs)
     _require(is_list, "repairs", "a list of texts", repairs)
-
-
-def _encode(item: CustomObject | CustomScene) -> dict[str, Any]:
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(item).items()}
 
 
 def _decode(item: Mapping[str, Any]) -> dict[str, Any]:

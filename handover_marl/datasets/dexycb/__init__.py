@@ -4,7 +4,3 @@ Every value equals the result of HandoverSim's conversion scripts bit for bit, o
 whose rounding depends on the processor or on versions of NumPy and SciPy are written out in the
 order and precision that made the official files.
 """
-
-from handover_marl.datasets.dexycb.importer import ImportReport, import_dexycb
-
-__all__ = ["ImportReport", "import_dexycb"]

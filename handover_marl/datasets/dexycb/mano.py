@@ -17,7 +17,6 @@ import numpy.typing as npt
 from scipy.sparse import csc_matrix
 
 from handover_marl.datasets.restricted_pickle import AllowedNames, load_restricted
-from handover_marl.errors import check_name
 from handover_marl.execution.reading import read_plain_file, report_damage
 
 Array = npt.NDArray[np.float64]
@@ -87,15 +86,13 @@ class ManoModel:
 
 
 def read_mano_model(path: Path, side: str) -> ManoModel:
-    """Read the hand model MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, in which its `side` is not stated.
+    """Read the hand model MANO_RIGHT.pkl or MANO_LEFT.pkl of mano_v1_2.zip, which does not state its `side`.
 
     Raises:
-        UnknownNameError: `side` is neither "right" nor "left".
         DataNotFoundError: The file is missing.
         UnsafeFileError: The file may run code.
         DataFormatError: The file is not a model, or an array has an invalid shape or type.
     """
-    check_name("side", side, SIDES)
     with report_damage(path, "MANO model", "copy it again from mano_v1_2.zip, where it is in models/"):
         content = load_restricted(read_plain_file(path, _MAX_BYTES), _ALLOWED)
         arrays = {key: _extract_array(key, content[key]) for key in _SHAPES}

@@ -49,7 +49,8 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
     pose, translation (m); rows without a hand, at both ends only, are zero. `wrist` and `base` are the root joint (3,)
     at rest (m) for the hand's shape in this recording, and in the articulated body.
     """
-    span = find_hand_span(poses)
+    present = np.flatnonzero(poses.any(axis=1))
+    span = KeyframeSpan(int(present[0]), int(present[-1]))
     keyframes = poses[span.first : span.last + 1]
     quaternions = tag.transform_rotations(Rotation.from_rotvec(keyframes[:, :3]))
     rotation_vectors: Float32 = Rotation.from_quat(quaternions).as_rotvec().astype(np.float32)
@@ -64,12 +65,6 @@ def compute_hand_trajectory(poses: Float32, tag: TagFrame, model: ManoModel, wri
         keys = Rotation.from_euler("XYZ", fingers[:, joint])
         trajectory[span.frames, 6 + 3 * joint : 9 + 3 * joint] = _resample_angles(span, keys)
     return trajectory
-
-
-def find_hand_span(poses: Float32) -> KeyframeSpan:
-    """Return the range of keyframes with a hand: from the first to the last non-zero row of `poses` (F, 51)."""
-    present = np.flatnonzero(poses.any(axis=1))
-    return KeyframeSpan(int(present[0]), int(present[-1]))
 
 
 def compute_finger_poses(model: ManoModel, coefficients: Float32) -> Float32:

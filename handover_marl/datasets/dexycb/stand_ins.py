@@ -20,8 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from handover_marl.assets.robot_model import CAMERA_PANDA_URDF, PANDA_URDF
-from handover_marl.assets.shipped import load_object_grasps
+from handover_marl.assets.shipped import CAMERA_PANDA_URDF, PANDA_URDF, load_object_grasps
 from handover_marl.datasets.dexycb.assets import write_missing_files
 from handover_marl.datasets.official_files import (
     PANDA_FILES,
@@ -99,7 +98,7 @@ def install_third_party(source: Path, assets: Path) -> list[str]:
 
     Raises:
         DataNotFoundError: The source is missing or cannot be read.
-        UnsafeFileError: The archive has devices, symbolic links or paths to places outside itself, or too much data.
+        UnsafeFileError: The archive has devices, symbolic links or paths to places outside itself.
         DataFormatError: The source is damaged, or has none of the files.
         ResultsError: A file exists with other content, or cannot be written.
     """

@@ -34,8 +34,8 @@ from handover_marl.datasets.generated.config import (
     make_seed,
     parse_generated_config,
 )
+from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.hands import Person, draw_person
-from handover_marl.datasets.generated.human_grasps import draw_human_grasps
 from handover_marl.datasets.generated.motion import KeyframeMotion
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.placement import (
@@ -46,7 +46,6 @@ from handover_marl.datasets.generated.placement import (
 )
 from handover_marl.datasets.generated.post_arrival_motion import add_post_arrival_motion, draw_far_positions
 from handover_marl.datasets.generated.random_stream import RandomStream, Seed, open_stream
-from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
 from handover_marl.datasets.generated.scenes import (
     GeneratedHandover,
     HandoverGenerator,

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import ConvexHull
 from scipy.spatial.distance import cdist
 
 from handover_marl.assets.hand_model import HandGeometry, matrices_from_euler
@@ -25,7 +24,7 @@ from handover_marl.datasets.generated.random_stream import (
     UP_AXES,
     RandomStream,
 )
-from handover_marl.geometry.model_files.meshes import read_collision_mesh
+from handover_marl.geometry.model_files.meshes import compute_convex_hull, read_collision_mesh
 from handover_marl.geometry.panda import (
     GRIPPER_FROM_HAND,
     MAX_RANKED_GRASPS,
@@ -142,8 +141,7 @@ class SimulatedGiver:
 @cache
 def compute_hull_corners(object_name: str) -> Array:
     """Return the corners (n, 3) in m of the convex hull of a shipped object's collision mesh, in the object's frame."""
-    corners, _ = read_collision_mesh(find_object_urdf(object_name))
-    return np.asarray(corners[np.sort(ConvexHull(corners).vertices)])
+    return compute_convex_hull(read_collision_mesh(find_object_urdf(object_name))[0])[0]
 
 
 def draw_calibrated_positions(random: RandomStream) -> tuple[Array, Array]:
@@ -172,7 +170,7 @@ def draw_placement(random: RandomStream, giver: SimulatedGiver, draw_positions: 
 
 
 def _sample_resting_grasps(random: RandomStream, giver: SimulatedGiver, distance: float) -> list[tuple[Array, int]]:
-    """Return resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist distance (m)."""
+    """Return resting rotations (3, 3) of the object, each with the index of a grasp of about a wrist `distance` (m)."""
     axes = random.weighted_order(giver.up_axes)
     first_yaw = random.uniform(0.0, 2.0 * np.pi)
     tie = random.uniform()

@@ -33,7 +33,7 @@ from handover_marl.geometry.ycb import CLASS_NAMES
 
 
 class GeneratedHandover(NamedTuple):
-    """Generated scene in the world frame; see `Scene`.
+    """Generated scene: person, objects and their motion at 1 kHz in the world frame (m, rad).
 
     Attributes:
         giver: Person with the handed-over object.

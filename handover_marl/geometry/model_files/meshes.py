@@ -53,6 +53,17 @@ def select_extreme_points(points: Array, limit: int) -> Array:
     return np.asarray(points[chosen])
 
 
+def find_farthest_points(points: Array, count: int, first: int = 0) -> list[int]:
+    """Return the indices of `count` of the points (n, d) by farthest point sampling, the first of which is `first`."""
+    chosen, distances = [first], np.full(len(points), np.inf)
+    while len(chosen) < count:
+        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        # Of repeated points, each is taken once.
+        distances[chosen[-1]] = -1.0
+        chosen.append(int(np.argmax(distances)))
+    return chosen
+
+
 def compute_convex_hull(points: Array) -> tuple[Array, Faces]:
     """Compute the convex hull of points (n, 3): its vertices (v, 3), and vertex numbers (f, 3) of outward triangles.
 

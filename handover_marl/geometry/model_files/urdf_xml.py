@@ -72,16 +72,10 @@ def _check_mass(robot: ET.Element, name: str) -> None:
 
 
 def read_attribute(element: ET.Element, tag: str, name: str, default: str | None = None) -> str:
-    """Read an attribute of a child of an XML element, or return a default.
-
-    Args:
-        element: Parent element.
-        tag: Tag of the child.
-        name: Name of the attribute.
-        default: Value of a missing child or attribute.
+    """Read the attribute `name` of the child with a tag of an XML element; return `default` if it is missing.
 
     Raises:
-        ValueError: The attribute is missing and there is no default.
+        ValueError: The child or its attribute is missing, and there is no default.
     """
     found = element.find(tag)
     value = default if found is None else found.get(name, default)

@@ -212,7 +212,7 @@ class ObjectBody(ArticulatedBody):
     Args:
         client: Physics client.
         urdf: Model file.
-        mask: Collision group and mask before the release, see `compute_object_masks`.
+        mask: Collision group and mask before the release, from `compute_object_masks`.
         config: Motors of the six joints.
         joints: Initial positions of the six joints (m, rad).
         velocities: Initial velocities of the six joints (m/s, rad/s); None means that the object is at rest.

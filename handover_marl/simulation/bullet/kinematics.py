@@ -158,14 +158,11 @@ class BulletDistanceQuery(DistanceQuery):
         self._hands: dict[Path, HandBody] = {}
 
     def read_bounding_spheres(self, urdf: Path) -> dict[int, BoundingSphere]:
-        """Return a sphere around the collision shapes of each link by link number; -1 is the base.
-
-        Links without collision shapes are left out.
-        """
+        """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base."""
         return read_bounding_spheres(urdf)
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance between robot and human hand (m); see `DistanceQuery.measure`."""
+        """Return the smallest distance (m), at most `max_distance`, of Panda and human hand at joint positions."""
         self._panda.reset_joints_at_rest(robot)
         if hand_urdf not in self._hands:
             self._hands[hand_urdf] = HandBody(self._client, hand_urdf, hand, _HAND_CONFIG)

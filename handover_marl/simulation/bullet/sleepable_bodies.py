@@ -34,9 +34,7 @@ _REST_TOLERANCE = 1e-7
 
 
 def read_bounding_spheres(urdf: Path) -> dict[int, BoundingSphere]:
-    """Return a sphere around the collision shapes of each link by link number; -1 is the base link.
-
-    Links without collision shapes are left out.
+    """Return a sphere around the collision shapes of each link that has some, by link number; -1 is the base link.
 
     Raises:
         SimulationError: The model cannot be loaded.
@@ -70,7 +68,7 @@ class SleepableObject(BodyTrajectory):
     Args:
         client: Physics client.
         urdf: Model file.
-        mask: Collision group and mask before the release, see `compute_object_masks`.
+        mask: Collision group and mask before the release, from `compute_object_masks`.
         start: (6,) initial joint positions: xyz (m) and intrinsic XYZ Euler angles (rad).
         config: Motors of the six joints.
 
@@ -178,7 +176,7 @@ class KinematicHand(BodyTrajectory):
         self.is_awake = False
 
     def wake(self, row: int) -> None:
-        """Add the hand to the simulation from step `row` of the reference motion on."""
+        """Add the hand to the simulation from the coming step, `row` of the reference motion, on."""
         self.is_awake = True
 
     def move_bodies(self, row: int) -> None:
@@ -210,10 +208,7 @@ class KinematicHand(BodyTrajectory):
         self.bodies, self._bodies_at = [], None
 
     def compute_keypoints(self, row: int) -> npt.NDArray[np.float32]:
-        """Return the hand's keypoints (16, 3) after step `row` of the reference, float32 (m).
-
-        The keypoints are the world positions of the wrist and of 15 finger joints.
-        """
+        """Return the world positions (16, 3) in m, float32, of wrist and finger joints after step `row`."""
         joints = self.get_joints(row)
         if self._cached_keypoints is None or not np.array_equal(joints, self._cached_keypoints[0]):
             origins, _ = self._tree.compute_link_frames(joints[None])

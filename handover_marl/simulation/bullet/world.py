@@ -72,7 +72,7 @@ class BulletWorld(World):
         self._release_pending = True
 
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand; see `WorldState`."""
+        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
         panda = self._loaded_workcell.panda
         return WorldState.from_bodies(
             panda.read_joint_states(),
@@ -83,7 +83,7 @@ class BulletWorld(World):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
+        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
         return AgentJoints(self._loaded_workcell.panda.read_joint_positions(), self._read_hand_joints())
 
     def read_joints_float64(self) -> npt.NDArray[np.float64]:

@@ -66,18 +66,10 @@ GROUND: Final = ((255, 255, 255), (173, 199, 239))
 
 
 def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HANDOVERSIM_MODEL) -> Array:
-    """Compute the 3D points of the masked pixels of a wrist-camera depth image.
+    """Compute the 3D points (n, 3) of the pixels of a depth image (224, 224) where `mask` (224, 224) is True.
 
-    Args:
-        depth: (224, 224) float32 depth along the viewing axis (m).
-        mask: (224, 224) True for pixels to deproject.
-        camera_model: Name of the deprojection model, one of `CAMERA_MODELS`.
-
-    Returns:
-        (n, 3) float32 points in the hand link's frame (m), in image order.
-
-    Raises:
-        UnknownNameError: There is no camera model of that name.
+    The depth is float32 along the viewing axis (m). The points are float32 in the hand link's frame (m), in image
+    order. `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name raises `UnknownNameError`.
     """
     pixels = np.flatnonzero(mask)
     points: Array = compute_points(pixels, depth.ravel()[pixels], camera_model)
@@ -85,18 +77,10 @@ def deproject(depth: Array, mask: npt.NDArray[np.bool_], camera_model: str = HAN
 
 
 def compute_points(pixels: AnyArray, depth: AnyArray, camera_model: str = HANDOVERSIM_MODEL) -> AnyArray:
-    """Compute the 3D points of pixels of wrist-camera depth images.
+    """Compute the 3D points (..., 3) of pixels from their numbers in image order and their depths, both (...).
 
-    Args:
-        pixels: (...) numbers of the pixels in image order, NumPy array or tensor.
-        depth: (...) float32 depth of these pixels along the viewing axis (m).
-        camera_model: Name of the deprojection model, one of `CAMERA_MODELS`.
-
-    Returns:
-        (..., 3) float32 points in the hand link's frame (m).
-
-    Raises:
-        UnknownNameError: There is no camera model of that name.
+    Depths are float32 along the viewing axis (m), points float32 in the hand link's frame (m), as arrays or tensors.
+    `camera_model` is the deprojection model, one of `CAMERA_MODELS`; another name raises `UnknownNameError`.
     """
     check_name("camera_model", camera_model, CAMERA_MODELS)
     xp = get_namespace(pixels)

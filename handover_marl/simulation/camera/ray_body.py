@@ -102,9 +102,6 @@ class RayBody:
         meshes: Meshes of the n links that have visual shapes.
         lowest: (n, 3) lower corners of the meshes' bounding boxes, in the links' frames (m).
         highest: (n, 3) upper corners of the meshes' bounding boxes, in the links' frames (m).
-
-    Raises:
-        SimulationError, DataFormatError: The model or one of its meshes cannot be read.
     """
 
     def __init__(self, urdf: Path, label: SegmentationLabel, base: npt.ArrayLike) -> None:
@@ -130,7 +127,7 @@ class RayBody:
         return rotations[self._links], origins[self._links]
 
     def compute_link_frames(self, joints: Array) -> tuple[Float64Array, Float64Array]:
-        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) of L links, then the base, at joints (d,) (m)."""
+        """Return world rotations (L + 1, 3, 3) and origins (L + 1, 3) in m of L links, then base, at joints (d,)."""
         # Table, resting objects and hand often have the same joints in two successive images.
         if self._last_frames is None or not np.array_equal(joints, self._last_frames[0]):
             origins, rotations = self._tree.compute_link_frames(joints[None])
@@ -143,12 +140,9 @@ class RayBody:
 
 
 def load_ray_body(urdf: Path, label: SegmentationLabel, base: tuple[float, ...] = _ORIGIN) -> RayBody:
-    """Load a model's visual meshes for ray casting; unchanged models are read once.
+    """Load a URDF file's visual meshes for ray casting, with `label` for their pixels; unchanged files are read once.
 
-    Args:
-        urdf: Model file.
-        label: Segmentation label of the body's pixels.
-        base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
+    `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.

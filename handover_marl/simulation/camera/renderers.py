@@ -32,10 +32,7 @@ def resolve_renderer(name: str, physics: str) -> str:
 
 
 def check_rendering(what: str = "rendering") -> None:
-    """Check that PyBullet is installed, which renders scenes.
-
-    Args:
-        what: Name of the operation for the error message.
+    """Check that PyBullet is installed, which renders scenes; `what` names the operation in the error.
 
     Raises:
         OptionError: PyBullet is not installed.

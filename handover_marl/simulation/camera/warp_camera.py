@@ -51,7 +51,7 @@ class MeshBank:
         identifiers: Identifiers (m,) of Warp's meshes, int64.
         spheres: Centers and radii (m, 4) of bounding spheres in the meshes' frames (m).
         first_faces: Numbers (m,) of the meshes' first faces among the f faces of all meshes.
-        corners: Texture coordinates (f, 3, 2) of the faces' corners; see `Surface`.
+        corners: Positions (f, 3, 2) of the faces' corners in their textures, in units of the texture's size.
         textures: First texel, width and height (f, 3) of the faces' textures.
         texels: Red, green and blue (t, 3) of all textures, uint8.
     """
@@ -71,12 +71,9 @@ class MeshBank:
     def add_model(
         self, urdf: Path, base: tuple[float, ...] = tuple(IDENTITY.tolist()), without: tuple[str, ...] = ()
     ) -> list[DeviceMesh]:
-        """Copy the meshes of a model to the device, unless they are there, and return their numbers and links.
+        """Copy the meshes of a URDF file to the device, unless they are there, and return their numbers and links.
 
-        Args:
-            urdf: Model file.
-            base: (7,) world pose of the base link, xyz (m) and quaternion xyzw.
-            without: Names of links to leave out.
+        `base` (7,) is the world pose of the base link: xyz (m), quaternion xyzw. Links named in `without` are left out.
 
         Raises:
             SimulationError, DataFormatError: The model or one of its meshes cannot be read.
@@ -174,11 +171,7 @@ class WarpCamera:
         self._bank: MeshBank | None = None
 
     def reset(self, row: int, assets: SceneAssets) -> None:
-        """Load the models of a world's scene.
-
-        Args:
-            row: Number of the world.
-            assets: Models of the scene.
+        """Load the models of the scene of the world with number `row`.
 
         Raises:
             OptionError: Robot or hand have other joints than those of the other worlds.
@@ -216,22 +209,16 @@ class WarpCamera:
         self._slots[row, : len(slots)] = self._arrays.asarray(np.array(slots))
 
     def render_wrist_camera(self, rows: AnyArray, states: WorldState, color: bool) -> ImageBatch:
-        """Render wrist-camera images with all bodies of the scenes.
+        """Render wrist-camera images of the worlds `rows` (r,) in `states` (r, ...), with all bodies of the scenes.
 
-        Args:
-            rows: Numbers (r,) of the worlds.
-            states: States (r, ...) of these worlds.
-            color: Whether to render colours: those of the models' materials and textures, in PyBullet's light.
+        With `color` they have the colours of the models' materials and textures in PyBullet's light.
         """
         return self._render(rows, states, tuple(SegmentationLabel), color)
 
     def render_targets(self, rows: AnyArray, states: WorldState, with_others: bool = False) -> ImageBatch:
-        """Render the visible pixels of target objects and human hands; all other pixels are background.
+        """Render the visible pixels of target objects and hands of the worlds `rows` (r,) in `states` (r, ...).
 
-        Args:
-            rows: Numbers (r,) of the worlds.
-            states: States (r, ...) of these worlds.
-            with_others: Whether to render the other objects, too.
+        With `with_others`, those of the other objects are rendered, too. All other pixels are background.
         """
         return self._render(rows, states, _OBJECTS if with_others else _TARGETS, False)
 

@@ -105,7 +105,7 @@ def sample_texture(
     face: int,
     weights: warp.vec2,
 ) -> warp.vec3:
-    """Return the colour of a point of a face, 0 to 255; see `Surface.sample`."""
+    """Return the colour, 0 to 255, of the point of a face with these weights of its second and third corner."""
     origin, texture = corners[face, 0], textures[face]
     place = origin + weights[0] * (corners[face, 1] - origin) + weights[1] * (corners[face, 2] - origin)
     column = warp.min(int((place[0] - warp.floor(place[0])) * float(texture[1])), texture[1] - 1)

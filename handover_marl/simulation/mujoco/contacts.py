@@ -155,10 +155,9 @@ class ContactSensors:
         steps = ... if is_tensor(data) else touching
         if steps is ... or touching.any():
             near = data[steps]
-            pressed = near[..., self._forces] > 0.0
-            fingers[steps] = xp.any(pressed, axis=-1) & touching[steps][..., None]
+            fingers[steps] = self.find_touching_fingers(near)
             in_region = find_points_in_grasp_region(self.compute_finger_points(near), rules)
-            inside[steps] = xp.any(pressed & in_region, axis=-1) & touching[steps][..., None]
+            inside[steps] = xp.any((near[..., self._forces] > 0.0) & in_region, axis=-1)
         return RolloutContacts(
             robot_touches_hand=xp.max(data[..., self._hand], axis=-1) > 0.0,
             robot_touches_object=touching,
@@ -169,10 +168,14 @@ class ContactSensors:
             gripper_position=data[..., self._gripper],
         )
 
-    def compute_finger_points(self, data: AnyArray) -> AnyArray:
-        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger with the object, float32.
+    def find_touching_fingers(self, data: AnyArray) -> AnyArray:
+        """Return whether the left and the right finger touch the target object, (..., 2), in sensor data (..., s)."""
+        return get_namespace(data).any(data[..., self._forces] > 0.0, axis=-1)
 
-        Points are in the frame of the finger (m); those without a force are invalid.
+    def compute_finger_points(self, data: AnyArray) -> AnyArray:
+        """Compute the points (..., 2, 8, 3) of 8 contacts of each finger with the object from sensor data (..., s).
+
+        Points are in the frame of the finger (m), float32; those without a force are invalid.
         """
         frames = data[..., self._frames]
         origins, columns = frames[..., :3], frames[..., 3:].reshape(*frames.shape[:-1], 3, 3)
@@ -190,7 +193,7 @@ class ContactSensors:
         return xp.astype(local, xp.float32)
 
     def _sum_robot_forces(self, data: AnyArray) -> AnyArray:
-        """Return the sums (...) of the normal forces between robot and target object (N)."""
+        """Return the sums (...) of the normal forces between robot and target object (N) in sensor data (..., s)."""
         if is_tensor(data):
             return data[..., self._robot].sum(-1)
         force = np.zeros(data.shape[:-1])

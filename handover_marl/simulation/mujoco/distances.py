@@ -30,7 +30,7 @@ class MujocoDistanceQuery(DistanceQuery):
         return compute_bounding_spheres(urdf, read_tree(urdf))
 
     def measure(self, hand_urdf: Path, robot: list[float], hand: list[float], max_distance: float) -> float:
-        """Measure the smallest distance between robot and human hand (m); see `DistanceQuery.measure`."""
+        """Return the smallest distance (m), at most `max_distance`, of Panda and human hand at joint positions."""
         if hand_urdf not in self._pairs:
             self._pairs[hand_urdf] = _RobotHandPair(self._panda_urdf, hand_urdf, self._config)
         return self._pairs[hand_urdf].measure(robot, hand, max_distance)

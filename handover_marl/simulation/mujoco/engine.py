@@ -62,11 +62,9 @@ def bullet_xyzw_from_wxyz(wxyz: AnyArray) -> AnyArray:
 
 
 def chain_joints_from_poses(poses: Array, reference: npt.NDArray[np.floating]) -> Array:
-    """Convert world poses of m objects to joint positions (m, 6): xyz (m) and intrinsic XYZ Euler angles (rad).
+    """Convert poses (n, 7) of objects, xyz (m) and quaternions wxyz, to joints (n, 6): xyz, XYZ Euler angles (rad).
 
-    Args:
-        poses: Object positions (m) and quaternions wxyz, (m, 7).
-        reference: Joint positions (m, 6) near which equivalent angles are chosen.
+    Of equivalent angles, those nearest to the joint positions `reference` (n, 6) are taken.
     """
     angles = euler_from_quaternions(poses[:, 3:][:, XYZW])
     return np.concatenate([poses[:, :3], find_nearest_euler(angles, np.asarray(reference[:, 3:], np.float64))], axis=1)

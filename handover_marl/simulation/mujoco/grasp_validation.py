@@ -14,17 +14,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.config import OBJECT_DOF, OFFICIAL_CONFIG, TIME_STEP, PhysicsConfig, ProtocolConfig
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.model_files.urdf import read_urdf_links
 from handover_marl.geometry.panda import FINGER_LINKS, GRIPPER_FROM_HAND, HAND_LINK, OPEN, PAD_DISTANCE
-from handover_marl.geometry.poses import (
-    compute_rotation_angle,
-    quaternion_from_matrix,
-    transform_points,
-)
+from handover_marl.geometry.poses import compute_rotation_angles, quaternion_from_matrix, transform_points
 from handover_marl.simulation.grasp_validation import GraspValidationConfig
 from handover_marl.simulation.mujoco.contacts import ContactSensors, add_contact_sensors
 from handover_marl.simulation.mujoco.engine import XYZW, wxyz_from_xyzw
@@ -53,9 +49,6 @@ class GripperModelBuilder(SceneModelBuilder):
         object_urdf: Model of the object.
         panda_urdf: Model of the Panda.
         config: Motors of object and fingers.
-
-    Raises:
-        SimulationError, DataFormatError: A model or a mesh cannot be read.
     """
 
     def __init__(self, object_urdf: Path, panda_urdf: Path, config: PhysicsConfig) -> None:
@@ -121,10 +114,9 @@ class GraspValidator:
         self._pairs = list(itertools.product(hand.tolist(), np.flatnonzero(model.geom_bodyid == self._body).tolist()))
 
     def is_collision_free(self, object_from_gripper: npt.ArrayLike) -> bool:
-        """Return whether the open Panda hand touches the object at none of the configured distances from a grasp pose.
+        """Return whether the open Panda hand is clear of the object at all configured distances from a grasp.
 
-        Args:
-            object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
+        The grasp (4, 4) is the pose of the gripper in the object's frame.
         """
         grasp = np.asarray(object_from_gripper, dtype=np.float64)
         self._reset(grasp)
@@ -135,10 +127,9 @@ class GraspValidator:
         return True
 
     def is_stable(self, object_from_gripper: npt.ArrayLike) -> bool:
-        """Return whether the Panda hand holds the object at a grasp pose while shaking it.
+        """Return whether the Panda hand at a grasp holds the object while it is shaken.
 
-        Args:
-            object_from_gripper: Grasp, the pose (4, 4) of the gripper in the object's frame.
+        The grasp (4, 4) is the pose of the gripper in the object's frame.
         """
         grasp = np.asarray(object_from_gripper, dtype=np.float64)
         self._reset(grasp)
@@ -236,5 +227,5 @@ class GraspValidator:
 
     def _has_moved(self, before: Array, after: Array) -> bool:
         shift = float(np.linalg.norm(after[:3] - before[:3]))
-        rotation = compute_rotation_angle(before[3:], after[3:])
+        rotation = float(compute_rotation_angles(before[3:], after[3:]))
         return shift > self._config.max_translation or rotation > self._config.max_rotation

@@ -66,19 +66,13 @@ class RobotOnlySimulation:
         self._cache: OrderedDict[tuple[bytes, int], RobotTrajectory] = OrderedDict()
 
     def compute_body_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Compute the world positions (b, 3) (m) and quaternions wxyz (b, 4) of all bodies, valid until the next call.
+        """Compute world positions (b, 3) in m and quaternions wxyz (b, 4) of all bodies at nine joints (rad, m).
 
-        Args:
-            joints: Nine joint positions of the robot (rad, m).
+        The arrays are valid until the next call.
         """
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(self._model.model, self._data)
         return self._data.xpos, self._data.xquat
-
-    def make_resting_trajectory(self, joints: npt.ArrayLike) -> RobotTrajectory:
-        """Return the trajectory, still without steps, of a robot at rest at joint positions (9,) (rad, m)."""
-        position = np.array([joints], dtype=np.float64)
-        return RobotTrajectory(position, np.zeros(position.shape), np.zeros(position.shape), np.zeros((0, 0, 3)))
 
     def simulate(
         self, starts: Sequence[tuple[RobotTrajectory, int]], targets: Sequence[list[float]], steps: int
@@ -150,16 +144,13 @@ class SleepState:
     ) -> None:
         self.objects = [BodyTrajectory(list_object_motors(motors), joints) for joints in start.objects[0]]
         self._scene, self._simulation = scene, robot
-        self._robot = robot.make_resting_trajectory(robot_joints)
+        position, rest = np.array([robot_joints], dtype=np.float64), np.zeros((1, len(robot_joints)))
+        self._robot = RobotTrajectory(position, rest, rest, np.zeros((0, 0, 3)))
         # Row of the robot trajectory's first step, and number of its steps without a body near it.
         self._first, self._free = 0, 0
 
     def advance_rows(self, rows: int) -> None:
-        """Count rows from the start of the next reference motion on, which follows the simulated rows.
-
-        Args:
-            rows: Number of simulated rows of the current reference motion.
-        """
+        """Count rows from the start of the next reference motion on; `rows` of the current one have been simulated."""
         self._first -= rows
 
     @staticmethod
@@ -200,7 +191,7 @@ class SleepState:
                 world._robot, world._first, world._free = robot, row, count
 
     def count_free_steps(self, row: int) -> int:
-        """Return the number of steps from `row` on before a body comes near the robot."""
+        """Return the number of steps from `row` on before a body comes near the robot, from `simulate_robots`."""
         return self._free - (row - self._first)
 
     def write_state(self, row: int, qpos: Array, qvel: Array) -> None:

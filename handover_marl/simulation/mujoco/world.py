@@ -58,7 +58,7 @@ class MujocoWorld(RolloutWorld):
         robot: Simulation of the robot alone.
         hand: Trajectory of the hand, valid once it has tracked the reference; see `track_worlds`.
         hand_kinematics: Kinematics of the hand's bodies in the model.
-        sleep: Sleep state of the world; None once the world is awake.
+        sleep: Sleep state of the world, which `prepare` may end; None once the world is awake.
         reference: Current reference motion.
         row: Last simulated row of the reference motion.
         robot_target: Nine joint targets of the robot (rad, m) for which the controls were computed; None before the
@@ -94,7 +94,7 @@ class MujocoWorld(RolloutWorld):
         return self._data
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
+        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
         model, urdf, simulation = load_scene_model(scene.assets, self._config), scene.assets.hand, self._simulation
         data = simulation.load_scene(model)
         hand_motors, hand_joints = list_hand_motors(self._config.hand), start.hand[0] if start.hand_present[0] else None
@@ -137,11 +137,11 @@ class MujocoWorld(RolloutWorld):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> npt.NDArray[np.int_]:
-        """Simulate n worlds together for some steps, or to their ends; see `World.rollout`."""
+        """Simulate n worlds together for `steps` steps, or to their ends; return the numbers (n,) of steps."""
         simulated, running = np.zeros(len(worlds), dtype=np.int_), np.ones(len(worlds), dtype=bool)
         while rows := np.flatnonzero(running & (simulated < steps)).tolist():
             # Preparing a sleeping world may wake it, which changes its key.
-            for chunk in _split([row for row in rows if worlds[row].is_asleep]):
+            for chunk in _split([row for row in rows if worlds[row].sleep is not None]):
                 cls.prepare([worlds[row] for row in chunk], [robot_targets[row] for row in chunk])
             groups: dict[object, list[int]] = {}
             for row in rows:
@@ -200,7 +200,13 @@ class MujocoWorld(RolloutWorld):
     def simulate(
         cls, worlds: Sequence["MujocoWorld"], robot_targets: Sequence[list[float]], steps: int, rules: ProtocolConfig
     ) -> tuple[RolloutContacts, TruncateFunction]:
-        """Simulate several steps of worlds with the same `rollout_key`, at most the `remaining_steps` of any.
+        """Simulate several steps of n worlds with the same `rollout_key`, at most the `remaining_steps` of any.
+
+        Args:
+            worlds: Worlds with a scene.
+            robot_targets: Nine joint targets of each robot (rad, m).
+            steps: Number of physics steps.
+            rules: Bounds of the grasp region of the fingers.
 
         Returns:
             The contacts in these steps, and a function `truncate(number, steps)` that sets the world with index
@@ -208,7 +214,7 @@ class MujocoWorld(RolloutWorld):
         """
         cls.prepare(worlds, robot_targets)
         first = worlds[0]
-        if first.is_asleep:
+        if first.sleep is not None:
             rollout, contacts = None, RolloutContacts.without_contacts(steps, len(worlds))
         else:
             rollout = first._simulation.simulate(
@@ -234,15 +240,10 @@ class MujocoWorld(RolloutWorld):
     @property
     def rollout_key(self) -> tuple[int, ...]:
         """Key that is equal for worlds that can be simulated together; sleeping and awake ones cannot."""
-        if self.is_asleep:
+        if self.sleep is not None:
             return ()  # Sleeping worlds of all sizes are advanced together.
         model = self.data.scene.model
         return model.nq, model.nu, model.nmocap, model.nsensordata
-
-    @property
-    def is_asleep(self) -> bool:
-        """Whether only the arm is simulated, because no body can touch the robot; `prepare` may end this."""
-        return self.sleep is not None
 
     @property
     def remaining_steps(self) -> int:
@@ -269,14 +270,14 @@ class MujocoWorld(RolloutWorld):
         self._release_pending = True
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last physics step; see `World.read_contacts`."""
-        if self.is_asleep:
+        """Return the contacts of the last step; those of the target object with supports only if it is `released`."""
+        if self.sleep is not None:
             return Contacts()
         data = self.data
         return data.scene.contact_sensors.compute_contacts(data.sensordata, data.qpos, released)
 
     def read_state(self) -> WorldState:
-        """Return the current state of robot, objects and human hand; see `WorldState`."""
+        """Return the current joint positions and poses of robot, objects and hand in the world frame, float32."""
         self._set_state()
         data, scene, hand = self.data, self.data.scene, self._get_hand_joints()
         positions, quaternions = self.robot.compute_body_poses(data.qpos[scene.robot_qpos])
@@ -295,7 +296,7 @@ class MujocoWorld(RolloutWorld):
         )
 
     def read_agent_joints(self) -> AgentJoints:
-        """Return the current joint positions of robot and human hand (rad, m); see `AgentJoints`."""
+        """Return the current joint positions of robot (9,) and human hand (51,), or None, float32 (rad, m)."""
         robot, hand = self.read_joints_float64(), self._get_hand_joints()
         return AgentJoints(robot.astype(np.float32), None if hand is None else hand.astype(np.float32))
 

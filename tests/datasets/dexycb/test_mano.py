@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse import csc_array, csc_matrix
 
 from handover_marl.datasets.dexycb.mano import ManoModel, read_mano_model
-from handover_marl.errors import DataFormatError, DataNotFoundError, UnknownNameError, UnsafeFileError
+from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from tests.datasets.dexycb.raw_files import Content, Record, made_up_hand, official, sparse, write
 
 HAND = made_up_hand()
@@ -71,5 +71,3 @@ def test_other_files(tmp_path: Path) -> None:
         read(tmp_path, official(HAND)[:-1000])
     with pytest.raises(UnsafeFileError, match="may run foreign code"):
         read(tmp_path, b"cos\nsystem\n(S'touch was_run'\ntR.")
-    with pytest.raises(UnknownNameError, match="both"):
-        read_mano_model(tmp_path / "nothing.pkl", "both")

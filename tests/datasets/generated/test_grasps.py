@@ -5,10 +5,9 @@ import pytest
 
 from handover_marl.assets.hand_model import SUBJECT_SIZES, scale_hand
 from handover_marl.datasets.generated.config import OBJECT_KINDS
-from handover_marl.datasets.generated.human_grasps import draw_human_grasps
+from handover_marl.datasets.generated.grasps import draw_human_grasps, draw_robot_grasps
 from handover_marl.datasets.generated.objects import ProceduralObject, draw_object
 from handover_marl.datasets.generated.random_stream import RandomStream
-from handover_marl.datasets.generated.robot_grasps import draw_robot_grasps
 from handover_marl.datasets.generated.shapes import Solid, make_surface
 
 

@@ -68,8 +68,8 @@ class TensorWorlds(Worlds):
     def read_state(self, rows: Any) -> WorldState:
         return WorldState(*map(self._arrays.asarray, self._worlds.read_state(_read(rows, "int64"))))
 
-    def are_grasped(self, rows: Any, rules: ProtocolConfig) -> Any:
-        return self._arrays.asarray(self._worlds.are_grasped(_read(rows, "int64"), rules))
+    def are_grasped(self, rows: Any) -> Any:
+        return self._arrays.asarray(self._worlds.are_grasped(_read(rows, "int64")))
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
         assert type(row) is int

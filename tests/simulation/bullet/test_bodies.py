@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from handover_marl.assets.robot_model import PANDA_URDF
+from handover_marl.assets.shipped import PANDA_URDF
 from handover_marl.config import HandConfig, ObjectConfig, PandaConfig
 from handover_marl.errors import SimulationError
 from handover_marl.geometry.ycb import SCENE_CLASSES

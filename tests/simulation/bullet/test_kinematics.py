@@ -6,7 +6,7 @@ import pytest
 from handover_marl.config import PandaConfig
 from handover_marl.datasets.synthetic import SyntheticDataset
 from handover_marl.episode.episode import Episode
-from handover_marl.geometry.poses import compose, compute_rotation_angle, invert_pose
+from handover_marl.geometry.poses import compose, compute_rotation_angles, invert_pose
 from handover_marl.simulation.bullet.kinematics import BulletIKSolver, BulletIKStep
 
 DATA = SyntheticDataset()
@@ -37,7 +37,7 @@ def test_single_queries_equal_those_in_the_world(orientation: np.ndarray | None)
     panda.reset_joints([*arm, 0.04, 0.04])
     pose = episode.observe()["gripper_pose"]
     assert np.linalg.norm(pose[:3] - POSE[:3]) < 2e-3
-    assert orientation is None or compute_rotation_angle(pose[3:], orientation) < 0.11
+    assert orientation is None or compute_rotation_angles(pose[3:], orientation) < 0.11
     assert solver.solve(START, (3.0, 0.0, 1.0)) is None
     np.testing.assert_array_equal(solver.solve(START, POSE[:3], orientation), arm)
     episode.close()
@@ -49,5 +49,5 @@ def test_poses_transform_to_the_base_and_back() -> None:
     back = kinematics.to_world_frame(inside)
     for found, expected in ((inside, compose(invert_pose(BASE), POSE)), (back, POSE)):
         np.testing.assert_allclose(found[:3], expected[:3], atol=2e-7)
-        assert compute_rotation_angle(found[3:], expected[3:]) < 1e-3
+        assert compute_rotation_angles(found[3:], expected[3:]) < 1e-3
         np.testing.assert_array_equal(found, found.astype(np.float32))

@@ -65,22 +65,14 @@ class WorldData:
         self.step_state_size = int(mujoco.mj_stateSize(scene.model, _STEP_STATE))
 
     def select_model(self, hand_collides: bool) -> "mujoco.MjModel":
-        """Return the variant of the scene model for the coming steps, which depends on `released`, too.
-
-        Args:
-            hand_collides: Whether the hand can collide in these steps.
-        """
+        """Return the variant of the scene's model for the coming steps, by whether the hand can collide in them."""
         key = self.released, hand_collides
         if key not in self._variants:
             self._variants[key] = select_variant(self.scene, *key)
         return self._variants[key]
 
     def release_object(self, gravity: float) -> None:
-        """Release the target object: it falls, and collides with table, ground and other objects.
-
-        Args:
-            gravity: Gravity along world z (m/s^2).
-        """
+        """Release the target object: it falls by `gravity`, along world z (m/s^2), and collides with other bodies."""
         self.released = True
         body = self.scene.objects[0]
         self._forces[body, 2] = gravity * float(self.scene.model.body_mass[body])
@@ -151,11 +143,7 @@ class HandKinematics:
         self._bodies = np.asarray(links) + 2
 
     def compute_poses(self, joints: Array) -> tuple[Array, Array]:
-        """Compute the links' positions (n, k, 3) (m) and quaternions wxyz (n, k, 4) in the base frame.
-
-        Args:
-            joints: Positions (n, d) of the moving joints (m, rad).
-        """
+        """Compute base-frame positions (n, k, 3) in m and quaternions wxyz (n, k, 4) of the links at joints (n, d)."""
         # Hands are often at rest: compute only the poses that differ from the step before.
         differs = np.ones(len(joints), dtype=bool)
         differs[1:] = (joints[1:] != joints[:-1]).any(axis=1)
@@ -194,7 +182,7 @@ class MujocoRollout(NamedTuple):
     Attributes:
         controls: Controls (n, k, c) of all steps.
         sensordata: Sensor data (n, k, s) of all steps.
-        step_states: Part (n, k, p) of the state that a step changes, after each step; see `WorldData`.
+        step_states: Time, positions, velocities and warm start (n, k, p) after each step.
     """
 
     controls: Array
@@ -256,7 +244,7 @@ def _get_layout(model: "mujoco.MjModel") -> tuple[int, ...]:
 
 
 def _accepts(batch: Batch, model: "mujoco.MjModel") -> bool:
-    """Return whether a model has the layout of a batch."""
+    """Return whether a batch can simulate a model, which it then has: its arrays have the same sizes."""
     try:
         batch.set_models(model)
     except (ValueError, mujoco.FatalError):

@@ -38,7 +38,7 @@ _FATAL_OVERFLOWS = {
 
 
 class StepControls(NamedTuple):
-    """Controls of r worlds in a physics step, or of c steps with the steps as second axis.
+    """Controls of r worlds in a physics step, or in c steps, with the steps as second axis.
 
     Attributes:
         targets: Actuator targets (r, u).
@@ -220,13 +220,12 @@ class WarpGroup:
         """Return positions (r, m, 3) in m and quaternions wxyz (r, m, 4) of mocap bodies at the episodes' starts."""
         return self._mocap["mocap_pos"][rows], self._mocap["mocap_quat"][rows]
 
-    def read_rollout_contacts(self, rows: AnyArray, rules: ProtocolConfig) -> RolloutContacts:
-        """Return the contacts (1, r) of the worlds `rows` (r,) in their last physics steps; see `RolloutContacts`."""
-        data, qpos = (self.state[name][rows][None] for name in ("sensordata", "qpos"))
-        return self._sensors.compute_rollout_contacts(data, qpos, rules)
+    def are_grasped(self, rows: AnyArray) -> AnyArray:
+        """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
+        return self._arrays.xp.all(self._sensors.find_touching_fingers(self.state["sensordata"][rows]), axis=-1)
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
         data, qpos = (to_numpy(self.state[name][row]).astype(np.float64) for name in ("sensordata", "qpos"))
         return self.scene.contact_sensors.compute_contacts(data, qpos, released)
 
@@ -237,7 +236,7 @@ class WarpGroup:
         self._views[_FORCES][: len(rollout.places), body, 2] = weights * rollout.released
 
     def _step(self) -> None:
-        """Simulate one step of the first `nworld` rows of the device."""
+        """Simulate one step of the first `nworld` rows of the engine's arrays, by a captured graph on a GPU."""
         model, data = self._model.model, self._data
         if data.nworld in self._graphs:
             warp.capture_launch(self._graphs[data.nworld])

@@ -236,11 +236,9 @@ class WarpModel:
         return number, True
 
     def select_scenes(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set the scenes of the worlds in the first m rows of the model's arrays.
+        """Set the worlds in the first m rows of the model's arrays to the scenes `numbers` (m,).
 
-        Args:
-            numbers: Numbers (m,) of the scenes.
-            released: Whether the target objects are released, (m,).
+        `released` (m,) says whether their target objects are released.
         """
         for name, rows in self._rows.items():
             if name not in _RELEASED_FIELDS:
@@ -248,7 +246,7 @@ class WarpModel:
         self.select_released(numbers, released)
 
     def select_released(self, numbers: AnyArray, released: AnyArray) -> None:
-        """Set whether the target objects of the worlds in the first m rows are released; see `select_scenes`."""
+        """Set whether the target objects in the first m rows, whose scenes are `numbers` (m,), are released, (m,)."""
         for name in _RELEASED_FIELDS:
             rows, own = self._rows[name], (self._scenes[key].rows[numbers] for key in (name + _RELEASED, name))
             rows[: len(numbers)] = get_namespace(rows).where(expand_mask(released, rows), *own)

@@ -26,7 +26,7 @@ from handover_marl.simulation.worlds import Worlds
 
 
 class DeviceHands:
-    """Hands of n worlds without contact; see `reference_tracking.BodyTrajectory` for one body.
+    """Hands of n worlds, which track their references as `BodyTrajectory` does, without contact.
 
     The hands may have different sizes, but have the same joints. The argument `rows` (r,) of methods has the indices of
     r of the worlds; other arrays have one row for each of them.
@@ -49,12 +49,7 @@ class DeviceHands:
         self._keypoint_links: AnyArray = None
 
     def reset(self, row: int, urdf: Path, joints: npt.NDArray[np.float32] | None) -> None:
-        """Set the hand of a world to its start.
-
-        Args:
-            row: Index of the world.
-            urdf: Model of the hand.
-            joints: Joint positions (51,) (m, rad); None without a hand at the start.
+        """Set the hand of world `row` to the model `urdf` at joint positions (51,) (m, rad), None for no hand yet.
 
         Raises:
             OptionError: The hand has other joints than the hands before.
@@ -99,12 +94,9 @@ class DeviceHands:
         self.present[rows] = xp.where(moved, present[places, last], self.present[rows])
 
     def compute_link_poses(self, rows: AnyArray, joints: AnyArray, links: AnyArray) -> tuple[AnyArray, AnyArray]:
-        """Compute world positions (r, k, l, 3) (m) and quaternions xyzw (r, k, l, 4) of l links of the hands.
+        """Compute world positions (r, k, l, 3) in m and quaternions xyzw (r, k, l, 4) of l links of hands `rows` (r,).
 
-        Args:
-            rows: Indices (r,) of the worlds.
-            joints: Joint positions (r, k, 51) (m, rad).
-            links: Numbers (l,) of the links.
+        `joints` (r, k, 51) are their joint positions (m, rad), `links` (l,) the numbers of the links.
         """
         origins, rotations = self._trees.compute_link_frames(self._hands[rows], joints)
         return origins[..., links, :], quaternion_from_matrix(rotations[..., links, :, :])
@@ -139,7 +131,7 @@ class WarpWorlds(Worlds):
         self._n_objects = arrays.zeros(count, "int64")
 
     def reset(self, row: int, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene into world `row`, and set robot, objects and hand to their start positions; see `World.reset`.
+        """Load a scene into world `row`; set hand and objects to the only row of `start`, the robot to nine joints.
 
         Raises:
             OptionError: MuJoCo Warp cannot simulate the scene with the others.
@@ -167,9 +159,9 @@ class WarpWorlds(Worlds):
         judge: JudgeFunction,
         rules: ProtocolConfig,
     ) -> AnyArray:
-        """Simulate r worlds for all steps of a reference motion, or to their ends; see `Worlds.rollout`.
+        """Simulate r worlds for all steps of `reference`, or to their ends; return the numbers (r,) of steps.
 
-        The function `judge` gets single steps; worlds that have ended keep their last state.
+        The function `judge` gets the contacts of single steps; worlds that have ended keep their last state.
         """
         simulated = self._arrays.zeros(len(rows), "int64")
         for group, places in self._split(rows):
@@ -219,16 +211,15 @@ class WarpWorlds(Worlds):
             values[:] = xp.where(expand_mask(present, found), found, 0.0)
         return batch
 
-    def are_grasped(self, rows: AnyArray, rules: ProtocolConfig) -> AnyArray:
+    def are_grasped(self, rows: AnyArray) -> AnyArray:
         """Return a mask (r,) of the worlds `rows` whose fingers both touched the target object in the last step."""
         grasped = self._arrays.zeros(len(rows), "bool")
         for group, places in self._split(rows):
-            contacts = group.read_rollout_contacts(rows[places], rules)
-            grasped[places] = self._arrays.xp.all(contacts.fingers_touch[0], axis=-1)
+            grasped[places] = group.are_grasped(rows[places])
         return grasped
 
     def read_contacts(self, row: int, released: bool) -> Contacts:
-        """Return the contacts of a world in its last physics step; see `World.read_contacts`."""
+        """Return the contacts of world `row` in the last step; those of its target with supports only if `released`."""
         ((group, _),) = self._split(self._arrays.asarray([row]))
         return group.read_contacts(row, released)
 
@@ -255,7 +246,10 @@ class WarpWorlds(Worlds):
     def _make_controls(
         self, group: WarpGroup, rows: AnyArray, reference: ReferenceMotion, hands: AnyArray, steps: slice
     ) -> StepControls:
-        """Return the controls (r, c, ...) of some steps, in which the robots' targets are zeros."""
+        """Return the controls (r, c, ...) of worlds `rows` (r,) of a group in c `steps`, with zeros as robots' targets.
+
+        `reference` is their motion, and `hands` (r, k, 51) are the joints of their hands in all its k steps (m, rad).
+        """
         xp, scene = self._arrays.xp, group.scene
         wanted, present = reference.objects[:, steps], reference.hand_present[:, steps, None, None]
         shape = wanted.shape[:2]

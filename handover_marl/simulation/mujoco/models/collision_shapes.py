@@ -61,9 +61,7 @@ def load_convex_parts(shapes: Sequence[UrdfShape]) -> list[ConvexPart]:
 
 
 def load_link_parts(urdf: Path, tree: KinematicTree) -> dict[int, list[ConvexPart]]:
-    """Load the collision shapes of a URDF model by link number, in ascending order.
-
-    The base is link -1. Links without collision shapes are left out.
+    """Load the collision shapes of each link of a URDF model that has some, by ascending link number; -1 is the base.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
@@ -108,21 +106,14 @@ def _read_stl_vertices(mesh: Path) -> Array:
 
 
 def compute_box_inertia(link: UrdfLink, parts: Sequence[ConvexPart]) -> Array:
-    """Compute a link's moments of inertia (3,) as those of its bounding box, about the box's axes (kg m^2).
-
-    Args:
-        link: Link with its mass and center of mass.
-        parts: All collision shapes of the link.
-    """
+    """Compute the moments of inertia (3,) in kg m^2 of a link, as those of the box around all its collision shapes."""
     lower, upper = _compute_bounds(parts, any(link.center))
     x, y, z = (upper - lower) ** 2
     return np.array([y + z, x + z, x + y]) * link.mass / 12.0
 
 
 def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, BoundingSphere]:
-    """Compute a sphere around the collision shapes of each link by link number; -1 is the base.
-
-    Links without collision shapes are left out.
+    """Compute a sphere around the collision shapes of each link that has some, by link number; -1 is the base.
 
     Raises:
         SimulationError, DataFormatError: The model or one of its meshes cannot be read.
@@ -135,11 +126,9 @@ def compute_bounding_spheres(urdf: Path, tree: KinematicTree) -> dict[int, Bound
 
 
 def _compute_bounds(parts: Sequence[ConvexPart], has_offset: bool) -> tuple[Array, Array]:
-    """Return lower and upper corner, (3,) each, of the bounding box of parts in the link's frame (m).
+    """Return lower and upper corner, (3,) each, of the box around the parts of a link in the link's frame (m).
 
-    Args:
-        parts: Parts of one link.
-        has_offset: Whether the link's center of mass differs from its frame.
+    `has_offset` says whether the link's center of mass differs from its frame.
     """
     lowers, uppers = zip(*(_compute_part_bounds(part, has_offset) for part in parts), strict=True)
     return np.min(lowers, axis=0), np.max(uppers, axis=0)

@@ -102,12 +102,10 @@ class SceneModel:
 
 @functools.lru_cache(maxsize=64)
 def select_variant(scene: SceneModel, released: bool, hand_collides: bool) -> "mujoco.MjModel":
-    """Return a variant of a scene's MuJoCo model.
+    """Return a variant of a scene's MuJoCo model, in which the hand collides, and actuators hold the target object.
 
-    Args:
-        scene: Model in which the hand collides, and actuators hold the target object.
-        released: Whether the target object is free: its actuators are off and it collides with supports.
-        hand_collides: Whether the hand collides. Otherwise steps take a tenth less time.
+    If `released`, the object's actuators are off and it collides with supports. Unless `hand_collides`, the hand does
+    not collide, and steps take a tenth less time.
     """
     if hand_collides and not released:
         return scene.model
@@ -220,7 +218,7 @@ def _load_robot_only(
 
 @functools.lru_cache(maxsize=512)
 def _compute_reach(urdf: Path, mtimes: _Mtimes, link: int) -> float:
-    """Return the largest distance (m) from a link's origin to the shapes that it carries; see `compute_reach`."""
+    """Return the largest distance (m) from a link's origin to the shapes that it carries, at any joint angles."""
     tree = read_tree(urdf)
     return tree.compute_reach(link, compute_bounding_spheres(urdf, tree))
 

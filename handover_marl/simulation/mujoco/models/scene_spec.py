@@ -111,6 +111,8 @@ class SceneModelBuilder:
     to `object0/5` (world xyz, then three rotation components). There is no gravity, since
     the motors compensate it exactly. A released object gets its weight as an external force.
 
+    All methods raise a `SimulationError` or a `DataFormatError` if a model or a mesh cannot be read.
+
     Args:
         config: Poses and motors of robot, table, objects and hand.
         object_friction: Friction coefficient of the target object.
@@ -139,11 +141,8 @@ class SceneModelBuilder:
         """Add ground, table and robot to the model.
 
         Args:
-            table: Model of the table.
-            panda: Model of the robot.
-
-        Raises:
-            SimulationError, DataFormatError: A model or a mesh cannot be read.
+            table: URDF file of the table.
+            panda: URDF file of the robot.
         """
         ground = self.spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
         self._set_contact_parameters(ground, CollisionGroup.GROUND, 0.5, priority=_SUPPORT_PRIORITY)
@@ -162,11 +161,8 @@ class SceneModelBuilder:
         """Add objects, human hand and contact sensors to a model with a workcell.
 
         Args:
-            objects: Models of the objects, the target first.
-            hand: Model of the hand.
-
-        Raises:
-            SimulationError, DataFormatError: A model or a mesh cannot be read.
+            objects: URDF files of the objects, the target first.
+            hand: URDF file of the hand.
         """
         for number, urdf in enumerate(objects):
             self._add_object(number, urdf)
@@ -179,11 +175,7 @@ class SceneModelBuilder:
         add_contact_sensors(self.spec, ROBOT_BASE, names, TABLE, hands)
 
     def add_robot(self, urdf: Path) -> None:
-        """Add the robot to the model.
-
-        Raises:
-            SimulationError, DataFormatError: The model or a mesh cannot be read.
-        """
+        """Add the robot of a URDF file to the model."""
         tree, panda = read_tree(urdf), self._config.panda
         links, parts_by_link = read_urdf_links(urdf, tree), load_link_parts(urdf, tree)
         orientation = wxyz_from_xyzw(panda.base_orientation)
@@ -269,11 +261,7 @@ class SceneModelBuilder:
         return actuator
 
     def add_hand(self, urdf: Path) -> None:
-        """Add the human hand to the model.
-
-        Raises:
-            SimulationError, DataFormatError: The model or a mesh cannot be read.
-        """
+        """Add the human hand of a URDF file to the model."""
         parts_by_link = load_link_parts(urdf, read_tree(urdf))
         for number, parts in enumerate(parts_by_link.values()):
             body = self.spec.worldbody.add_body(name=format_hand_name(number), mocap=True)
@@ -291,7 +279,7 @@ class SceneModelBuilder:
         torsion: float = 0.0,
         priority: int = 0,
     ) -> None:
-        """Add geoms to a body; see `_set_contact_parameters`."""
+        """Add the convex parts of a link to a body as geoms with these contact parameters."""
         for part in parts:
             geom = add_collision_geom(self.spec, body, part)
             if part is _ABSENT_HULL:

@@ -14,7 +14,7 @@ from handover_marl.assets.building.custom_scenes import CustomSceneFolder, MeshC
 from handover_marl.assets.hand_model import make_hand_geometry
 from handover_marl.config import TABLE_HEIGHT
 from handover_marl.datasets import open_dataset
-from handover_marl.datasets.custom import CustomDataset
+from handover_marl.datasets.custom.dataset import CustomDataset
 from handover_marl.errors import DataFormatError, HandoverError, SceneError, UnknownNameError
 from handover_marl.evaluation.verification import verify
 from tests.custom_scenes import make_box, make_recording, write_csv

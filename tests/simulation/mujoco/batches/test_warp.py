@@ -107,7 +107,7 @@ def test_grasps_agree_with_the_c_engine() -> None:
     roll_out(worlds, find_grasp_center(), 3, make_judge(contacts))
     assert to_numpy(contacts[-1].fingers_touch[0]).all(axis=-1).tolist() == [True, True, False]
     assert len(contacts) == STEPS, "one group has different objects"
-    assert worlds.are_grasped(TENSORS.arange(3), RULES).tolist() == [True, True, False]
+    assert worlds.are_grasped(TENSORS.arange(3)).tolist() == [True, True, False]
     assert worlds.read_contacts(0, False).both_fingers_touch
     assert not worlds.read_contacts(2, False).both_fingers_touch
     state = worlds.read_state(TENSORS.arange(3))

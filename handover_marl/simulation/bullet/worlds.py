@@ -1,12 +1,7 @@
-"""PyBullet world that simulates only the bodies that can be in contact.
+"""PyBullet worlds: one with states bit-equal to HandoverSim, and one of the bodies that can be in contact only."""
 
-The Panda, and every object that it could touch or that was released, are simulated as in
-`ExactWorld`. The human hand follows its reference kinematically, by the recurrence of its motors:
-by the collision masks it can touch only the Panda, and such a contact ends the episode, so its
-dynamics have no effect. Models stay loaded between scenes.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +11,17 @@ from handover_marl.config import PhysicsConfig
 from handover_marl.datasets.dataset import Scene
 from handover_marl.errors import ResetNeededError
 from handover_marl.geometry.kinematic_tree import read_tree
-from handover_marl.simulation.bullet.bodies import PandaBody, compute_object_masks, load_workcell
-from handover_marl.simulation.bullet.sleepable_bodies import (
-    KinematicHand,
-    SleepableObject,
-    read_bounding_spheres,
+from handover_marl.simulation.bullet.bodies import (
+    HandBody,
+    ObjectBody,
+    PandaBody,
+    compute_object_masks,
+    load_workcell,
 )
+from handover_marl.simulation.bullet.rendering import render_wrist_camera
+from handover_marl.simulation.bullet.sleepable_bodies import KinematicHand, SleepableObject, read_bounding_spheres
 from handover_marl.simulation.bullet.world import BulletWorld
+from handover_marl.simulation.camera.images import CameraImage, JointSnapshot
 from handover_marl.simulation.motion_bounds import RobotMotionBounds
 from handover_marl.simulation.reference_tracking import ReferenceMotion, track_references
 from handover_marl.simulation.world import Contacts
@@ -32,8 +31,92 @@ _NO_CONTACTS = Contacts()
 _MIN_FREE_STEPS = 5
 
 
+class ExactWorld(BulletWorld):
+    """PyBullet world with the same states as HandoverSim, bit for bit, for equal float32 targets.
+
+    All bodies of a scene are simulated, and all are loaded again at every reset.
+
+    Args:
+        config: Constants of the world.
+        window: Whether to open PyBullet's window.
+    """
+
+    def __init__(self, config: PhysicsConfig, window: bool = False) -> None:
+        super().__init__(config, window)
+        self._objects: list[ObjectBody] = []
+        self._hand: HandBody | None = None
+        self._reference: Iterator[tuple[list[list[float]], list[float] | None]] = iter(())
+
+    def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
+        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
+        with self._start_scene(scene):
+            panda = replace(self._config.panda, start_joints=tuple(robot_joints))
+            self._workcell = load_workcell(self._client, scene.assets, replace(self._config, panda=panda))
+            states, masks = start.objects[0].tolist(), compute_object_masks(scene.info.object_ids)
+            self._objects = [
+                ObjectBody(self._client, urdf, mask, self._config.objects, state)
+                for urdf, mask, state in zip(scene.assets.objects, masks, states, strict=True)
+            ]
+            self._hand = None
+            self._update_hand(start.list_hand_targets()[0])
+
+    def set_reference(self, motion: ReferenceMotion) -> None:
+        """Set the joint targets of hand and objects for the coming physics steps; row k of `motion` is for step k."""
+        self._reference = iter(zip(motion.objects.tolist(), motion.list_hand_targets(), strict=True))
+
+    def step(self, robot_target: list[float]) -> None:
+        """Simulate one physics step towards nine joint targets of the Panda (rad, m)."""
+        object_targets, hand_target = next(self._reference)
+        self._update_hand(hand_target)
+        if self._release_pending:
+            self._objects[0].release()
+            self._release_pending = False
+        self._loaded_workcell.panda.set_motor_targets(robot_target)
+        for body, target in zip(self._objects, object_targets, strict=True):
+            body.set_motor_targets(target)
+        if self._hand is not None and hand_target is not None:
+            self._hand.set_motor_targets(hand_target)
+        self._simulate()
+
+    def read_contacts(self, released: bool) -> Contacts:
+        """Return the contacts of the last step; those of the target object with supports only if it is `released`."""
+        hand = () if self._hand is None else (self._hand.id,)
+        return self._read_contacts(hand, self._objects[0], {body.id for body in self._objects[1:]}, released)
+
+    def read_object_joints(self) -> npt.NDArray[np.float32]:
+        """Return the joint positions (n, 6) of n objects: xyz (m), intrinsic XYZ Euler angles (rad), float32."""
+        return np.stack([body.read_joint_positions() for body in self._objects])
+
+    def render_wrist_camera(self, snapshot: JointSnapshot | None, color: bool) -> CameraImage:
+        """Render an image of the wrist camera for a snapshot, None for the current state; `color` adds colours."""
+        if snapshot is not None:
+            return super().render_wrist_camera(snapshot, color)
+        return render_wrist_camera(self._client, self._loaded_workcell, self._objects, self._hand, color)
+
+    def _update_hand(self, target: list[float] | None) -> None:
+        """Load the human hand at its first target, and remove it when there is no target."""
+        if target is None and self._hand is not None:
+            self._hand.remove()
+            self._hand = None
+        elif target is not None and self._hand is None and self._scene is not None:
+            self._hand = HandBody(self._client, self._scene.assets.hand, target, self._config.hand)
+
+    def _read_object_poses(self) -> npt.NDArray[np.float32]:
+        return np.stack([body.read_pose() for body in self._objects])
+
+    def _read_hand_joints(self) -> npt.NDArray[np.float32] | None:
+        return None if self._hand is None else self._hand.read_joint_positions()
+
+    def _read_hand_keypoints(self) -> npt.NDArray[np.float32] | None:
+        return None if self._hand is None else self._hand.read_keypoints()
+
+
 class FastWorld(BulletWorld):
     """PyBullet world that simulates hand and objects only while the Panda is near them.
+
+    The Panda, and every object that it could touch or that was released, are simulated as in `ExactWorld`. The human
+    hand follows its reference kinematically, by the recurrence of its motors: by the collision masks it can touch only
+    the Panda, and such a contact ends the episode, so its dynamics have no effect. Models stay loaded between scenes.
 
     Args:
         config: Constants of the world.
@@ -53,7 +136,7 @@ class FastWorld(BulletWorld):
         self._free_until, self._free_target = 0, list[float]()
 
     def reset(self, scene: Scene, start: ReferenceMotion, robot_joints: Sequence[float]) -> None:
-        """Load a scene, and set robot, objects and hand to their start positions; see `World.reset`."""
+        """Load a scene; set hand and objects to the only row of `start`, and the robot to nine joints (rad, m)."""
         assets = scene.assets
         files = (assets.table, assets.panda)
         with self._start_scene(scene):
@@ -109,10 +192,7 @@ class FastWorld(BulletWorld):
         self._simulate()
 
     def read_contacts(self, released: bool) -> Contacts:
-        """Return the contacts of the last step.
-
-        Contacts of the target object with table and other objects are read only after its release (`released`).
-        """
+        """Return the contacts of the last step; those of the target object with supports only if it is `released`."""
         target, *others = (item.body for item in self._objects)
         hand, awake = self._loaded_hand.bodies, {other.id for other in others if other is not None}
         if target is None and not hand and not awake:

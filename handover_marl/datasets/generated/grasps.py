@@ -1,9 +1,12 @@
-"""Human grasps of objects: open hands around the object whose fingers are closed on it.
+"""Grasps of objects: by human hands, whose fingers close around the object, and antipodal ones of the Panda's gripper.
 
-Grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored.
+Human grasps of a left hand are computed for a right hand and the mirrored object, and then mirrored. Robot grasps that
+collide are excluded by signed distances. A gripper pose has the convention of HandoverSim's grasp files: the fingers
+close along x, the hand approaches along z.
 """
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -27,6 +30,8 @@ from handover_marl.datasets.generated.hands import (
 )
 from handover_marl.datasets.generated.random_stream import RandomStream
 from handover_marl.datasets.generated.shapes import Solid, normalize
+from handover_marl.geometry.model_files.meshes import find_farthest_points
+from handover_marl.geometry.poses import compute_cross_products
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -269,3 +274,75 @@ def _encode_grasps(templates: HandTemplates, palms: Palms, rows: Ints, closed: C
         overlap=np.maximum(0.0, -gaps.min(axis=1)),
         side=side,
     )
+
+
+def sort_by_farthest_point(grasps: Array) -> Array:
+    """Return grasps (k, 4, 4), of which k may be 0, in an order in which each is farthest from all before it.
+
+    The distance is that of the points between the fingers, plus that of closing and approach directions, of 5 cm each.
+    """
+    if not len(grasps):
+        return grasps
+    tips = grasps[:, :3, 3] + 0.1 * grasps[:, :3, 2]
+    axes = np.einsum("ki,kj->kij", grasps[:, :3, 0], grasps[:, :3, 0]).reshape(-1, 9)
+    features = np.concatenate([tips, 0.05 * grasps[:, :3, 2], 0.05 * axes], axis=1)
+    return np.asarray(grasps[find_farthest_points(features, len(grasps))])
+
+
+# Rows of `_make_gripper_points` that lie between the fingers at the palm.
+_PALM_MIDDLE = slice(60, 63)
+# Largest distance of the finger contacts (m); the Panda opens to 0.08.
+_MAX_OPENING = 0.074
+# Standard deviation of the components by which the closing direction deviates from the surface normal, and largest
+# angle between it and the surface normals (rad).
+_CLOSING_TILT, _MAX_CONE_ANGLE = 0.08, 0.26
+# Distance of the contacts from the gripper's origin along its approach (m). The finger pads end at 0.112, the palm at
+# 0.066.
+_TIP_DEPTHS = (0.084, 0.106)
+# Smallest distance of the open gripper's points to the object (m).
+_OPEN_CLEARANCE = 0.002
+
+
+@cache
+def _make_gripper_points() -> Array:
+    """Return points (n, 3) in m of the open gripper at a grasp, and of its fingers on the approach, in its frame."""
+    fingers = [
+        (side * x, y, z)
+        for side in (-1, 1)
+        for x in (0.0402, 0.052)
+        for y in (-0.0105, 0.0, 0.0105)
+        for z in (0.066, 0.08, 0.096, 0.1126)
+    ]
+    palm = [(x, y, 0.066) for x in np.linspace(-0.1, 0.1, 9) for y in (-0.03, 0.0, 0.03)]
+    palm += [(x, y, 0.03) for x in (-0.1, -0.05, 0.0, 0.05, 0.1) for y in (-0.03, 0.03)]
+    moved = [np.array(fingers) - [0.0, 0.0, standoff] for standoff in (0.025, 0.06, 0.1)]
+    return np.concatenate([fingers, palm, *moved])
+
+
+def draw_robot_grasps(
+    random: RandomStream, solid: Solid, n_points: int = 1500, n_grasps: int = 60, is_varied: bool = True
+) -> Array:
+    """Draw gripper poses (n, 4, 4) in the object's frame (m) that are likely to hold it, not tried in simulation.
+
+    Grasps are tried from `n_points` points of the surface, and up to `n_grasps` are chosen, with `is_varied` far from
+    each other. They are rounded to float32; n can be 0.
+    """
+    first, second, cosines = solid.sample_opposite_points(random, n_points, _MAX_OPENING, _CLOSING_TILT)
+    noise, draws = random.normals(n_points, 3), random.uniforms(n_points, 2)
+    good = np.flatnonzero(cosines > np.cos(_MAX_CONE_ANGLE))
+    # The gripper is symmetric: swap the fingers at random.
+    signs = np.where(draws[good, :1] < 0.5, -1.0, 1.0)
+    closing = signs * normalize(second[good] - first[good])
+    approach = normalize(compute_cross_products(closing, noise[good]))
+    low, high = _TIP_DEPTHS
+    depth = low + (high - low) * draws[good, 1:]
+    grasps = np.tile(np.eye(4), (len(good), 1, 1))
+    grasps[:, :3, 0], grasps[:, :3, 1], grasps[:, :3, 2] = closing, compute_cross_products(approach, closing), approach
+    grasps[:, :3, 3] = 0.5 * (first + second)[good] - depth * approach
+    # The middle of the palm rejects most of the grasps that are not free.
+    for points in (_make_gripper_points()[_PALM_MIDDLE], _make_gripper_points()):
+        placed = points @ grasps[:, :3, :3].swapaxes(1, 2) + grasps[:, None, :3, 3]
+        grasps = grasps[(solid.compute_distances(placed) > _OPEN_CLEARANCE).all(axis=1)]
+    if is_varied:
+        grasps = sort_by_farthest_point(grasps)
+    return grasps[:n_grasps].astype(np.float32).astype(np.float64)
