@@ -26,8 +26,6 @@ from handover_marl.geometry.model_files.urdf_xml import MAX_URDF_BYTES
 from handover_marl.geometry.panda import GRIPPER_FROM_HAND, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.receivers.reactive.grasps import (
-    MIN_DISTANCE,
-    ROTATION_WEIGHT,
     GraspPreparationConfig,
     ValidatedGrasps,
     advance_grasp,
@@ -45,6 +43,8 @@ Array = npt.NDArray[np.float64]
 # Increased whenever the same files lead to other grasps.
 _VERSION = 3
 _DESCRIPTION = "record of validated grasps"
+# Minimum distance of a tilted copy from another grasp (m), with the weight of rotations (m/rad).
+_MIN_DISTANCE, _ROTATION_WEIGHT = 0.035, 0.1
 # Distance beyond an advance in which the open gripper must not collide with the object (m).
 _MIN_ADVANCE_CLEARANCE = 0.004
 _HAND_FROM_GRIPPER = invert_pose(np.array(GRIPPER_FROM_HAND))
@@ -116,8 +116,8 @@ def _make_preparation_key(config: GraspPreparationConfig) -> str:
     """Return the text of a configuration in the hash that identifies a record; shipped records depend on its form."""
     conditions = config.validation
     return (
-        f"GraspTrials(tilts={config.tilts}, pads={PAD_DISTANCE}, apart={MIN_DISTANCE}, "
-        f"arm={ROTATION_WEIGHT}, most={config.max_copies}, aside={config.lateral_offsets}, "
+        f"GraspTrials(tilts={config.tilts}, pads={PAD_DISTANCE}, apart={_MIN_DISTANCE}, "
+        f"arm={_ROTATION_WEIGHT}, most={config.max_copies}, aside={config.lateral_offsets}, "
         f"deeper={config.advances}, spare={_MIN_ADVANCE_CLEARANCE}, "
         f"held_time={config.held_time}, free_time={config.free_time}, slip={config.max_slip}, "
         f"around={config.release_offsets}, trial=TrialConfig(close_time={conditions.close_time}, "
@@ -137,7 +137,7 @@ def _simulate_grasps(
     for number, pose in enumerate(tilt_grasps(known, config)):
         if len(poses) == len(known) + config.max_copies:
             break
-        is_known = (compute_grasp_distances(pose, poses) < MIN_DISTANCE).any()
+        is_known = (compute_grasp_distances(pose, poses, _ROTATION_WEIGHT) < _MIN_DISTANCE).any()
         if is_known or not validator.is_collision_free(_gripper_matrix(pose)):
             continue
         n_stable = _count_stable(validator, pose, config)

@@ -26,8 +26,6 @@ from handover_marl.simulation.grasp_validation import GraspValidationConfig
 
 Array = npt.NDArray[np.float64]
 
-#: Minimum distance of a tilted copy from another grasp (m), with the weight of rotations (m/rad).
-MIN_DISTANCE, ROTATION_WEIGHT = 0.035, 0.1
 # Offsets of additional copies: rotations about the line between the pads (rad), translations across it and back (m).
 _TILTS, _LATERAL_OFFSETS, _BACKWARD_OFFSETS = (
     (0.0, -0.35, 0.35, -0.7, 0.7),
@@ -122,14 +120,16 @@ def tilt_grasps(known: Array, config: GraspPreparationConfig) -> Array:
     return np.concatenate([np.zeros((0, 7)), *(compose(known, offset) for offset in offsets)])
 
 
-def compute_grasp_distances(pose: Array, poses: Array) -> Array:
-    """Return the distances (n,) of grasp poses (n, 7) to one grasp pose (7,).
+def compute_grasp_distances(pose: Array, poses: Array, rotation_weight: float, depth: float = 0.0) -> Array:
+    """Return the distances (n,) in m of grasp poses (n, 7) to one grasp pose (7,) in the same frame.
 
-    A distance is the translation (m) plus `ROTATION_WEIGHT` times the rotation angle (rad).
+    A distance is that of the points at `depth` (m) on the hand link's z axis, such as `PAD_DISTANCE` for the middle
+    between the pads, plus `rotation_weight` (m/rad) times the rotation angle.
     """
-    translations = np.linalg.norm(poses[:, :3] - pose[:3], axis=1)
+    point = np.array([0.0, 0.0, depth, 0.0, 0.0, 0.0, 1.0])
+    translations = np.linalg.norm(compose(poses, point)[:, :3] - compose(pose, point)[:3], axis=1)
     cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-    return np.asarray(translations + 2.0 * ROTATION_WEIGHT * np.arccos(cosines))
+    return np.asarray(translations + 2.0 * rotation_weight * np.arccos(cosines))
 
 
 def perturb_grasps(grasps: ValidatedGrasps, points: Array, hand: Spheres, sweep: float) -> ValidatedGrasps:

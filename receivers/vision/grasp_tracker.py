@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.panda import HALF_TURN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, transform_points
 from handover_marl.planning.clearance import Spheres
-from handover_marl.receivers.reactive.grasps import make_offset_pose
+from handover_marl.receivers.reactive.grasps import compute_grasp_distances, make_offset_pose
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
 
 Array = npt.NDArray[np.float64]
@@ -344,13 +344,13 @@ class GraspTracker:
             all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
-            is_same = self._compute_distances(pose, candidates) < _SAME_DISTANCE
-            all_costs[is_same] += _FAILED_COST
+            distances = compute_grasp_distances(pose, candidates, _ROTATION_WEIGHT, PAD_DISTANCE)
+            all_costs[distances < _SAME_DISTANCE] += _FAILED_COST
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
         """Return the selected grasp (7,), moved by a gain (0 to 1) towards the mean of predicted grasps close to it."""
-        distances = self._compute_distances(selected, grasps)
+        distances = compute_grasp_distances(selected, grasps, _ROTATION_WEIGHT, PAD_DISTANCE)
         same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):
             self._selected_cost += _UNSEEN_COST
@@ -364,14 +364,6 @@ class GraspTracker:
         corrected[3:] /= np.linalg.norm(corrected[3:])
         self._selected_cost = (1.0 - gain) * self._selected_cost + gain * float(weights @ costs[same])
         return corrected
-
-    def _compute_distances(self, pose: Array, poses: Array) -> Array:
-        """Return the distances (n,) of grasps (n, 7) to one (7,): m between the pads plus weighted rotation angle."""
-        pads = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
-        offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
-        cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-        weight = 2.0 * _ROTATION_WEIGHT
-        return np.asarray(np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines))
 
 
 def shift_to_avoid_collisions(grasps: Array, points: Array) -> tuple[Array, Array]:

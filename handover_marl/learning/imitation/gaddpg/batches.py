@@ -15,7 +15,7 @@ from torch import Tensor
 
 from handover_marl.geometry.poses import IDENTITY, compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates
-from handover_marl.learning.imitation.gaddpg.expert import EXPERT_APPROACH
+from handover_marl.learning.imitation.gaddpg.expert import EXPERT_SPARE_STEPS
 from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.learning.networks.point_encoders import GADDPG_GROUPINGS, sample_farthest_points
 
@@ -89,7 +89,7 @@ class ImitationBatches:
         offsets = points - torch.from_numpy(hands[:, None, :3].astype(np.float32))
         goals = compose(invert_pose(hands), goals.astype(np.float64))
         present = np.tile(IDENTITY, (len(numbers), 1))
-        steps = compute_approach_steps(present, goals, remaining.astype(np.float64), EXPERT_APPROACH)
+        steps = compute_approach_steps(present, goals, remaining.astype(np.float64), EXPERT_SPARE_STEPS)
         labels = (torch.from_numpy(array.astype(np.float32)) for array in (remaining, steps, goals))
         return ImitationBatch(offsets @ rotations, *groups, *labels)
 

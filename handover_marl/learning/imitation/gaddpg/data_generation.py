@@ -11,7 +11,7 @@ label. Results do not depend on the number of processes.
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +26,7 @@ from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import OPEN, PANDA_CAMERA
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
-from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
+from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, KinematicArm
 from handover_marl.learning.imitation.gaddpg.scenarios import (
     ImitationScenario,
     ImitationScenarios,
@@ -114,14 +114,12 @@ class DataGeneratorConfig:
         dataset: Dataset: dexycb, synthetic, or auto.
         data_dir: Folder in HandoverSim's layout.
         seed: Seed of all random numbers.
-        expert: Configuration of the expert's selection of grasps.
     """
 
     scenes: tuple[int, ...]
     dataset: str = "auto"
     data_dir: str | None = None
     seed: int = 0
-    expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
 
 
 class RolloutTask(NamedTuple):
@@ -155,7 +153,7 @@ class DataGenerator:
         context = make_policy_context(self._data)
         self._arm = KinematicArm(context)
         self._scenarios = ImitationScenarios(self._data, config.scenes, self._arm.arm, context.panda, config.seed)
-        self._expert = GraspExpert(context, self._arm, config.expert)
+        self._expert = GraspExpert(context, self._arm)
         self._scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
         self._load_assets = functools.cache(self._read_assets)
 
