@@ -22,13 +22,9 @@ class PairArgs(RlArgs):
 
     Attributes:
         out: Folder of `giver.npz` and `receiver.npz`.
-        minibatch_size: Number of decisions per gradient step.
-        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
     """
 
     out: str = "runs/pair"
-    minibatch_size: int = 128
-    clip_range: float = 0.2
     val_scenes: int = 18
 
 

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.poses import IDENTITY
+from handover_marl.geometry.poses import IDENTITY, normalize_quaternions
 from handover_marl.learning.networks.approach_field import MAX_ROTATION, MAX_TRANSLATION, compute_approach_steps
 from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 from handover_marl.learning.networks.weights import (
@@ -104,7 +104,7 @@ class GaddpgNetwork(SavedNetwork):
     def __init__(self, spare_steps: int | None = None, max_steps: int | None = None) -> None:
         super().__init__()
         self.spare_steps, self.max_steps = spare_steps, max_steps
-        self.features = PointNetPlusPlus(4)
+        self.features = PointNetPlusPlus()
         self.policy = PolicyHead()
 
     def forward(self, cloud: Tensor, remaining: Tensor) -> ActorOutput:
@@ -153,9 +153,10 @@ class GaddpgNetwork(SavedNetwork):
         if self.spare_steps is None:
             action: npt.NDArray[np.float32] = output.action.cpu().numpy()
             return action
-        goals = _poses_from_goals(output.goal.cpu().numpy().astype(np.float64))
+        goals = output.goal.cpu().numpy().astype(np.float64)
+        poses = np.concatenate([goals[:, 4:], normalize_quaternions(goals[:, [1, 2, 3, 0]])], axis=1)
         present = np.tile(IDENTITY, (len(goals), 1))
-        return compute_approach_steps(present, goals, remaining, self.spare_steps).astype(np.float32)
+        return compute_approach_steps(present, poses, remaining, self.spare_steps).astype(np.float32)
 
     def get_settings(self) -> dict[str, Any]:
         """Return the constructor's arguments in JSON types, with the keys of the shipped file."""
@@ -167,13 +168,6 @@ class GaddpgNetwork(SavedNetwork):
         """Create an untrained network from settings that `get_settings` returned."""
         approach = settings["approach"]
         return cls(None if approach is None else approach["spare"], settings["max_steps"])
-
-
-def _poses_from_goals(goals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return poses (B, 7), xyz and quaternion xyzw, of goals (B, 7), quaternion wxyz and xyz."""
-    quaternions = goals[:, [1, 2, 3, 0]]
-    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.concatenate([goals[:, 4:], unit], axis=1)
 
 
 _ACTOR, _FEATURES = "_actor_", "_state_feat_"

@@ -15,26 +15,21 @@ from torch import Tensor, nn
 from handover_marl.geometry.rotations import matrices_from_quaternions
 from handover_marl.learning.imitation.gaddpg.batches import ImitationBatch, ImitationBatches
 from handover_marl.learning.imitation.learner import ImitationLearner
-from handover_marl.learning.networks.gaddpg_network import ActorOutput, GaddpgNetwork
+from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
+from handover_marl.receivers.gaddpg import GRIPPER_POINTS
 
 
-def evaluate_network(network: GaddpgNetwork, batch: ImitationBatch) -> ActorOutput:
-    """Return the outputs of GA-DDPG's network for a batch of states.
+def encode_batch(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
+    """Encode the B point clouds of a batch, with its groups of points, as vectors (B, 512).
 
-    The network's present mode, training or evaluation, determines the statistics of batch normalization.
+    The encoder's present mode, training or evaluation, determines the statistics of batch normalization.
     """
-    output: ActorOutput = network.policy(_encode(network.features, batch), batch.remaining)
-    return output
-
-
-def _encode(encoder: PointNetPlusPlus, batch: ImitationBatch) -> Tensor:
-    """Encode the B point clouds of a batch, with its groups of points, as vectors (B, 512)."""
     first, second, last = encoder.stages
     centers = batch.points.gather(1, batch.centers[..., None].expand(-1, -1, 3))
     cloud, center, point = batch.neighbors.nonzero(as_tuple=True)
     points = batch.points[cloud, point]
-    channels = points.new_zeros((len(points), encoder.n_channels - 3))
+    channels = points.new_zeros((len(points), 1))
     rows = torch.cat([points - centers[cloud, center], points, channels], dim=1)
     groups = _max_pool_rows(_apply_layers(first, rows), batch.neighbors.sum(dim=-1)[batch.is_center])
     features = groups.new_zeros((*batch.centers.shape, groups.shape[1]))
@@ -62,17 +57,7 @@ def _max_pool_rows(rows: Tensor, counts: Tensor) -> Tensor:
     return torch.segment_reduce(rows.float(), "max", lengths=counts, unsafe=True)
 
 
-# The wrist twice, and two points on each finger, in the hand link's frame (m).
-_GRIPPER_POINTS = torch.tensor(
-    [
-        [0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0],
-        [0.0, 0.053, 0.075],
-        [0.0, -0.053, 0.075],
-        [0.0, 0.053, 0.105],
-        [0.0, -0.053, 0.105],
-    ]
-)
+_GRIPPER_POINTS = torch.tensor(GRIPPER_POINTS.T, dtype=torch.float32)
 # The loss of actions uses points rotated by pi/2 against the Panda's fingers, as the original does.
 _QUARTER_TURNED_POINTS = _GRIPPER_POINTS[:, [1, 0, 2]]
 # A grasp rotated by pi about the hand's z axis is equivalent.
@@ -80,10 +65,9 @@ _HALF_TURNED_POINTS = _GRIPPER_POINTS * torch.tensor([-1.0, -1.0, 1.0])
 
 
 def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
-    """Return GA-DDPG's loss (B,) of predicted motions of the Panda's hand link: mean distances of points (m).
+    """Return GA-DDPG's losses (B,) in m of predicted motions of the Panda's hand link.
 
-    Six points of the gripper are moved by the predicted and by the target motion; the loss is the
-    mean L1 distance between both positions of a point.
+    A loss is the mean L1 distance between six gripper points after the predicted and after the target motion.
 
     Args:
         steps: (B, 6) predicted motions in the hand link's frame: translation (m) and extrinsic xyz Euler angles (rad).
@@ -97,10 +81,10 @@ def compute_action_losses(steps: Tensor, targets: Tensor) -> Tensor:
 
 
 def compute_goal_losses(goals: Tensor, targets: Tensor) -> Tensor:
-    """Return GA-DDPG's loss (B,) of predicted grasps: mean distances of gripper points (m).
+    """Return GA-DDPG's losses (B,) in m of predicted grasps.
 
-    The loss is the mean L1 distance between the positions of six points of the gripper at the predicted and at the
-    target grasp. A rotation of the target by pi about the hand's z axis does not change the loss.
+    A loss is the mean L1 distance between six gripper points at the predicted and at the target grasp. A rotation of
+    the target by pi about the hand link's z axis does not change it.
 
     Args:
         goals: (B, 7) predicted poses of the hand link: quaternion wxyz, then xyz (m).
@@ -165,7 +149,7 @@ class GaddpgLearner(ImitationLearner[GaddpgNetwork, ImitationBatch]):
         """Return the loss of a batch to minimize, and its mean losses "action" (motions) and "goal" (grasps) in m."""
         moved = batch.to(self._device)
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.use_bfloat16):
-            output = evaluate_network(network, moved)
+            output = network.policy(encode_batch(network.features, moved), moved.remaining)
         action = compute_action_losses(output.action.float(), moved.steps).mean()
         goals = compute_goal_losses(output.goal.float(), moved.goals)
         # Distant goals are predicted again from nearer by.
