@@ -19,7 +19,6 @@ import torch
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches
 from handover_marl.learning.imitation.gaddpg.data_generation import (
     CHUNK_SIZE,
     DataGeneratorConfig,
@@ -30,7 +29,7 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     list_shared_scenes,
     make_plans,
 )
-from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner
+from handover_marl.learning.imitation.gaddpg.training import GaddpgLearner, ImitationBatches
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.training.scene_arguments import run_script

@@ -16,8 +16,13 @@ from handover_marl.planning.clearance import Spheres, compute_flange_clearances,
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
-from handover_marl.receivers.reactive.grasp_validation import has_validation_record, validate_grasps
-from handover_marl.receivers.reactive.grasps import QUICK_PREPARATION, ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasps import (
+    QUICK_PREPARATION,
+    ValidatedGrasps,
+    has_validation_record,
+    perturb_grasps,
+    validate_grasps,
+)
 
 Array = npt.NDArray[np.float64]
 

@@ -208,11 +208,6 @@ class GraspTracker:
         self._keyframe: Keyframe | None = None
 
     @property
-    def is_initialized(self) -> bool:
-        """Whether the object's position is known."""
-        return self.position.is_known
-
-    @property
     def object_pose(self) -> Array:
         """(7,) world pose of the object's center, with the identity rotation."""
         return np.array([*self.position.position, 0.0, 0.0, 0.0, 1.0])
@@ -283,11 +278,11 @@ class GraspTracker:
     def _is_near(self, gripper_pose: Array) -> bool:
         """Return whether the object is near the hand link at a pose (7,)."""
         distance = float(np.linalg.norm(self.object_pose[:3] - gripper_pose[:3]))
-        return self.is_initialized and distance < _NEAR_DISTANCE
+        return self.position.is_known and distance < _NEAR_DISTANCE
 
     def _select_gains(self, gripper_pose: Array) -> FilterGains:
         """Return the filter gains for a view from the hand link at a pose (7,)."""
-        if self.is_initialized and self.selected is not None:
+        if self.position.is_known and self.selected is not None:
             grasp = self.object_pose[:3] + self.selected[:3]
             if float(np.linalg.norm(grasp - gripper_pose[:3])) < _FINAL_DISTANCE:
                 return _FINAL_GAINS
@@ -323,7 +318,7 @@ class GraspTracker:
 
     def _update_maps(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Add points (n, 3) in the hand link's frame (m) to the maps of object and person's hand."""
-        if not self.is_initialized:
+        if not self.position.is_known:
             return
         center = self.object_pose[:3]
         forget = not self._is_near(gripper_pose)

@@ -197,7 +197,7 @@ class GraspExpert:
         return step
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return for world poses (n, 7) whether the arm reaches them and their standoffs in similar postures, (n,)."""
+        """Return whether the arm reaches n goals and their standoffs from joints (7,) in similar postures, (n,)."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self._arm.arm.solve(goals, before, 15)
@@ -205,12 +205,12 @@ class GraspExpert:
         return standoff_found & goal_found & similar
 
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
-        """Return the cost (m) of a simulated approach to a goal (7,): its decisions, and its final distance."""
+        """Return the cost (m) of the decisions and the final distance of a simulated approach from joints to a goal."""
         path = self._simulate_approach(joints, goal)
         return _DECISION_COST * len(path) + _MISS_COST * max(0.0, self._compute_miss(path[-1], goal) - _TOLERANCE)
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
-        """Return the arm joints (7,) in rad before and after each decision of an approach to a world pose (7,)."""
+        """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after decisions."""
         path = [joints]
         for remaining in range(_MAX_DECISIONS, 0, -1):
             if self._compute_miss(path[-1], goal) < _TOLERANCE:

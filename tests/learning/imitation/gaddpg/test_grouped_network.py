@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches  # noqa: E402
 from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates, stack_states  # noqa: E402
-from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.training import (  # noqa: E402
     GaddpgLearner,
+    ImitationBatches,
     compute_action_losses,
     compute_goal_losses,
     encode_batch,
