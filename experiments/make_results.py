@@ -257,7 +257,7 @@ def format_row(one: Evaluation) -> list[str]:
 
 
 def format_published_row(row: PublishedResult, setup: str, episodes: int) -> list[str]:
-    """Return the cells of the table row of a published result of a setup, in the order of `HEADER`."""
+    """Return the cells of the table row of a published result of `episodes` scenes, in the order of `HEADER`."""
     rates = [f"{value:.2f}" for value in (row.success, row.contact, row.drop, row.timeout)]
     times = [f"{value:.3f}" for value in (row.time_exec, row.time_plan, row.time_total)]
     start = [f"published: {row.method}", setup, f"{row.wait_s:g}", str(episodes)]

@@ -21,5 +21,9 @@ def list_available() -> tuple[str, ...]:
 
 
 def make(policy: PolicyLike, dataset: Dataset | None = None, trust: bool = False, setup: str | None = None) -> Policy:
-    """Create a receiver for the robot and objects of a dataset; arguments and errors as `handover_marl.givers.make`."""
+    """Create a receiver, named as text such as "vision:wait=1" or given as a class, for a dataset's robot and objects.
+
+    The default dataset is that of `open_dataset()`. `trust` allows code in a policy file, and `setup` selects the
+    shipped weights. Errors are those of `handover_marl.givers.make`.
+    """
     return parse_policy("receiver", policy, trust).make(dataset, setup=setup)

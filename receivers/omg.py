@@ -31,7 +31,6 @@ from handover_marl.receivers.phases import CLOSE_MS, RETREAT_STEP, PhasedReceive
 
 Array = npt.NDArray[np.float64]
 
-_REQUIRED_MODULES = ("igl", "trimesh")
 # Resolution of the poses that the planner is given (m, and components of a quaternion), far below
 # the accuracy of a camera.
 _POSE_RESOLUTION = 1e-5
@@ -81,7 +80,7 @@ class OmgReceiver(PhasedReceiver):
         config: PlannerConfig | None = None,
     ) -> None:
         super().__init__(context, wait)
-        require_modules(f"receiver {self.name!r}", "planning", *_REQUIRED_MODULES)
+        require_modules(f"receiver {self.name!r}", "planning", "igl", "trimesh")
         self.config = config or self.default_config
         self.world_from_base = np.array([*context.panda.base_position, *context.panda.base_orientation])
         self._planner: Planner | None = None

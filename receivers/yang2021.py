@@ -142,7 +142,7 @@ class Yang2021Receiver(Receiver):
         self._goals = np.zeros((count, ARM_DOF))
 
     def prepare(self, object_names: Sequence[str]) -> None:
-        """Read the grasps of the object that is handed over."""
+        """Read the grasps of the first object, which is handed over."""
         load_gripper_poses(self.context.grasps, object_names[0])
 
     def _load_grippers(self, object_class: int) -> tuple[Array] | None:
@@ -224,7 +224,10 @@ class Yang2021Receiver(Receiver):
         return np.where(waits[:, None], panda.WAITING_JOINTS, actions).astype(np.float32)
 
     def _find_places(self, rows: Indices, approaches: Flags, hands: npt.NDArray[np.float32]) -> tuple[Flags, Flags]:
-        """Return (r,) whether hand links at poses (r, 7) are between standoff and grasp, and whether at the grasp."""
+        """Return whether hand links at poses (r, 7) are on the way from standoff to grasp, and at the grasp, (r,) each.
+
+        Both are False where `approaches` (r,) is False.
+        """
         config = self.config
         in_region, at_grasp = np.zeros((2, len(rows)), dtype=bool)
         some = np.flatnonzero(approaches & ~np.isnan(self.selected[rows, 0, 0]))

@@ -46,8 +46,11 @@ from handover_marl.execution.pool import map_with_progress
 from handover_marl.geometry.panda import ROBOTS
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive.grasp_validation import get_validation_record, get_validation_record_path
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig
+from handover_marl.receivers.reactive.grasps import (
+    GraspPreparationConfig,
+    get_validation_record,
+    get_validation_record_path,
+)
 from handover_marl.simulation.engines import make_grasp_validator
 
 Array = npt.NDArray[np.float64]

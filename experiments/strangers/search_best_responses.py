@@ -33,7 +33,6 @@ SEARCH_SPACE = {
     "approach_max_object_speed": (0.1, 0.8),
     "retreat_speed": (0.6, 2.4),
 }
-_DIGITS = 3
 _NOT_IN_NAME = re.compile(r"[^\w.-]+")  # characters that folder names do not contain
 
 
@@ -68,7 +67,7 @@ class Args(EvaluationArgs):
 def draw_policy(rng: np.random.Generator) -> str:
     """Return the receiver `reactive` with random settings as text, their logarithms uniform within `SEARCH_SPACE`."""
     drawn = {key: float(np.exp(rng.uniform(*np.log(limits)))) for key, limits in SEARCH_SPACE.items()}
-    return "reactive:" + ",".join(f"{key}={value:.{_DIGITS}g}" for key, value in drawn.items())
+    return "reactive:" + ",".join(f"{key}={value:.3g}" for key, value in drawn.items())
 
 
 def search(args: Args, giver: str, folder: Path, seed: tuple[int, ...]) -> handover_marl.Report:

@@ -11,7 +11,7 @@ expert labels the states (DAgger). Only the evaluation on the validation split s
 logs, the expert's plans, the states, and a checkpoint, from which `--resume` continues.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ import torch
 
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import PANDA_CAMERA
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches
 from handover_marl.learning.imitation.gaddpg.data_generation import (
     CHUNK_SIZE,
     DataGeneratorConfig,
@@ -30,10 +29,8 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     list_shared_scenes,
     make_plans,
 )
-from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
-from handover_marl.learning.imitation.gaddpg.learner import GaddpgLearner
+from handover_marl.learning.imitation.gaddpg.training import GaddpgLearner, ImitationBatches
 from handover_marl.learning.imitation.run import ImitationArgs, ImitationRun
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork
 from handover_marl.learning.training.scene_arguments import run_script
 
@@ -56,9 +53,8 @@ class Args(ImitationArgs):
         episodes: Number of rollouts of each scenario in the first round; one in later rounds.
         repeated_share: Share of the scenarios that have a rollout in each round after the first.
         waits: Initial waiting times (s) of the receiver in evaluations; their mean success rate selects the network.
-        expert: Configuration of the expert's choice of goal grasps.
-        approach: Configuration of the network's approach to a grasp; slower than the expert's,
-            since the giver may still move.
+        spare_steps: Number of decisions that should be left when the hand reaches a grasp. The expert's 20 are the
+            fastest approach; fewer make it slower, since the giver may still move.
         max_steps: Largest number of actions in the network's approach to a grasp.
     """
 
@@ -71,8 +67,7 @@ class Args(ImitationArgs):
     repeated_share: float = 0.5
     updates: int = 15_000
     waits: tuple[float, ...] = (3.0,)
-    expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
-    approach: ApproachFieldConfig = field(default_factory=lambda: ApproachFieldConfig(spare_steps=5))
+    spare_steps: int = 5
     max_steps: int = 30
 
     def __post_init__(self) -> None:
@@ -105,10 +100,10 @@ def main(args: Args) -> Path:
     data = args.open_dataset(PANDA_CAMERA)
     scenes = list_shared_scenes(data, args.setups)
     torch.manual_seed(args.seed)
-    network = GaddpgNetwork(args.approach, args.max_steps)
+    network = GaddpgNetwork(args.spare_steps, args.max_steps)
     learner = GaddpgLearner(network, args.updates, args.torch_device)
     run = ImitationRun(args, "gaddpg", args.val_setup, PANDA_CAMERA, learner)
-    generator = DataGeneratorConfig(scenes, data.name, args.data_dir, args.seed, args.expert)
+    generator = DataGeneratorConfig(scenes, data.name, args.data_dir, args.seed)
     plans = make_plans(run.folder / "plans", generator, args.scenarios, args.workers)
 
     def load_states(tasks: list[RolloutTask], name: str, weights: Path | None = None) -> ImitationStates:

@@ -20,47 +20,35 @@ from torch import nn
 from torch.distributions import Normal
 
 import handover_marl
+from handover_marl.datasets.splits import select_scenes_evenly
 from handover_marl.learning.adapters.modules import dense_network_from_module
 from handover_marl.learning.policy_files import check_policy_path, write_policy
 from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.run_folder import make_mlp, spawn_seeds, summarize_evaluation
-from handover_marl.learning.training.scene_arguments import SetupArgs, run_script
+from handover_marl.learning.training.scene_arguments import RlArgs, run_script
 from handover_marl.simulation.engines import CPU, THREADS, WARP, BatchBackend, check_backend
 
-ACTIONS, CONTROL_PERIOD, MAX_CYCLES = "grasp_servo", 0.2, 40
+ACTIONS = "grasp_servo"
 
 
 @dataclass(frozen=True)
-class Args(SetupArgs):
+class Args(RlArgs):
     """Arguments of the training of a receiver by PPO.
 
     Attributes:
         out: Policy file to write.
-        seed: Seed of all random numbers.
         giver: Frozen giver, with options.
         features: Features of the receiver: close, or close_stack for those of the last four decisions.
-        decisions: Largest number of decisions of the receiver in all environments together.
         minutes: Largest wall-clock time of the training (min), without the evaluation.
-        num_envs: Number of environments.
         workers: Number of processes that simulate the environments; not used with the backend "warp".
         backend: Backend of the environments: "threads" for MuJoCo on the processor, or "warp" for MuJoCo Warp.
         device: Device of environments and networks with the backend "warp": cuda, or cpu for tests.
-        rollout: Number of decisions in each environment between updates.
-        epochs: Number of passes over the collected decisions in each update.
-        minibatch_size: Number of decisions per gradient step.
-        learning_rate: Learning rate of Adam.
-        discount: Discount factor.
-        gae_lambda: Lambda of generalized advantage estimation.
-        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
-        width: Width of the two hidden layers of each network.
-        initial_std: Initial standard deviation of the outputs that correct the approach.
         gripper_initial_std: Initial standard deviation of the output that closes the gripper.
-        val_scenes: Largest number of scenes of the validation split in the final evaluation; 0 skips it.
+        val_scenes: Number of validation scenes of the final evaluation, evenly chosen; 0 skips it.
         val_physics: Physics of the final evaluation: fast, exact or mujoco.
     """
 
     out: Path = Path("runs/ppo.npz")
-    seed: int = 0
     giver: str = "cooperative"
     features: str = "close"
     decisions: int = 12_288
@@ -69,17 +57,12 @@ class Args(SetupArgs):
     workers: int = 2
     backend: str = THREADS
     device: str = CPU
-    rollout: int = 16
-    epochs: int = 8
+    batch_size: int = 1_024
     minibatch_size: int = 256
-    learning_rate: float = 1e-3
     discount: float = 0.9
-    gae_lambda: float = 0.95
-    clip_range: float = 0.2
     width: int = 64
     initial_std: float = 0.15
     gripper_initial_std: float = 0.45
-    val_scenes: int = 36
     val_physics: str = "fast"
 
 
@@ -136,8 +119,9 @@ class Collector:
             split="train",
             dataset=args.dataset,
             data_dir=args.data_dir,
-            control_period=CONTROL_PERIOD,
-            max_cycles=MAX_CYCLES,
+            physics=args.physics,
+            control_period=args.control_period,
+            max_cycles=args.max_cycles,
             **where,
         )
         noise_seed, *seeds = spawn_seeds(1 + count, args.seed, number)
@@ -146,9 +130,9 @@ class Collector:
 
     @torch.no_grad()
     def collect(self, model: ActorCritic) -> Rollout:
-        """Take `args.rollout` steps with the policy; return the decisions, and the outcomes of episodes that ended."""
+        """Take steps with the policy for one update; return the decisions, and the outcomes of episodes that ended."""
         self.outcomes = []
-        steps = [self._step(model) for _ in range(self.args.rollout)]
+        steps = [self._step(model) for _ in range(self.args.batch_size // self.args.num_envs)]
         features, actions, log_probs, values, rewards, continues = map(torch.stack, zip(*steps, strict=True))
         advantages = compute_advantages(rewards, values, continues, model.compute_value(self.features), self.args)
         return Rollout(Batch(features, actions, log_probs, advantages, advantages + values), self.outcomes)
@@ -238,7 +222,7 @@ def train(args: Args) -> ActorCritic:
 
 def evaluate(args: Args) -> None:
     """Evaluate the policy file on the validation split, and print the outcomes."""
-    scenes = args.open_dataset().list_scenes(args.setup, "val")[: args.val_scenes]
+    scenes = select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes)
     report = handover_marl.evaluate_pair(
         args.giver,
         f"learned:{args.out}",
@@ -260,7 +244,9 @@ def main(args: Args) -> Path:
     check_policy_path(args.out)
     model = train(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    spec = PolicySpec("receiver", args.features, ACTIONS, CONTROL_PERIOD, "experiments/training/train_receiver_ppo.py")
+    spec = PolicySpec(
+        "receiver", args.features, ACTIONS, args.control_period, "experiments/training/train_receiver_ppo.py"
+    )
     write_policy(args.out, spec, dense_network_from_module(model.actor, "tanh"))
     print(args.out)
     if args.val_scenes:

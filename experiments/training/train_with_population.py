@@ -29,7 +29,6 @@ from handover_marl.learning.training.scene_arguments import SetupArgs, run_scrip
 from handover_marl.policies.populations import DEFAULT_POPULATION, TRAIN, Partner, format_population, load_population
 from handover_marl.policies.reference import parse_policy
 
-_PAIRS_FILE = "pairs.json"
 _FIRST_PAIR_SEED = 1000
 _MAX_MINUTES = 600.0
 
@@ -131,7 +130,7 @@ def train_pairs(args: Args) -> Path:
                 policy = f"learned:{{folder}}/{path.name}"
                 partners[agent].append(Partner(path.stem, "pairs", TRAIN, policy, "Network of a pair."))
     description = f"Networks of {args.pairs} pairs, after half of their training and after all of it."
-    file = folder / _PAIRS_FILE
+    file = folder / "pairs.json"
     write_atomically(file, format_population("pairs", "1", description, partners["giver"], partners["receiver"]))
     return file
 

@@ -153,7 +153,10 @@ class HandoverPoseScheme(GiverScheme):
         return center, axes, wrist + rotate_points(quaternions_from_rotation_vectors(turns), center - wrist)
 
     def _withdraw(self, rows: AnyArray, observation: Observation, begins: AnyArray, shift: AnyArray) -> None:
-        """Store the displacements, beyond `shift` and away from the gripper, of hands that begin to withdraw, (r,)."""
+        """Store the final displacements of the hands that begin to withdraw, where `begins` (r,) is True.
+
+        A hand moves from its present displacement `shift` (r, 3) in m away from the gripper, as far as output 6 says.
+        """
         xp, away = self._arrays.xp, observation["hand_keypoints"][:, 0] - observation["gripper_pose"][:, :3]
         size = xp.astype(compute_lengths(away), xp.float64)[:, None]
         length = (self._outputs[rows, 6:] + 1.0) / 2.0 * self.max_withdrawal

@@ -153,7 +153,7 @@ class LowestCostGraspSelector:
         return best, clearances
 
     def _compute_clearances(self, index: AnyArray, grasps: AnyArray, joints: AnyArray) -> AnyArray:
-        """Return the smallest distances (r, k) in m of hand joints (r, 16, 3) to the gripper's axis at k grasps."""
+        """Return the distances (r, k) in m of the nearest of joints (r, 16, 3) of a hand to the gripper at k grasps."""
         xp = get_namespace(joints)
         origins, axes = (array[index[:, None], grasps] for array in self._table.arrays)
         x, y, z = (joints[:, None, :, axis] - origins[..., None, axis] for axis in range(3))

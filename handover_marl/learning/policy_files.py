@@ -37,7 +37,7 @@ def check_policy_path(path: Path) -> None:
 
 
 def write_policy(path: Path, spec: PolicySpec, network: DenseNetwork) -> None:
-    """Write a network, and the encoding of its inputs and outputs by text, to a policy file (.npz).
+    """Write a network and its encoding, with names or `module:name` as features and actions, to a policy file (.npz).
 
     Raises:
         OptionError: The path does not end in .npz.

@@ -113,7 +113,10 @@ class CartesianDeltaScheme(JointScheme):
     def _move(
         self, observation: Observation, translations: AnyArray, rotations: AnyArray, closed: AnyArray
     ) -> AnyArray:
-        """Return joint targets that move hand links by (r, 3) m and (r, 3) rotation vectors in their frames."""
+        """Return joint targets (r, 9) that move hand links by translations (r, 3) and rotation vectors (r, 3).
+
+        Both are in the frames of the hand links (m, rad); grippers close where `closed` (r,) is True.
+        """
         xp = self._arrays.xp
         arm = xp.astype(observation["robot_joint_position"][:, :ARM_DOF], xp.float64)
         jacobian, axes = self._robot.compute_hand_jacobians(arm)
@@ -208,7 +211,7 @@ class GraspServoScheme(CartesianDeltaScheme):
     def _find_targets(
         self, rows: AnyArray, observation: Observation, gripper: AnyArray, present: AnyArray
     ) -> tuple[AnyArray, AnyArray]:
-        """Return target positions (r, 3) in m and orientations (r, 4) as quaternions xyzw in the world."""
+        """Return target positions (r, 3) in m and quaternions xyzw (r, 4) in the world, for hand links at `gripper`."""
         xp, (grasps, _, exists) = self._arrays.xp, self._selector.select(rows, observation)
         orientation = normalize_quaternions(xp.where(exists[:, None], grasps[:, 3:], present))
         standoff = self._compute_standoffs(gripper[:, :3] - grasps[:, :3], present, orientation)
@@ -219,7 +222,7 @@ class GraspServoScheme(CartesianDeltaScheme):
         return xp.where(released, self._goal, position), xp.where(released, present, orientation)
 
     def _compute_standoffs(self, offsets: AnyArray, present: AnyArray, target: AnyArray) -> AnyArray:
-        """Return standoffs (r,) in m from the grasps, for positions (r, 3) relative to the grasps (m, world frame)."""
+        """Return standoffs (r,) in m for hand links at `offsets` (r, 3) from grasps (m) and quaternions `present`."""
         xp = self._arrays.xp
         local = rotate_points(conjugate_quaternions(target), offsets)
         angle = compute_rotation_magnitudes(multiply_quaternions(conjugate_quaternions(present), target))

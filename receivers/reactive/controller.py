@@ -236,11 +236,6 @@ class ControllerReceiver(Receiver):
         return self._wait
 
     @property
-    def phase(self) -> ReactivePhase:
-        """Present phase of the handover."""
-        return ReactivePhase.WAIT if self.controller is None else self.controller.phase
-
-    @property
     def planned_goal(self) -> Array | None:
         """(2, 7) world poses of the hand link at standoff and grasp; None except in the approach."""
         return None if self.controller is None else self.controller.planned_goal

@@ -16,8 +16,13 @@ from handover_marl.planning.clearance import Spheres, compute_flange_clearances,
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.grasp_library import load_hand_poses
 from handover_marl.receivers.reactive.config import GraspSelectorConfig, ReactiveConfig
-from handover_marl.receivers.reactive.grasp_validation import has_validation_record, validate_grasps
-from handover_marl.receivers.reactive.grasps import QUICK_PREPARATION, ValidatedGrasps, perturb_grasps
+from handover_marl.receivers.reactive.grasps import (
+    QUICK_PREPARATION,
+    ValidatedGrasps,
+    has_validation_record,
+    perturb_grasps,
+    validate_grasps,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -55,21 +60,17 @@ class GraspableObject:
 
 
 @functools.lru_cache(maxsize=64)
-def load_graspable_object(
-    context: PolicyContext, object_name: str, config: ReactiveConfig, validated: bool = True
-) -> GraspableObject:
-    """Load the surface of an object class and its known grasps, of which there may be none; cached.
+def load_graspable_object(context: PolicyContext, object_name: str, config: ReactiveConfig) -> GraspableObject:
+    """Load the surface of an object class and its validated grasps, of which there may be none; cached.
 
-    If `validated`, grasps are validated and improved in simulation, for minutes the first time, else unchanged.
+    Known grasps are validated and improved in simulation, for minutes the first time.
 
     Raises:
         SimulationError: A model cannot be loaded.
     """
     urdf, known = context.object_urdf(object_name), load_hand_poses(context.grasps, object_name)
-    grasps = (
-        ValidatedGrasps(np.zeros((0, 7)), np.zeros(0)) if known is None else ValidatedGrasps(known, np.ones(len(known)))
-    )
-    if known is not None and validated:
+    grasps = ValidatedGrasps(np.zeros((0, 7)), np.zeros(0))
+    if known is not None:
         preparation = config.preparation
         if context.quick_validation and not has_validation_record(urdf, context.panda_urdf, known, preparation):
             preparation = QUICK_PREPARATION

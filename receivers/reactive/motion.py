@@ -231,7 +231,7 @@ class ApproachController:
         return goal
 
     def _compute_next_depth(self, axial: float, lateral: float, rotation: float) -> float:
-        """Return the next axial distance (m) from the grasp, given the distances (m) and rotation error (rad) now."""
+        """Return the next axial distance (m) from a grasp, given axial and lateral distance (m) and rotation error."""
         config, motion, factor = self._config, self._scene.motion, self._scene.tolerance_factor
         before, speed = max(axial, 0.0), motion.speed
         is_aligned = lateral < factor * (config.lateral_tolerance + _LATERAL_FUNNEL * before)
@@ -247,7 +247,7 @@ class ApproachController:
         return axial if is_enclosed and factor == 1.0 else config.standoff
 
     def _approach_straight(self, goal: GraspGoal, depth: float) -> Action:
-        """Return the action towards an axial distance (m) from a grasp of the moving object."""
+        """Return the action towards the axial distance `depth` (m) from a grasp of the moving object."""
         config, scene, arm = self._config, self._scene, self._motion.arm
         back = np.array([0.0, 0.0, -depth, 0.0, 0.0, 0.0, 1.0])
         pose = compose(self._selector.compute_grasp_pose(goal, scene.object_pose), back)

@@ -195,7 +195,7 @@ class GraspSelector:
         return np.asarray(compose(invert_pose(self.compute_grasp_pose(goal, object_pose)), gripper_pose))
 
     def _add(self, grasps: ValidatedGrasps, pad_margins: Array, cost: float) -> None:
-        """Add candidates and their copies rotated by half a turn, with an additional cost (s)."""
+        """Add candidates with pad margins (n,) in m and their half turns, which have an additional cost (s)."""
         costs = cost + compute_hold_costs(grasps, pad_margins, self._config)
         self.grasps = np.concatenate([self.grasps, grasps.poses, compose(grasps.poses, np.array(HALF_TURN))])
         self._hold_costs = np.concatenate([self._hold_costs, costs, costs])
@@ -224,7 +224,7 @@ class GraspSelector:
         return compute_grasp_clearances(self.grasps, human_hand, self._receiver_config.approach.standoff)
 
     def _compute_rough_costs(self, world: Array, clearances: Array, time: float) -> Array:
-        """Return the costs (n,) in s, without inverse kinematics, of candidates at world poses (n, 7) at a time (s)."""
+        """Return costs (n,) in s, without inverse kinematics, of grasps at poses (n, 7) with clearances (n,) in m."""
         config = self._config
         rotations = (self._home_rotation.inv() * Rotation.from_quat(world[:, 3:])).magnitude()
         missing = np.maximum(0.0, config.desired_clearance - clearances)
@@ -240,7 +240,7 @@ class GraspSelector:
         return costs
 
     def _compute_obstacle_costs(self, world: Array, scene: SceneEstimate, handover_pose: Array) -> Array | float:
-        """Return the costs (n,) in s of the gripper's clearance to the other objects, 0 if none is near."""
+        """Return costs (n,) in s of the clearance of grasps (n, 7) in the world to other objects, 0 if none is near."""
         if scene.obstacles is None:
             return 0.0
         near = scene.obstacles.select_within(handover_pose[:3], _GRIPPER_REACH)
@@ -251,7 +251,7 @@ class GraspSelector:
         return np.asarray(_OBSTACLE_COST * missing)
 
     def _select_candidates(self, costs: Array) -> Indices:
-        """Return the indices of the cheapest candidates, or of the next ones after a failed search, and of `chosen`."""
+        """Return the indices of the cheapest grasps, or of the next ones after a failed search, and of `chosen`."""
         order = np.argsort(costs, kind="stable")
         order = order[costs[order] < _FORBIDDEN]
         count = self._config.max_candidates * (_OFFSET_CANDIDATE_FACTOR if self._has_offsets else 1)
@@ -261,7 +261,10 @@ class GraspSelector:
         return numbers
 
     def _compute_costs(self, rough: Array, world: Array, joints: Array, bodies: Spheres) -> tuple[Array, Array, Array]:
-        """Return the costs (k,) in s of k grasps, without path costs, and joints (k, 7) at their standoffs and them."""
+        """Return costs (k,) in s of k grasps, without path costs, and arm joints (k, 7) at their standoffs and at them.
+
+        `rough` are the costs without inverse kinematics, and `world` (k, 7) the grasps. The arm is at `joints` (7,).
+        """
         # The previous solution is a seed, so that one from a fallback seed is not lost again.
         previous = None if self.chosen is None else self.chosen.standoff_joints
         standoffs, goals, is_reached = self._solve_ik(world, joints, previous, self._batch > 0)
@@ -297,7 +300,7 @@ class GraspSelector:
         return np.asarray((np.abs(standoffs - joints) / self._speeds).max(axis=1))
 
     def _compute_limit_margin_costs(self, standoffs: Array, goals: Array) -> Array:
-        """Return the costs (n,) in s of grasps whose configurations (n, 7) are close to joint limits."""
+        """Return the costs (n,) in s of joint limits that are near to configurations (n, 7) at standoffs or grasps."""
         low, high = self._arm.limits
         margins = np.minimum(*(np.minimum(joints - low, high - joints).min(axis=1) for joints in (standoffs, goals)))
         missing = np.maximum(0.0, _DESIRED_LIMIT_MARGIN - margins)
@@ -312,7 +315,7 @@ class GraspSelector:
     def _choose_with_hysteresis(
         self, numbers: Indices, costs: Array, standoffs: Array, joints: Array, obstacles: PathObstacles, is_near: bool
     ) -> int:
-        """Return the position of the cheapest candidate, or of the selected one unless another is clearly cheaper.
+        """Return the position in `numbers` of the selected grasp, or of the cheapest one if that is clearly cheaper.
 
         Adds the costs of blocked paths in place, unless the gripper is near.
         """
@@ -343,7 +346,7 @@ class GraspSelector:
         return best
 
     def _find_via_point(self, standoff: Array, joints: Array, obstacles: PathObstacles) -> Array | None:
-        """Return a via point (7,) to a standoff; None if the straight path is clear, or if no via point is found."""
+        """Return a via point (7,) from joints to a standoff; None if the straight path is clear, or none is found."""
         if is_path_clear(self._arm, joints, standoff, obstacles):
             return None
         previous = None if self.chosen is None else self.chosen.via_joints

@@ -12,8 +12,10 @@ from handover_marl.geometry.panda import PAD_DISTANCE
 
 Array = npt.NDArray[np.float64]
 
-# Numbers of points of the object and of the hand in the input of the network, and of object points with a grasp.
-_N_OBJECT_POINTS, _N_HAND_POINTS, _N_GRASPS = 256, 64, 96
+#: Numbers of points of the object and of the person's hand in the input of the network.
+N_OBJECT_POINTS, N_HAND_POINTS = 256, 64
+# Number of the object's points at which grasps are predicted.
+_N_GRASPS = 96
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +50,12 @@ def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
     from handover_marl.learning.networks.grasp_network import GraspNetwork, PointCloudBatch
     from handover_marl.learning.networks.weights import read_network_weights, single_threaded_inference
 
-    trained, fingerprint = read_network_weights(weights, GraspNetwork)
-    network = trained.eval()
+    network, fingerprint = read_network_weights(weights, GraspNetwork)
 
     def predict(object_points: Array, hand_points: Array, velocity: Array, rng: np.random.Generator) -> GraspPrediction:
-        inputs = (*_sample_points(object_points, hand_points, rng), velocity.astype(np.float32))
+        objects, hands, n_hands = sample_points(object_points, hand_points, rng)
+        centers, mask = rng.permutation(N_OBJECT_POINTS)[:_N_GRASPS], np.arange(N_HAND_POINTS) < n_hands
+        inputs = (objects.astype(np.float32), hands.astype(np.float32), mask, centers, velocity.astype(np.float32))
         with single_threaded_inference():
             output = network(PointCloudBatch(*(torch.from_numpy(value)[None] for value in inputs)))
         rotations = output.rotations[0].numpy().astype(np.float64)
@@ -66,17 +69,16 @@ def load_grasp_predictor(weights: str | Path) -> tuple[GraspPredictor, str]:
     return predict, fingerprint
 
 
-def _sample_points(
-    object_points: Array, hand_points: Array, rng: np.random.Generator
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], npt.NDArray[np.int_]]:
-    """Return the network's inputs: sampled object points (256, 3) and hand points (64, 3), mask (64,), indices (96,).
+def sample_points(
+    object_points: npt.NDArray[np.floating], hand_points: npt.NDArray[np.floating], rng: np.random.Generator
+) -> tuple[npt.NDArray[np.floating], Array, int]:
+    """Draw 256 points of an object (n, 3), repeated if there are fewer, and at most 64 of a person's hand (m, 3).
 
-    The mask marks hand points that are not padding; grasps are predicted at the object points with these indices.
+    Returns:
+        Points (256, 3) of the object, points (64, 3) of the hand with zeros after them, and the number of the latter.
     """
-    objects = object_points[
-        rng.choice(len(object_points), _N_OBJECT_POINTS, replace=len(object_points) < _N_OBJECT_POINTS)
-    ]
-    hands, count = np.zeros((_N_HAND_POINTS, 3)), min(len(hand_points), _N_HAND_POINTS)
+    repeat = len(object_points) < N_OBJECT_POINTS
+    objects = object_points[rng.choice(len(object_points), N_OBJECT_POINTS, replace=repeat)]
+    hands, count = np.zeros((N_HAND_POINTS, 3)), min(len(hand_points), N_HAND_POINTS)
     hands[:count] = hand_points[rng.choice(len(hand_points), count, replace=False)]
-    centers = rng.permutation(_N_OBJECT_POINTS)[:_N_GRASPS]
-    return objects.astype(np.float32), hands.astype(np.float32), np.arange(_N_HAND_POINTS) < count, centers
+    return objects, hands, count

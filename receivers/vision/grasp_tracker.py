@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from handover_marl.geometry.panda import HALF_TURN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, transform_points
 from handover_marl.planning.clearance import Spheres
-from handover_marl.receivers.reactive.grasps import make_offset_pose
+from handover_marl.receivers.reactive.grasps import compute_grasp_distances, make_offset_pose
 from handover_marl.receivers.vision.grasp_predictor import GraspPrediction, GraspPredictor
 
 Array = npt.NDArray[np.float64]
@@ -208,11 +208,6 @@ class GraspTracker:
         self._keyframe: Keyframe | None = None
 
     @property
-    def is_initialized(self) -> bool:
-        """Whether the object's position is known."""
-        return self.position.is_known
-
-    @property
     def object_pose(self) -> Array:
         """(7,) world pose of the object's center, with the identity rotation."""
         return np.array([*self.position.position, 0.0, 0.0, 0.0, 1.0])
@@ -283,11 +278,11 @@ class GraspTracker:
     def _is_near(self, gripper_pose: Array) -> bool:
         """Return whether the object is near the hand link at a pose (7,)."""
         distance = float(np.linalg.norm(self.object_pose[:3] - gripper_pose[:3]))
-        return self.is_initialized and distance < _NEAR_DISTANCE
+        return self.position.is_known and distance < _NEAR_DISTANCE
 
     def _select_gains(self, gripper_pose: Array) -> FilterGains:
         """Return the filter gains for a view from the hand link at a pose (7,)."""
-        if self.is_initialized and self.selected is not None:
+        if self.position.is_known and self.selected is not None:
             grasp = self.object_pose[:3] + self.selected[:3]
             if float(np.linalg.norm(grasp - gripper_pose[:3])) < _FINAL_DISTANCE:
                 return _FINAL_GAINS
@@ -323,7 +318,7 @@ class GraspTracker:
 
     def _update_maps(self, time: float, gripper_pose: Array, object_points: Array, hand_points: Array) -> None:
         """Add points (n, 3) in the hand link's frame (m) to the maps of object and person's hand."""
-        if not self.is_initialized:
+        if not self.position.is_known:
             return
         center = self.object_pose[:3]
         forget = not self._is_near(gripper_pose)
@@ -344,13 +339,13 @@ class GraspTracker:
             all_costs = np.append(self._selected_cost, all_costs)
         self._failed = [(pose, until) for pose, until in self._failed if until > time]
         for pose, _ in self._failed:
-            is_same = self._compute_distances(pose, candidates) < _SAME_DISTANCE
-            all_costs[is_same] += _FAILED_COST
+            distances = compute_grasp_distances(pose, candidates, _ROTATION_WEIGHT, PAD_DISTANCE)
+            all_costs[distances < _SAME_DISTANCE] += _FAILED_COST
         self.grasps, self.costs = candidates, all_costs
 
     def _correct_selected(self, selected: Array, grasps: Array, costs: Array, gain: float) -> Array:
         """Return the selected grasp (7,), moved by a gain (0 to 1) towards the mean of predicted grasps close to it."""
-        distances = self._compute_distances(selected, grasps)
+        distances = compute_grasp_distances(selected, grasps, _ROTATION_WEIGHT, PAD_DISTANCE)
         same = np.flatnonzero(distances < _SAME_DISTANCE)
         if not len(same):
             self._selected_cost += _UNSEEN_COST
@@ -364,14 +359,6 @@ class GraspTracker:
         corrected[3:] /= np.linalg.norm(corrected[3:])
         self._selected_cost = (1.0 - gain) * self._selected_cost + gain * float(weights @ costs[same])
         return corrected
-
-    def _compute_distances(self, pose: Array, poses: Array) -> Array:
-        """Return the distances (n,) of grasps (n, 7) to one (7,): m between the pads plus weighted rotation angle."""
-        pads = np.array([0.0, 0.0, PAD_DISTANCE, 0.0, 0.0, 0.0, 1.0])
-        offsets = compose(poses, pads)[:, :3] - compose(pose, pads)[:3] if len(poses) else np.zeros((0, 3))
-        cosines = np.clip(np.abs(poses[:, 3:] @ pose[3:]), 0.0, 1.0)
-        weight = 2.0 * _ROTATION_WEIGHT
-        return np.asarray(np.linalg.norm(offsets, axis=1) + weight * np.arccos(cosines))
 
 
 def shift_to_avoid_collisions(grasps: Array, points: Array) -> tuple[Array, Array]:

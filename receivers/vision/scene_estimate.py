@@ -40,7 +40,7 @@ class PointCloudHandTracker(HandTracker):
         self.spheres = tracker.human_hand
         self.points = np.zeros((0, 3)) if tracker.human_hand is None else tracker.human_hand.centers
         self.velocity = tracker.velocity
-        self._object_position = tracker.position.position if tracker.is_initialized else None
+        self._object_position = tracker.position.position if tracker.position.is_known else None
 
     def predict_attached_pose(self, points: Array, pose: Array, ahead: float) -> Array:
         """Return the world pose (7,), `ahead` (s) from now, of a frame that moves with the person's hand.
@@ -86,7 +86,7 @@ class PointCloudSceneEstimate(SceneEstimate):
         )
         self.tracker.update(self.time, self.gripper_pose, object_points, hand_points)
         self._person.update_from_tracker(self.tracker)
-        if self.tracker.is_initialized:
+        if self.tracker.position.is_known:
             self.object_pose = self.tracker.object_pose
             self.motion.update(self.time, self.object_pose)
         if self.obstacles is not None and self.tracker.compute_unseen_time(self.time) == 0.0:
@@ -138,4 +138,4 @@ class PointCloudSceneEstimate(SceneEstimate):
         """Whether the person hands the object over, judged from the visible points."""
         # A hand behind the object is not visible, but it holds an object that was lifted.
         is_lifted = self.motion.lift_distance > self.config.min_lift
-        return self.tracker.is_initialized and (is_lifted or super().is_offered)
+        return self.tracker.position.is_known and (is_lifted or super().is_offered)

@@ -22,13 +22,9 @@ class PairArgs(RlArgs):
 
     Attributes:
         out: Folder of `giver.npz` and `receiver.npz`.
-        minibatch_size: Number of decisions per gradient step.
-        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
     """
 
     out: str = "runs/pair"
-    minibatch_size: int = 128
-    clip_range: float = 0.2
     val_scenes: int = 18
 
 
@@ -54,15 +50,14 @@ def write_pair(networks: dict[str, DenseNetwork], args: PairArgs, script: str) -
         path = Path(args.out) / f"{agent}.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         write_policy(path, PolicySpec(agent, FEATURES[agent], SCHEMES[agent], args.control_period, origin), network)
-    data = args.open_dataset()
-    setup = data.resolve_setup(args.setup)
+    args = args.resolve_setup()
     giver, receiver = (f"learned:{Path(args.out) / agent}.npz" for agent in ("giver", "receiver"))
     report = handover_marl.evaluate_pair(
         giver,
         receiver,
-        setup,
+        args.setup,
         "val",
-        scenes=select_scenes_evenly(data.list_scenes(setup, "val"), args.val_scenes),
+        scenes=select_scenes_evenly(args.open_dataset().list_scenes(args.setup, "val"), args.val_scenes),
         dataset=args.dataset,
         data_dir=args.data_dir,
         physics=args.physics,

@@ -129,7 +129,7 @@ def _adapt(
 def _read_model(
     agent: str, policy: Any, given: dict[str, Any], has_only_state: bool, trust: bool
 ) -> tuple[str, Callable[[Any], Any], PolicySpec]:
-    """Return default name, function and encoding of a model; plain functions get the whole observation by default."""
+    """Return the default name, the function and the encoding of a model; `given` are chosen fields of `PolicySpec`."""
     if isinstance(policy, (str, os.PathLike)):
         path = Path(policy).expanduser()
         spec, network, _ = read_policy(path, agent, trust, **given)

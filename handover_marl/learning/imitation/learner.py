@@ -1,6 +1,5 @@
 """Base class of the trainings of networks by imitation: optimizer, learning rates, averaged weights."""
 
-import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -9,6 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 from handover_marl.learning.networks.weights import SavedNetwork
 
@@ -50,7 +50,8 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
     def __init__(self, network: Network, updates: int, device: torch.device) -> None:
         self._updates, self._device = updates, device
         self._network = network.to(device)
-        self.averaged = copy.deepcopy(self._network).eval()
+        self._averages = AveragedModel(self._network, avg_fn=self._average, use_buffers=True)
+        self.averaged: Network = self._averages.module.eval()  # type: ignore[assignment]
         groups = [
             {"params": list(parameters), "rate": rate} for parameters, rate in self.list_parameter_groups(network)
         ]
@@ -80,7 +81,7 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), self.max_gradient_norm)
         self._optimizer.step()
         self.done += 1
-        self._update_average()
+        self._averages.update_parameters(self._network)
         return {name: float(value.detach()) for name, value in losses.items()}
 
     def get_state(self) -> dict[str, Any]:
@@ -88,14 +89,14 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         return {
             "done": self.done,
             "network": self._network.state_dict(),
-            "averaged": self.averaged.state_dict(),
+            "averaged": self._averages.state_dict(),
             "optimizer": self._optimizer.state_dict(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore weights, averaged weights, optimizer state and number of updates from a dict of `get_state`."""
         self._network.load_state_dict(state["network"])
-        self.averaged.load_state_dict(state["averaged"])
+        self._averages.load_state_dict(state["averaged"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.done = int(state["done"])
 
@@ -105,13 +106,8 @@ class ImitationLearner(ABC, Generic[Network, Batch]):
         fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.done / max(1, self._updates))))
         return rise * (self.final_share + (1.0 - self.final_share) * fall)
 
-    def _update_average(self) -> None:
+    def _average(self, averaged: Tensor, current: Tensor, _: Tensor | int) -> Tensor:
+        """Return the new average of a parameter or buffer, from its last average and its present value."""
         # Averages over few updates at first, so that the initial weights are soon forgotten.
         decay = min(self.averaging, (1.0 + self.done) / (10.0 + self.done))
-        with torch.no_grad():
-            current, averaged = self._network.state_dict(), self.averaged.state_dict()
-            for name, value in averaged.items():
-                if value.is_floating_point():
-                    value.lerp_(current[name], 1.0 - decay)
-                else:
-                    value.copy_(current[name])
+        return decay * averaged + (1.0 - decay) * current

@@ -20,7 +20,6 @@ from handover_marl.learning.imitation.samples import Samples, join_samples
 from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.learning.training.run_folder import (
     CHECKPOINT,
-    compute_outcome_rates,
     describe_origin,
     open_run_folder,
     read_checkpoint,
@@ -187,8 +186,8 @@ class ImitationRun:
             report = evaluate_pair(replace(self._config, receiver=receiver), execution=self._execution)
             label = "".join(f", {name} {value}" for name, value in chosen.items())
             print(summarize_evaluation(report, f"{steps} gradient updates{label}"), flush=True)
-            for name, rate in compute_outcome_rates(report).items():
-                self.writer.add_scalar(f"evaluation/{name}{label}", rate, steps)
+            for name, rate in report.rates.items():
+                self.writer.add_scalar(f"evaluation/{name}{label}", rate.mean, steps)
             successes.append(report.success_rate)
         if float(np.mean(successes)) >= self._best:
             self._best = float(np.mean(successes))

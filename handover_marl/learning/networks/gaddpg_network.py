@@ -7,11 +7,9 @@ The rule has discontinuities that a network does not learn well.
 """
 
 import hashlib
-import math
 import pickle
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,8 +22,8 @@ from torch import Tensor, nn
 from handover_marl.errors import DataFormatError, DataNotFoundError, UnsafeFileError
 from handover_marl.execution.files import shorten_text
 from handover_marl.execution.reading import read_plain_file
-from handover_marl.geometry.poses import IDENTITY
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
+from handover_marl.geometry.poses import IDENTITY, normalize_quaternions
+from handover_marl.learning.networks.approach_field import MAX_ROTATION, MAX_TRANSLATION, compute_approach_steps
 from handover_marl.learning.networks.point_encoders import PointNetPlusPlus
 from handover_marl.learning.networks.weights import (
     SavedNetwork,
@@ -37,8 +35,6 @@ from handover_marl.learning.networks.weights import (
 
 #: Number of points of an input cloud, and of gripper points that the receiver may insert before them.
 N_POINTS, N_FINGER_POINTS = 1024, 6
-#: Largest translation (m) and Euler angle (rad) of one decision, along or about each axis.
-MAX_TRANSLATION, MAX_ROTATION = 0.06, math.pi / 6.0
 _N_HIDDEN = 256
 
 
@@ -94,7 +90,8 @@ class GaddpgNetwork(SavedNetwork):
     """Encoder and head of GA-DDPG's actor, for the receiver `gaddpg`.
 
     Args:
-        approach: Rule that turns the predicted grasp into a step; None executes the action output.
+        spare_steps: Number of decisions that should be left at the predicted grasp, to which the hand moves by
+            `compute_approach_steps`; None executes the predicted action instead.
         max_steps: Number of decisions of an approach; None leaves it to the receiver.
 
     Attributes:
@@ -104,10 +101,10 @@ class GaddpgNetwork(SavedNetwork):
 
     kind, uses_int8 = "gaddpg", True
 
-    def __init__(self, approach: ApproachFieldConfig | None = None, max_steps: int | None = None) -> None:
+    def __init__(self, spare_steps: int | None = None, max_steps: int | None = None) -> None:
         super().__init__()
-        self.approach, self.max_steps = approach, max_steps
-        self.features = PointNetPlusPlus(4)
+        self.spare_steps, self.max_steps = spare_steps, max_steps
+        self.features = PointNetPlusPlus()
         self.policy = PolicyHead()
 
     def forward(self, cloud: Tensor, remaining: Tensor) -> ActorOutput:
@@ -153,30 +150,24 @@ class GaddpgNetwork(SavedNetwork):
         with single_threaded_inference():
             cloud = torch.from_numpy(clouds.astype(np.float32)).to(device)
             output = self(cloud, torch.from_numpy(remaining.astype(np.float32)).to(device))
-        if self.approach is None:
+        if self.spare_steps is None:
             action: npt.NDArray[np.float32] = output.action.cpu().numpy()
             return action
-        goals = _poses_from_goals(output.goal.cpu().numpy().astype(np.float64))
+        goals = output.goal.cpu().numpy().astype(np.float64)
+        poses = np.concatenate([goals[:, 4:], normalize_quaternions(goals[:, [1, 2, 3, 0]])], axis=1)
         present = np.tile(IDENTITY, (len(goals), 1))
-        return compute_approach_steps(present, goals, remaining, self.approach).astype(np.float32)
+        return compute_approach_steps(present, poses, remaining, self.spare_steps).astype(np.float32)
 
     def get_settings(self) -> dict[str, Any]:
-        """Return the constructor's arguments, approach rule and number of decisions, in JSON types."""
-        approach = None if self.approach is None else asdict(self.approach)
+        """Return the constructor's arguments in JSON types, with the keys of the shipped file."""
+        approach = None if self.spare_steps is None else {"spare": self.spare_steps}
         return {"approach": approach, "max_steps": self.max_steps}
 
     @classmethod
     def from_settings(cls, settings: dict[str, Any]) -> "GaddpgNetwork":
-        """Create an untrained network from the arguments of its constructor, as returned by `get_settings`."""
-        approach = settings.get("approach")
-        return cls(None if approach is None else ApproachFieldConfig.from_settings(approach), settings.get("max_steps"))
-
-
-def _poses_from_goals(goals: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return poses (B, 7), xyz and quaternion xyzw, of goals (B, 7), quaternion wxyz and xyz."""
-    quaternions = goals[:, [1, 2, 3, 0]]
-    unit = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.concatenate([goals[:, 4:], unit], axis=1)
+        """Create an untrained network from settings that `get_settings` returned."""
+        approach = settings["approach"]
+        return cls(None if approach is None else approach["spare"], settings["max_steps"])
 
 
 _ACTOR, _FEATURES = "_actor_", "_state_feat_"

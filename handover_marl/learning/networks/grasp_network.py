@@ -6,8 +6,7 @@ Clouds contain the object and the person's hand, in the hand link's frame (m).
 """
 
 import itertools
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as func
@@ -18,35 +17,10 @@ from handover_marl.learning.networks.weights import SavedNetwork
 # Factors that bring local coordinates and those in the hand link's frame to order one (1/m).
 _NEAR_SCALE, _FAR_SCALE = 20.0, 2.0
 _N_ROTATION = 6
-# Present names of the settings by their names in the shipped weight files, which are of an earlier version.
-_OLD_NAMES = {
-    "points": "point_width",
-    "group": "group_width",
-    "whole": "cloud_width",
-    "grasp": "head_width",
-    "groups": "group_sizes",
-}
-
-_Self = TypeVar("_Self", bound="GraspNetwork")
-
-
-@dataclass(frozen=True)
-class GraspNetworkConfig:
-    """Widths of the layers of the grasp network, and sizes of its groups of points.
-
-    Attributes:
-        point_width: Number of features that the network computes of each point.
-        group_width: Number of features that the network computes of each group of points.
-        cloud_width: Number of features that the network computes of the whole cloud.
-        head_width: Width of the layers that predict grasps.
-        group_sizes: Numbers of points in the groups around each center, from fine to coarse.
-    """
-
-    point_width: int = 128
-    group_width: int = 128
-    cloud_width: int = 256
-    head_width: int = 256
-    group_sizes: tuple[int, ...] = (8, 32)
+# Numbers of features that the network computes of each point, of each group of points and of the whole cloud.
+_POINT_WIDTH, _GROUP_WIDTH, _CLOUD_WIDTH = 128, 128, 256
+# Width of the layers that predict grasps, and numbers of points in the groups around each center, from fine to coarse.
+_HEAD_WIDTH, _GROUP_SIZES = 256, (8, 32)
 
 
 class GraspOutputs(NamedTuple):
@@ -97,44 +71,26 @@ def _layers(*widths: int) -> nn.Sequential:
 
 
 class GraspNetwork(SavedNetwork):
-    """Grasp predictor of the receiver `vision`; independent of the order and repetition of points.
-
-    Args:
-        config: Widths of the layers and sizes of the groups.
-    """
+    """Grasp predictor of the receiver `vision`; independent of the order and repetition of points."""
 
     kind = "vision"
 
-    def __init__(self, config: GraspNetworkConfig = GraspNetworkConfig()) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.config = config
-        self.points = _layers(7, 64, config.point_width)
-        self.whole = nn.ModuleList([_layers(config.point_width, config.cloud_width) for _ in range(2)])
-        self.mixed = _layers(2 * config.cloud_width + 3, config.cloud_width, config.cloud_width)
+        self.points = _layers(7, 64, _POINT_WIDTH)
+        self.whole = nn.ModuleList([_layers(_POINT_WIDTH, _CLOUD_WIDTH) for _ in range(2)])
+        self.mixed = _layers(2 * _CLOUD_WIDTH + 3, _CLOUD_WIDTH, _CLOUD_WIDTH)
         # Linear in positions relative to the center, so that each point is encoded only once.
-        self.inner = nn.ModuleList([nn.Linear(config.point_width, config.group_width) for _ in config.group_sizes])
-        self.outer = nn.ModuleList([nn.Linear(3, config.group_width, bias=False) for _ in config.group_sizes])
-        width = config.point_width + len(config.group_sizes) * config.group_width + config.cloud_width + 3
-        self.grasp = nn.Sequential(
-            _layers(width, config.head_width, config.head_width), nn.Linear(config.head_width, 4 + _N_ROTATION)
-        )
-        self.rest = nn.Sequential(_layers(config.cloud_width, config.head_width), nn.Linear(config.head_width, 6))
-
-    def get_settings(self) -> dict[str, Any]:
-        """Return the fields of `config` by name, in JSON types."""
-        return asdict(self.config)
+        self.inner = nn.ModuleList([nn.Linear(_POINT_WIDTH, _GROUP_WIDTH) for _ in _GROUP_SIZES])
+        self.outer = nn.ModuleList([nn.Linear(3, _GROUP_WIDTH, bias=False) for _ in _GROUP_SIZES])
+        width = _POINT_WIDTH + len(_GROUP_SIZES) * _GROUP_WIDTH + _CLOUD_WIDTH + 3
+        self.grasp = nn.Sequential(_layers(width, _HEAD_WIDTH, _HEAD_WIDTH), nn.Linear(_HEAD_WIDTH, 4 + _N_ROTATION))
+        self.rest = nn.Sequential(_layers(_CLOUD_WIDTH, _HEAD_WIDTH), nn.Linear(_HEAD_WIDTH, 6))
 
     @classmethod
-    def from_settings(cls: "type[_Self]", settings: dict[str, Any]) -> "_Self":
-        """Create an untrained network from the fields of its configuration, as returned by `get_settings`.
-
-        Raises:
-            ValueError: The network was trained without the points of the person's hand, as an ablation.
-        """
-        named = {_OLD_NAMES.get(name, name): value for name, value in settings.items() if name != "hand"}
-        if not settings.get("hand", True):
-            raise ValueError("networks without points of the person's hand are not supported")
-        return cls(GraspNetworkConfig(**(named | {"group_sizes": tuple(named["group_sizes"])})))
+    def from_settings(cls, settings: dict[str, Any]) -> "GraspNetwork":
+        """Create an untrained network; `settings`, the widths of layers in shipped files, are the same for all."""
+        return cls()
 
     def forward(self, clouds: PointCloudBatch) -> GraspOutputs:
         """Predict grasps and their quality at C centers of each of B clouds, and center and motion of the objects."""
@@ -165,7 +121,7 @@ class GraspNetwork(SavedNetwork):
         )
 
     def _encode_cloud(self, points: Tensor, mask: Tensor, clouds: PointCloudBatch) -> Tensor:
-        """Return features (B, cloud_width) of clouds from features (B, N + M, point_width), the object's first."""
+        """Return features (B, 256) of clouds from those of their points (B, N + M, 128), the object's points first."""
         n_object = clouds.object_points.shape[1]
         object_features = self.whole[0](points[:, :n_object]).max(dim=1).values
         hand_features = (self.whole[1](points[:, n_object:]) * mask[:, n_object:, None]).max(dim=1).values
@@ -173,19 +129,19 @@ class GraspNetwork(SavedNetwork):
         return whole
 
     def _encode_groups(self, points: Tensor, positions: Tensor, mask: Tensor, centers: Tensor) -> list[Tensor]:
-        """Return features (B, C, group_width) of the nearest points of each center, one tensor per group size.
+        """Return features (B, C, 128) of the nearest points of each center, one tensor per group size.
 
         Args:
-            points: (B, N + M, point_width) features of the points.
+            points: (B, N + M, 128) features of the points.
             positions: (B, N + M, 3) positions relative to the mean of the object's points (m).
             mask: (B, N + M) valid points.
             centers: (B, C, 3) positions relative to the same mean (m).
         """
         with torch.no_grad():
             distances = torch.cdist(centers, positions).masked_fill(~mask[:, None], torch.inf)
-            near = distances.topk(max(self.config.group_sizes), dim=-1, largest=False).indices
+            near = distances.topk(max(_GROUP_SIZES), dim=-1, largest=False).indices
         batch, features = torch.arange(len(points), device=points.device)[:, None, None], []
-        for count, inner, outer in zip(self.config.group_sizes, self.inner, self.outer, strict=True):
+        for count, inner, outer in zip(_GROUP_SIZES, self.inner, self.outer, strict=True):
             # Invalid points are never among the nearest, since the object has more points than a group.
             members = (inner(points) + outer(_NEAR_SCALE * positions))[batch, near[..., :count]]
             pooled = members.max(dim=2).values

@@ -1,8 +1,7 @@
 """Point cloud encoder PointNet++ (Qi et al., NeurIPS 2017).
 
-Clouds have shape (B, c, N): c channels per point, of which the first three are xyz in the hand
-link's frame (m). Sampling and grouping choose the same points as the CUDA kernels of pointnet2_ops
-(Wijmans, 2018), with which published weights were trained.
+Clouds have shape (B, 4, N): xyz of each point in the hand link's frame (m), and a zero. Sampling and grouping choose
+the same points as the CUDA kernels of pointnet2_ops (Wijmans, 2018), with which published weights were trained.
 """
 
 import itertools
@@ -131,23 +130,19 @@ class SetAbstraction(nn.Module):
 
 
 class PointNetPlusPlus(nn.Module):
-    """Encoder of GA-DDPG, handover-sim2real and GenH2R: three set abstractions, two dense layers.
+    """Encoder of GA-DDPG: three set abstractions and two dense layers.
 
     The result depends on which point is first, and on the order of the others only if a ball
     contains more points than are grouped.
-
-    Args:
-        n_channels: Number of channels c, with xyz: 4 in GA-DDPG, 5 in handover-sim2real, 14 in GenH2R.
     """
 
     n_features = 512
 
-    def __init__(self, n_channels: int = 4) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.n_channels = n_channels
         self.stages = nn.ModuleList(
             [
-                SetAbstraction((n_channels, 64, 64, 128), GADDPG_GROUPINGS[0]),
+                SetAbstraction((4, 64, 64, 128), GADDPG_GROUPINGS[0]),
                 SetAbstraction((128, 128, 128, 256), GADDPG_GROUPINGS[1]),
                 SetAbstraction((256, 256, 256, 512)),
             ]
@@ -156,7 +151,7 @@ class PointNetPlusPlus(nn.Module):
         self.dense = nn.Sequential(*layers, nn.ReLU())
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """Encode clouds (B, c, N) as vectors (B, 512)."""
+        """Encode clouds (B, 4, N) as vectors (B, 512)."""
         positions, features = cloud[:, :3].transpose(1, 2), cloud
         for stage in self.stages:
             positions, features = stage(positions, features)

@@ -9,20 +9,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import ResultsError
 from handover_marl.evaluation.reports.report import Report
-from handover_marl.evaluation.reports.tables import format_percent_rate
 from handover_marl.execution.files import shorten_text, write_atomically
 from handover_marl.execution.reading import check_archive, read_plain_file
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.pt"
-_OUTCOMES = {
-    "success": EpisodeStatus.SUCCESS,
-    "contact": EpisodeStatus.HUMAN_CONTACT,
-    "drop": EpisodeStatus.OBJECT_DROP,
-    "timeout": EpisodeStatus.TIMEOUT,
-}
+_FAILURES = ("contact", "drop", "timeout")
 _ARGUMENTS = "arguments.json"
 _MAX_CHECKPOINT_BYTES = 20_000_000_000
 # Every tenth scene of a training split is held out.
@@ -125,11 +118,6 @@ def read_checkpoint(path: Path, restore: Callable[[dict[str, Any]], None]) -> No
         ) from error
 
 
-def compute_outcome_rates(report: Report) -> dict[str, float]:
-    """Return the rates of success, contact, drop and timeout, which training scripts log, by name."""
-    return {name: report.compute_rate(status) for name, status in _OUTCOMES.items()}
-
-
 def summarize_evaluation(report: Report, steps: str) -> str:
     """Return the outcomes of an evaluation during training as one line.
 
@@ -138,9 +126,8 @@ def summarize_evaluation(report: Report, steps: str) -> str:
         steps: Text with the number of training steps before the evaluation and their unit.
     """
     n, metadata = len(report.episodes), report.metadata
-    success = format_percent_rate(round(n * report.success_rate), n)
-    rates = compute_outcome_rates(report)
-    others = ", ".join(f"{name} {100 * rates[name]:.1f} %" for name in ("contact", "drop", "timeout"))
+    success = report.rates["success"].format()
+    others = ", ".join(f"{name} {100 * (report.rates[name].mean or 0.0):.1f} %" for name in _FAILURES)
     return f"{steps}: success {success} %, {others} [{n} scenes of {metadata.dataset}, {metadata.physics} physics]"
 
 

@@ -93,11 +93,13 @@ class RlArgs(SetupArgs):
         num_envs: Number of environments simulated in parallel.
         decisions: Largest number of decisions of each agent that learns.
         batch_size: Number of decisions in all environments together between updates.
-        epochs: Number of passes over the collected data between updates.
+        epochs: Number of passes over the collected decisions in each update.
+        minibatch_size: Number of decisions per gradient step.
         learning_rate: Learning rate of Adam.
         discount: Discount factor; potential-based rewards use it too. With 0.97 the mean of a pair never learns to
             close the gripper; exploration noise closes it late enough.
         gae_lambda: Lambda of generalized advantage estimation.
+        clip_range: Largest deviation from 1 of the probability ratio in PPO's objective.
         width: Width of the two hidden layers of each network.
         initial_std: Initial standard deviation of the network outputs, for exploration.
         control_period: Time between two decisions (s).
@@ -111,9 +113,11 @@ class RlArgs(SetupArgs):
     decisions: int = 49_152
     batch_size: int = 2_048
     epochs: int = 8
+    minibatch_size: int = 128
     learning_rate: float = 1e-3
     discount: float = 0.85
     gae_lambda: float = 0.95
+    clip_range: float = 0.2
     width: int = 128
     initial_std: float = 0.4
     control_period: float = 0.2

@@ -14,7 +14,6 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, make_output_format
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecMonitor
 
 from handover_marl.datasets.splits import select_scenes_evenly
@@ -34,7 +33,6 @@ from handover_marl.learning.policy_spec import PolicySpec
 from handover_marl.learning.training.batch_vec_env import BatchVecEnv
 from handover_marl.learning.training.run_folder import (
     POLICY,
-    compute_outcome_rates,
     describe_origin,
     open_run_folder,
     select_training_scenes,
@@ -165,10 +163,11 @@ def _make_ppo(args: PpoArgs, agent: str, partner: str) -> tuple[PPO, VecMonitor]
         monitored,
         learning_rate=args.learning_rate,
         n_steps=args.batch_size // args.resolved_num_envs,
-        batch_size=128,
+        batch_size=args.minibatch_size,
         n_epochs=args.epochs,
         gamma=args.discount,
         gae_lambda=args.gae_lambda,
+        clip_range=args.clip_range,
         policy_kwargs={"net_arch": [args.width] * 2, "log_std_init": math.log(args.initial_std)},
         seed=args.seed,
         device="cpu",
@@ -221,12 +220,10 @@ class EvaluationCallback(BaseCallback):
 
     def evaluate(self) -> None:
         """Write the policy file, evaluate it on validation scenes, log and print the outcomes, write a checkpoint."""
-        if not isinstance(self.model, OnPolicyAlgorithm):
-            raise TypeError(f"model must be an on-policy algorithm, got {type(self.model).__name__}")
         write_policy(self._folder / POLICY, self._spec, dense_network_from_sb3(self.model))
         report = evaluate_pair(self._config, execution=self._execution)
-        for name, rate in compute_outcome_rates(report).items():
-            self.logger.record(f"evaluation/{name}", rate)
+        for name, rate in report.rates.items():
+            self.logger.record(f"evaluation/{name}", rate.mean)
         self.logger.dump(self.num_timesteps)
         print(summarize_evaluation(report, f"{self.num_timesteps} decisions"), flush=True)
         part = self._folder / f"part_{_CHECKPOINT}"

@@ -15,7 +15,6 @@ from handover_marl.learning.imitation.vision.training import (
 )
 from handover_marl.learning.networks.grasp_network import (
     GraspNetwork,
-    GraspNetworkConfig,
     GraspOutputs,
     PointCloudBatch,
 )
@@ -38,7 +37,7 @@ def grasps_at(good: GraspTargets) -> GraspOutputs:
 def test_order_of_points_and_padding_do_not_matter() -> None:
     draw = torch.Generator().manual_seed(0)
     torch.manual_seed(0)
-    net = GraspNetwork(GraspNetworkConfig(16, 16, 16, 16)).eval()
+    net = GraspNetwork().eval()
     views = PointCloudBatch(
         0.05 * torch.randn(3, 64, 3, generator=draw) + torch.tensor([0.0, 0.0, 0.4]),
         0.05 * torch.randn(3, 16, 3, generator=draw) + torch.tensor([0.0, 0.1, 0.4]),

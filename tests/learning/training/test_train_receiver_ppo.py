@@ -29,7 +29,7 @@ def test_training_and_evaluation(
 ) -> None:
     shorten_episodes(monkeypatch, 3000)
     out = tmp_path / "new" / "ppo.npz"
-    small = {"num_envs": 4, "rollout": 4, "epochs": 2, "minibatch_size": 8, "val_physics": "mujoco"}
+    small = {"num_envs": 4, "batch_size": 16, "epochs": 2, "minibatch_size": 8, "val_physics": "mujoco"}
     args = train.Args(dataset="synthetic", out=out, decisions=20, val_scenes=1, workers=1, **small)
     assert train.main(args) == out
     printed = capsys.readouterr().out
@@ -45,7 +45,7 @@ def test_training_and_evaluation(
 
 @pytest.mark.slow
 def test_a_training_repeats_from_its_seed(train: ModuleType, tmp_path: Path) -> None:
-    small = {"dataset": "synthetic", "num_envs": 2, "rollout": 4, "epochs": 1, "decisions": 16, "val_scenes": 0}
+    small = {"dataset": "synthetic", "num_envs": 2, "batch_size": 8, "epochs": 1, "decisions": 16, "val_scenes": 0}
     # Two workers collect in any order.
     found = [
         read_numbers(train.main(train.Args(out=tmp_path / f"{number}.npz", seed=seed, workers=2, **small)))

@@ -12,13 +12,15 @@ from handover_marl.geometry.panda import PANDA, PANDA_CAMERA
 from handover_marl.geometry.poses import compose
 from handover_marl.geometry.ycb import CLASS_NAMES
 from handover_marl.receivers.grasp_library import load_hand_poses
-from handover_marl.receivers.reactive import grasp_validation as validation_module
-from handover_marl.receivers.reactive.grasp_validation import (
+from handover_marl.receivers.reactive import grasps as validation_module
+from handover_marl.receivers.reactive.grasps import (
+    GraspPreparationConfig,
     get_validation_record,
     get_validation_record_path,
+    grasps_from_record,
+    tilt_grasps,
     validate_grasps,
 )
-from handover_marl.receivers.reactive.grasps import GraspPreparationConfig, grasps_from_record, tilt_grasps
 from tests.receivers.quick import QUICK_PREPARATION
 
 DATA = SyntheticDataset()

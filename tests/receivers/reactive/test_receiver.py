@@ -58,7 +58,7 @@ class CheckingReceiver(ReactiveReceiver):
         assert np.abs(ahead).max() < lead * 0.05 * max(servo.max_joint_speeds) + 1e-3
         # The commanded velocity respects the maximum acceleration.
         assert np.abs(self.servo.velocity - before).max() < servo.max_acceleration * self.config.period + 1e-6
-        self.phases.append(self.phase)
+        self.phases.append(self.controller.phase)
         self.closes.append(not action[ARM_DOF:].any())
         return action
 
@@ -129,7 +129,7 @@ def start_closing(handover_observation: Observation) -> tuple[ReactiveReceiver, 
     joints = np.array([*goal.grasp_joints, 0.04, 0.04], dtype=np.float32)
     observation = observe_at(handover_observation, 3.0, robot_joint_position=joints)
     action = receiver.act(observation)
-    assert receiver.phase is ReactivePhase.CLOSE
+    assert receiver.controller.phase is ReactivePhase.CLOSE
     assert action[-1] == 0.0
     return receiver, observation
 
@@ -141,15 +141,15 @@ def test_backs_out_and_selects_another_grasp_after_a_miss(handover_observation: 
     empty = observation["robot_joint_position"].copy()
     empty[ARM_DOF:] = 0.0
     receiver.act(observe_at(observation, 3.3, robot_joint_position=empty))
-    assert receiver.phase is ReactivePhase.CLOSE
+    assert receiver.controller.phase is ReactivePhase.CLOSE
     action = receiver.act(observe_at(observation, 3.4, robot_joint_position=empty))
-    assert receiver.phase is ReactivePhase.BACK_OUT
+    assert receiver.controller.phase is ReactivePhase.BACK_OUT
     assert action[-1] == np.float32(0.04)
     now = 3.4
-    while now < 6.0 and receiver.phase is ReactivePhase.BACK_OUT:
+    while now < 6.0 and receiver.controller.phase is ReactivePhase.BACK_OUT:
         now = round(now + 0.05, 3)
         receiver.act(observe_at(observation, now, robot_joint_position=empty))
-    assert receiver.phase in (ReactivePhase.APPROACH, ReactivePhase.FINAL_APPROACH)
+    assert receiver.controller.phase in (ReactivePhase.APPROACH, ReactivePhase.FINAL_APPROACH)
     assert receiver.selector.chosen is not None
     assert receiver.selector.chosen.number != missed.number
 
@@ -158,7 +158,7 @@ def test_closes_until_the_object_is_held_after_an_early_release(handover_observa
     receiver, observation = start_closing(handover_observation)
     fallen, joints = observation["object_poses"].copy(), observation["robot_joint_position"].copy()
     for number, fingers in enumerate((0.036, 0.0325, 0.0293, 0.0292), 1):
-        assert receiver.phase is ReactivePhase.CLOSE
+        assert receiver.controller.phase is ReactivePhase.CLOSE
         fallen[0, 2] -= 0.002 if number < 4 else 0.0
         joints[ARM_DOF:] = fingers
         free = {"released": np.ones(1, dtype=np.float32), "robot_joint_position": joints, "object_poses": fallen}
@@ -168,7 +168,7 @@ def test_closes_until_the_object_is_held_after_an_early_release(handover_observa
             # The arm follows the object.
             rate = receiver.arm.compute_jacobian(joints[:ARM_DOF].astype(np.float64))
             assert (rate @ receiver.servo.velocity)[2] < -0.1
-    assert receiver.phase is ReactivePhase.RETREAT
+    assert receiver.controller.phase is ReactivePhase.RETREAT
 
 
 def test_follows_the_hand_instead_of_an_object_that_is_pushed(handover_observation: Observation) -> None:

@@ -41,9 +41,9 @@ class FixedPredictor:
 
 def test_candidates_are_good_grasps_and_half_turns() -> None:
     tracker = GraspTracker(FixedPredictor(), 0)
-    assert not tracker.is_initialized
+    assert not tracker.position.is_known
     tracker.update(0.0, LINK, ITEM, HAND)
-    assert tracker.is_initialized
+    assert tracker.position.is_known
     wanted = np.concatenate([GRASPS[:2], compose(GRASPS[:2], np.array(HALF_TURN))])
     np.testing.assert_allclose(tracker.grasps[:, :3] + tracker.object_pose[:3], wanted[:, :3], atol=1e-9)
     np.testing.assert_allclose(np.abs((tracker.grasps[:, 3:] * wanted[:, 3:]).sum(axis=1)), 1.0, atol=1e-9)

@@ -15,13 +15,12 @@ from handover_marl.episode.episode import Episode
 from handover_marl.episode.loop import run_episode
 from handover_marl.episode.referee import EpisodeStatus
 from handover_marl.errors import OptionError
-from handover_marl.learning.networks.grasp_network import GraspNetwork, GraspNetworkConfig
+from handover_marl.learning.networks.grasp_network import GraspNetwork
 from handover_marl.learning.networks.weights import write_network_weights
 from handover_marl.policies.reference import parse_policy
 
 pytest.importorskip("embreex")
 DATA = open_dataset("synthetic")
-SMALL = GraspNetworkConfig(point_width=16, group_width=16, cloud_width=16, head_width=16)
 
 
 def test_shipped_weights_of_all_setups() -> None:
@@ -54,7 +53,7 @@ def test_default_weights_depend_on_the_setup(monkeypatch: pytest.MonkeyPatch, tm
     hashes = set()
     for setup in ("s0", "s2"):
         torch.manual_seed(len(hashes))
-        write_network_weights(tmp_path / f"vision_{setup}.npz", GraspNetwork(SMALL), {})
+        write_network_weights(tmp_path / f"vision_{setup}.npz", GraspNetwork(), {})
         reference = parse_policy("receiver", "vision").resolve(DATA, setup=setup)
         assert reference.label == "vision"
         hashes.add(reference.code_hash)

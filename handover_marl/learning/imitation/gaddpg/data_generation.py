@@ -11,7 +11,7 @@ label. Results do not depend on the number of processes.
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,8 +25,7 @@ from handover_marl.datasets.dataset import SceneAssets
 from handover_marl.errors import OptionError
 from handover_marl.geometry.panda import OPEN, PANDA_CAMERA
 from handover_marl.geometry.poses import compose, invert_pose
-from handover_marl.geometry.ycb import CLASS_NAMES, SCENE_CLASSES
-from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, GraspExpertConfig, KinematicArm
+from handover_marl.learning.imitation.gaddpg.expert import ExpertPlan, GraspExpert, KinematicArm
 from handover_marl.learning.imitation.gaddpg.scenarios import (
     ImitationScenario,
     ImitationScenarios,
@@ -40,7 +39,8 @@ from handover_marl.simulation.camera.optics import CAMERA_POSITION_IN_HAND, depr
 from handover_marl.simulation.camera.ray_camera import RayCamera
 
 Array = npt.NDArray[np.float64]
-#: Function from clouds (n, 4, 1024) and numbers of remaining decisions (n,) to steps (n, 6).
+#: Function from clouds (n, 4, 1024) and numbers of remaining decisions (n,) to motions (n, 6) in the hand link's frame:
+#: translations (m) and extrinsic xyz Euler angles (rad).
 StepPolicy = Callable[[Array, Array], npt.NDArray[np.floating]]
 ExpertPlans = dict[int, ExpertPlan]
 
@@ -93,7 +93,7 @@ def stack_states(rows: list[StateRow]) -> ImitationStates:
 
 @dataclass(eq=False)
 class _Rollout:
-    """State of one rollout: scenario, plan, arm joints (7,) in rad, memory of the cloud, and number of expert steps."""
+    """State of one rollout, with the present arm joints (7,) in rad and the number of the expert's first decisions."""
 
     scenario: ImitationScenario
     plan: ExpertPlan
@@ -114,14 +114,12 @@ class DataGeneratorConfig:
         dataset: Dataset: dexycb, synthetic, or auto.
         data_dir: Folder in HandoverSim's layout.
         seed: Seed of all random numbers.
-        expert: Configuration of the expert's selection of grasps.
     """
 
     scenes: tuple[int, ...]
     dataset: str = "auto"
     data_dir: str | None = None
     seed: int = 0
-    expert: GraspExpertConfig = field(default_factory=GraspExpertConfig)
 
 
 class RolloutTask(NamedTuple):
@@ -155,8 +153,8 @@ class DataGenerator:
         context = make_policy_context(self._data)
         self._arm = KinematicArm(context)
         self._scenarios = ImitationScenarios(self._data, config.scenes, self._arm.arm, context.panda, config.seed)
-        self._expert = GraspExpert(context, self._arm, config.expert)
-        self._scenes = {_object_name_of(scene): scene for scene in reversed(config.scenes)}
+        self._expert = GraspExpert(context, self._arm)
+        self._scenes = {self._data.load_info(scene).target_name: scene for scene in reversed(config.scenes)}
         self._load_assets = functools.cache(self._read_assets)
 
     def plan(self, number: int) -> ExpertPlan:
@@ -204,7 +202,10 @@ class DataGenerator:
         return _Rollout(scenario, plan, rng, joints, memory, n_expert, camera)
 
     def _observe(self, rollout: _Rollout, states: list[StateRow]) -> Array | None:
-        """Append a rendered state, and return the network's cloud (4, 1024); None if the object was never visible."""
+        """Render a view, append its state to `states`, and return the network's cloud (4, 1024).
+
+        If the object was never visible, end the rollout and return None.
+        """
         scenario, memory = rollout.scenario, rollout.memory
         robot = np.array([*rollout.joints, OPEN, OPEN], dtype=np.float32)
         image = rollout.camera.render_targets(JointSnapshot(robot, None, scenario.dof[None]))
@@ -227,7 +228,10 @@ class DataGenerator:
     def _compute_steps(
         self, observed: Sequence[tuple[_Rollout, Array]], policy: StepPolicy | None, number: int
     ) -> list[Array]:
-        """Return the next step (6,) of every rollout, as `KinematicArm.move` takes it, by the expert or the network."""
+        """Return the next motion (6,) of the hand link in every rollout (m, rad), by the expert or the network.
+
+        `observed` has the rollouts and their clouds (4, 1024), and `number` is the index of the decision.
+        """
         steps: list[Array | None] = [
             self._compute_expert_step(rollout) if number < rollout.n_expert_decisions else None
             for rollout, _ in observed
@@ -241,7 +245,7 @@ class DataGenerator:
         return [step for step in steps if step is not None]
 
     def _compute_expert_step(self, rollout: _Rollout) -> Array:
-        """Return the expert's step (6,), with random noise in some decisions."""
+        """Return the expert's motion (6,) of the hand link (m, rad), with random noise in some decisions."""
         rng = rollout.rng
         hand = self._arm.arm.compute_hand_pose(rollout.joints)
         goal = rollout.plan.choose_goal(hand)
@@ -270,8 +274,7 @@ def list_shared_scenes(data: Dataset, setups: Sequence[str]) -> tuple[int, ...]:
         OptionError: There are no such scenes.
     """
     common = set.intersection(*(set(data.list_scenes(setup, "train")) for setup in setups)) if setups else set[int]()
-    has_grasps = {name: data.load_grasps(name) is not None for name in {_object_name_of(scene) for scene in common}}
-    scenes = tuple(scene for scene in sorted(common) if has_grasps[_object_name_of(scene)])
+    scenes = tuple(scene for scene in sorted(common) if data.load_grasps(data.load_info(scene).target_name) is not None)
     if not scenes:
         raise OptionError(f"setups must share training scenes with known grasps, got {list(setups)}")
     return scenes
@@ -329,8 +332,3 @@ def _load_policy(weights: Path) -> StepPolicy:
 
     torch.set_num_threads(1)
     return read_network_weights(weights, GaddpgNetwork)[0].predict_steps
-
-
-def _object_name_of(scene_id: int) -> str:
-    """Return the class name of a scene's handed-over object; scenes are numbered 100 subject + 5 object + trial."""
-    return CLASS_NAMES[SCENE_CLASSES[scene_id % 100 // 5]]

@@ -5,7 +5,6 @@ receiver's own stepwise control, which stalls near singular postures. The planne
 al., RSS 2020) chooses among the best ones and plans a trajectory of waypoints 0.15 s apart.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,33 +13,34 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, TABLE_HEIGHT
 from handover_marl.geometry.distance_field import load_object_sdf
-from handover_marl.geometry.panda import HALF_TURN, OPEN
+from handover_marl.geometry.panda import HALF_TURN, OPEN, PAD_DISTANCE
 from handover_marl.geometry.poses import compose, invert_pose
 from handover_marl.learning.imitation.gaddpg.scenarios import ImitationScenario
-from handover_marl.learning.networks.approach_field import ApproachFieldConfig, compute_approach_steps
+from handover_marl.learning.networks.approach_field import compute_approach_steps
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances, compute_gripper_corners
-from handover_marl.planning.goal_set import is_usable_grasp
 from handover_marl.planning.ik_solvers import make_ik_stepper
 from handover_marl.planning.planner import OBJECT_PADDING, Planner, PlannerConfig
 from handover_marl.planning.trajectory_cost import Obstacle
 from handover_marl.policies.policy import PolicyContext
 from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, load_graspable_object
+from handover_marl.receivers.reactive.grasps import compute_grasp_distances
 
 Array = npt.NDArray[np.float64]
 
 # Share of the way to its target that a joint covers in one decision: 150 steps with gain 0.01.
 _SETTLED_FRACTION = 1.0 - 0.99**150
-#: Rule by which the expert computes the steps of an approach to a grasp.
-EXPERT_APPROACH = ApproachFieldConfig()
+#: Number of decisions that should be left when the expert reaches a grasp: all, so that it is as fast as possible.
+EXPERT_SPARE_STEPS = 20
 _PLANNER = PlannerConfig(n_waypoints=20)
-# Number of candidates, the cheapest ones, among which the planner chooses.
-_PLANNER_GOALS = 4
+# Number of grasps, the cheapest reachable ones, whose approach is simulated, and of those among which the planner
+# chooses.
+_N_CANDIDATES, _PLANNER_GOALS = 24, 4
 # Largest number of decisions of a simulated approach.
 _MAX_DECISIONS = 20
-# Distance of the hand from the grasp at which a simulated approach ends (m), and weight of the rotation in this and
-# other distances between poses of the hand (m/rad).
+# Distance of the middle between the pads from the grasp at which a simulated approach ends (m), and weight of the
+# rotation in this distance (m/rad).
 _TOLERANCE, _ROTATION_WEIGHT = 0.015, 0.05
 # Cost per metre of distance from the grasp beyond the tolerance at the end of the simulated approach.
 _MISS_COST = 20.0
@@ -55,9 +55,7 @@ _SWITCH_MARGIN = 0.03
 # Distance of the standoff pose from the grasp (m), which the arm must reach too, and the largest difference of a joint
 # between standoff pose and grasp (rad).
 _STANDOFF, _MAX_JOINT_CHANGE = 0.06, 0.8
-# Distance of the point between the pads from the hand link's origin along its z axis (m).
-_PAD_OFFSET = 0.1
-# Cost of a rotation of the hand relative to that of the pads' travel (m/rad).
+# Cost of a rotation of the hand relative to that of the travel of the middle between the pads (m/rad).
 _ROTATION_COST = 0.15
 # Factor that converts costs of loose grasps, as for the receiver `reactive`, from seconds to metres (m/s).
 _PACE = 0.1
@@ -98,22 +96,6 @@ class KinematicArm:
         return np.clip(joints + _SETTLED_FRACTION * (solution - joints), *self.arm.limits)
 
 
-@dataclass(frozen=True)
-class GraspExpertConfig:
-    """Configuration of the expert's selection of grasps.
-
-    Attributes:
-        candidates: Number of grasps, the cheapest reachable ones, whose approach is simulated.
-        use_validation: Whether grasps are validated in simulation first, see `load_costed_grasps`.
-        use_planner: Whether the planner chooses the goal; otherwise the cheapest grasp is the goal,
-            and the trajectory is its simulated approach.
-    """
-
-    candidates: int = 24
-    use_validation: bool = True
-    use_planner: bool = True
-
-
 class ExpertPlan(NamedTuple):
     """Plan of the expert in a scenario: goal grasps, none if none is reachable, and a trajectory to one of them.
 
@@ -129,7 +111,7 @@ class ExpertPlan(NamedTuple):
 
     def choose_goal(self, hand: Array) -> Array:
         """Return the goal (7,) that is cheapest to reach from a present world pose (7,) of the hand link."""
-        costs = self.costs + compute_travel_costs(hand, self.goals)
+        costs = self.costs + compute_grasp_distances(hand, self.goals, _ROTATION_COST, PAD_DISTANCE)
         costs[0] -= _SWITCH_MARGIN
         chosen: Array = self.goals[int(np.argmin(costs))]
         return chosen
@@ -144,11 +126,10 @@ class GraspExpert:
     Args:
         context: Robot, and objects with their known grasps.
         arm: Model of the arm as the receiver `gaddpg` controls it.
-        config: Configuration of the selection of grasps.
     """
 
-    def __init__(self, context: PolicyContext, arm: KinematicArm, config: GraspExpertConfig) -> None:
-        self._context, self._arm, self._config = context, arm, config
+    def __init__(self, context: PolicyContext, arm: KinematicArm) -> None:
+        self._context, self._arm = context, arm
         panda = context.panda
         self._world_from_base = np.array([*panda.base_position, *panda.base_orientation])
         start = np.array(panda.start_joints[:ARM_DOF])
@@ -160,10 +141,8 @@ class GraspExpert:
         if not len(goals):
             return _NO_PLAN
         approach = self._simulate_approach(scenario.joints, goals[0])
-        if self._compute_distance(self._arm.arm.compute_hand_pose(approach[-1]), goals[0]) > _MAX_MISS:
+        if self._compute_miss(approach[-1], goals[0]) > _MAX_MISS:
             return _NO_PLAN
-        if not self._config.use_planner:
-            return ExpertPlan(goals, costs - costs.min(), np.array(approach))
         self._planner.set_start(scenario.joints)
         base_from_world = invert_pose(self._world_from_base)
         sdf = load_object_sdf(self._context.object_urdf(scenario.object_name), OBJECT_PADDING)
@@ -187,13 +166,13 @@ class GraspExpert:
         Returns:
             (g, 7) world poses of the hand link and (g,) costs (m), in ascending order of the cost with the motion.
         """
-        poses, hold_costs = load_costed_grasps(self._context, object_name, self._config.use_validation)
+        poses, hold_costs = load_costed_grasps(self._context, object_name)
         if not len(poses):
             return np.zeros((0, 7)), np.zeros(0)
         world, hand = compose(object_pose, poses), self._arm.arm.compute_hand_pose(joints)
         grasp_costs = hold_costs + compute_grasp_costs(world, hand, occluder)
         candidates = np.flatnonzero(self._are_reachable(world, joints))
-        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][: self._config.candidates]
+        candidates = candidates[np.argsort(grasp_costs[candidates], kind="stable")][:_N_CANDIDATES]
         costs, best = np.full(len(world), np.inf), np.inf
         for number in candidates:
             # The cost of the approach is positive, so that more expensive grasps can be skipped.
@@ -202,7 +181,7 @@ class GraspExpert:
                 best = min(best, costs[number])
         order = np.argsort(costs, kind="stable")[:_PLANNER_GOALS]
         order = order[costs[order] < best + _MAX_EXCESS_COST]
-        return world[order], costs[order] - compute_travel_costs(hand, world[order])
+        return world[order], costs[order] - compute_grasp_distances(hand, world[order], _ROTATION_COST, PAD_DISTANCE)
 
     def compute_step(self, hand: Array, goal: Array, remaining: int) -> Array:
         """Return the motion (6,) of the Panda's hand link that one decision commands towards a goal grasp.
@@ -214,11 +193,11 @@ class GraspExpert:
             goal: (7,) world pose of the hand link at the grasp, quaternion xyzw.
             remaining: Number of remaining decisions.
         """
-        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_APPROACH)[0]
+        step: Array = compute_approach_steps(hand[None], goal[None], np.array([remaining]), EXPERT_SPARE_STEPS)[0]
         return step
 
     def _are_reachable(self, goals: Array, joints: Array) -> npt.NDArray[np.bool_]:
-        """Return for world poses (n, 7) whether the arm reaches them and their standoffs in similar postures, (n,)."""
+        """Return whether the arm reaches n goals and their standoffs from joints (7,) in similar postures, (n,)."""
         standoffs = compose(goals, np.array([0.0, 0.0, -_STANDOFF, 0.0, 0.0, 0.0, 1.0]))
         before, standoff_found = self._arm.arm.solve(standoffs, np.tile(joints, (len(goals), 1)), 30)
         after, goal_found = self._arm.arm.solve(goals, before, 15)
@@ -226,37 +205,32 @@ class GraspExpert:
         return standoff_found & goal_found & similar
 
     def _compute_approach_cost(self, joints: Array, goal: Array) -> float:
-        """Return the cost (m) of a simulated approach to a goal (7,): its decisions, and its final distance."""
+        """Return the cost (m) of the decisions and the final distance of a simulated approach from joints to a goal."""
         path = self._simulate_approach(joints, goal)
-        miss = max(0.0, self._compute_distance(self._arm.arm.compute_hand_pose(path[-1]), goal) - _TOLERANCE)
-        return _DECISION_COST * len(path) + _MISS_COST * miss
+        return _DECISION_COST * len(path) + _MISS_COST * max(0.0, self._compute_miss(path[-1], goal) - _TOLERANCE)
 
     def _simulate_approach(self, joints: Array, goal: Array) -> list[Array]:
-        """Return the arm joints (7,) in rad before and after each decision of an approach to a world pose (7,)."""
+        """Simulate an approach from joints (7,) to a world pose (7,); return the joints before and after decisions."""
         path = [joints]
         for remaining in range(_MAX_DECISIONS, 0, -1):
-            hand = self._arm.arm.compute_hand_pose(path[-1])
-            if self._compute_distance(hand, goal) < _TOLERANCE:
+            if self._compute_miss(path[-1], goal) < _TOLERANCE:
                 break
+            hand = self._arm.arm.compute_hand_pose(path[-1])
             path.append(self._arm.move(path[-1], self.compute_step(hand, goal, remaining)))
         return path
 
-    def _compute_distance(self, hand: Array, goal: Array) -> float:
-        """Return the distance (m) of the pads at two poses (7,) of the hand link, plus the weighted rotation."""
-        relative = compose(invert_pose(goal), hand)
-        rotation = Rotation.from_quat(relative[3:])
-        pads = relative[:3] + _PAD_OFFSET * (rotation.as_matrix()[:, 2] - np.array([0.0, 0.0, 1.0]))
-        return float(np.linalg.norm(pads) + _ROTATION_WEIGHT * rotation.magnitude())
+    def _compute_miss(self, joints: Array, goal: Array) -> float:
+        """Return the distance (m), with the weighted rotation, of the hand link from a goal (7,) at arm joints (7,)."""
+        hand = self._arm.arm.compute_hand_pose(joints)
+        return float(compute_grasp_distances(goal, hand[None], _ROTATION_WEIGHT, PAD_DISTANCE)[0])
 
 
-def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: bool) -> tuple[Array, Array]:
-    """Return the usable grasps of an object class, with their copies rotated by half a turn, and their costs.
+def load_costed_grasps(context: PolicyContext, object_name: str) -> tuple[Array, Array]:
+    """Return the validated grasps of an object class, with their copies rotated by half a turn, and their costs.
 
     Args:
         context: Known grasps of the objects, and the robot with which they are validated.
         object_name: Class name of the object.
-        is_validated: Whether grasps are validated and improved in simulation first (20 to 90 s per object, once);
-            otherwise the known grasps are used unchanged.
 
     Returns:
         (n, 7) poses of the hand link in the object's frame, and (n,) costs, higher the less likely a grasp holds the
@@ -266,11 +240,10 @@ def load_costed_grasps(context: PolicyContext, object_name: str, is_validated: b
         SimulationError: The object's model cannot be loaded.
     """
     surface = ReactiveConfig(n_surface_spheres=150, surface_radius=0.004, n_surface_points=2000)
-    found = load_graspable_object(context, object_name, surface, is_validated)
-    turned = compose(found.grasps.poses, np.array(HALF_TURN))
-    kept = is_usable_grasp(object_name, turned) | is_validated
-    costs = _PACE * compute_hold_costs(found.grasps.select(kept), found.pad_margins[kept], surface.selection)
-    return np.concatenate([found.grasps.poses[kept], turned[kept]]), np.tile(costs, 2)
+    found = load_graspable_object(context, object_name, surface)
+    costs = _PACE * compute_hold_costs(found.grasps, found.pad_margins, surface.selection)
+    poses = found.grasps.poses
+    return np.concatenate([poses, compose(poses, np.array(HALF_TURN))]), np.tile(costs, 2)
 
 
 def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
@@ -283,24 +256,9 @@ def compute_grasp_costs(world: Array, hand: Array, occluder: Array) -> Array:
     """
     behind = compose(world, np.array([0.0, 0.0, -_SWEEP, 0.0, 0.0, 0.0, 1.0]))
     heights = np.minimum(*(compute_gripper_corners(poses)[..., 2].min(axis=1) for poses in (world, behind)))
-    costs: Array = compute_travel_costs(hand, world) + _TABLE_COST * (heights < TABLE_HEIGHT + _TABLE_CLEARANCE)
+    costs = compute_grasp_distances(hand, world, _ROTATION_COST, PAD_DISTANCE)
+    costs += _TABLE_COST * (heights < TABLE_HEIGHT + _TABLE_CLEARANCE)
     if occluder[3] > 0.0:
         clearances = compute_grasp_clearances(world, Spheres(occluder[None, :3], occluder[3:]), _SWEEP)
         costs += _CLEARANCE_COST * np.maximum(0.0, _CLEARANCE - clearances)
-    return costs
-
-
-def compute_travel_costs(hand: Array, goals: Array) -> Array:
-    """Return the costs (n,) in m of moving the Panda's hand link to each of n goals.
-
-    A cost is the distance that the finger pads travel plus the weighted rotation of the hand link.
-
-    Args:
-        hand: (7,) present pose of the hand link, quaternion xyzw.
-        goals: (n, 7) poses of the hand link at the goals, in the same frame, quaternions xyzw.
-    """
-    to_pads = np.array([0.0, 0.0, _PAD_OFFSET, 0.0, 0.0, 0.0, 1.0])
-    distances = np.linalg.norm(compose(goals, to_pads)[:, :3] - compose(hand, to_pads)[:3], axis=1)
-    angles = (Rotation.from_quat(hand[3:]).inv() * Rotation.from_quat(goals[:, 3:])).magnitude()
-    costs: Array = distances + _ROTATION_COST * angles
     return costs

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from handover_marl.config import ARM_DOF, PandaConfig
 from handover_marl.datasets import Dataset
-from handover_marl.geometry.poses import inverse_transform_points
+from handover_marl.geometry.poses import inverse_transform_points, quaternions_from_euler
 from handover_marl.planning.arm_control import ArmInWorld
 
 Array = npt.NDArray[np.float64]
@@ -60,8 +60,7 @@ class ImitationScenario:
     @property
     def object_pose(self) -> Array:
         """World pose (7,) of the object, quaternion xyzw."""
-        rotation = Rotation.from_euler("XYZ", self.dof[3:].astype(np.float64))
-        return np.concatenate([self.dof[:3].astype(np.float64), rotation.as_quat()])
+        return np.concatenate([self.dof[:3], quaternions_from_euler(self.dof[3:])])
 
 
 class ImitationScenarios:
@@ -123,7 +122,7 @@ class ImitationScenarios:
         return joints
 
     def _sample_viewing_pose(self, target: Array, rng: np.random.Generator) -> Array:
-        """Return a random world pose (7,) of the Panda's hand link that looks at a position, nearly upright."""
+        """Return a random world pose (7,) of the Panda's hand link that looks at a position (3,), nearly upright."""
         direction = rng.standard_normal(3)
         # On the side of the robot's base, 11 degrees above the horizontal.
         to_base = self._base - target

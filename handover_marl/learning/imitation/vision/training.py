@@ -93,7 +93,7 @@ def compute_grasp_distances(outputs: GraspOutputs, targets: GraspTargets) -> Ten
 
 
 def find_enclosed_centers(centers: Tensor, targets: GraspTargets) -> Tensor:
-    """Return whether the closing pads of K good grasps enclose C object points (B, C, 3) of B clouds, (B, C, K)."""
+    """Return whether the closing pads of K good grasps enclose object points (B, C, 3) of B clouds, (B, C, K)."""
     offsets = centers[:, :, None] - targets.positions[:, None]
     local = torch.einsum("bcki,bkij->bckj", offsets, targets.rotations)
     is_enclosed = (local.abs() < local.new_tensor(_PAD_VOLUME_HALF_SIZES)).all(dim=-1)
@@ -133,7 +133,10 @@ def compute_grasp_losses(outputs: GraspOutputs, batch: LabelledClouds) -> dict[s
 
 
 def _gripper_distances(positions: Tensor, rotations: Tensor, targets: Tensor, target_rotations: Tensor) -> Tensor:
-    """Return distances (...) in m, means over three gripper points, of grasps with positions and rotations."""
+    """Return distances (...) in m, means over three gripper points, of grasps from targets.
+
+    Grasps are points between the pads (..., 3) in m and orientations of the hand link (..., 3, 3).
+    """
     offset = positions - targets
     wrist = offset - PAD_DISTANCE * (rotations[..., 2] - target_rotations[..., 2])
     finger, target_finger = _FINGER_OFFSET * rotations[..., 1], _FINGER_OFFSET * target_rotations[..., 1]

@@ -20,7 +20,13 @@ from handover_marl.datasets import open_dataset
 from handover_marl.datasets.dataset import Scene
 from handover_marl.geometry.kinematic_tree import read_tree
 from handover_marl.geometry.panda import OPEN, WAITING_JOINTS
-from handover_marl.geometry.poses import compose, inverse_transform_points, invert_pose, transform_points
+from handover_marl.geometry.poses import (
+    compose,
+    inverse_transform_points,
+    invert_pose,
+    quaternions_from_euler,
+    transform_points,
+)
 from handover_marl.learning.imitation.samples import generate_samples, join_samples, stack_samples
 from handover_marl.planning.arm_control import ArmInWorld
 from handover_marl.planning.clearance import Spheres, compute_grasp_clearances
@@ -30,6 +36,7 @@ from handover_marl.receivers.reactive.config import ReactiveConfig
 from handover_marl.receivers.reactive.controller import LIMIT_PADDING
 from handover_marl.receivers.reactive.grasp_contact import compute_hold_costs, find_offset_grasps, load_graspable_object
 from handover_marl.receivers.reactive.selector import FALLBACK_IK_SEEDS, IK_SEEDS
+from handover_marl.receivers.vision.grasp_predictor import N_HAND_POINTS, N_OBJECT_POINTS, sample_points
 from handover_marl.simulation.camera.images import JointSnapshot, SegmentationLabel
 from handover_marl.simulation.camera.optics import deproject
 from handover_marl.simulation.camera.ray_camera import RayCamera
@@ -39,8 +46,8 @@ Array = npt.NDArray[np.float64]
 Half = npt.NDArray[np.float16]
 Rng = np.random.Generator
 
-# Numbers of points of the object that a view stores, and largest ones of points of the hand and of good grasps.
-_N_OBJECT_POINTS, _MAX_HAND_POINTS, _MAX_GRASPS = 256, 64, 96
+# Largest number of good grasps that a view stores.
+_MAX_GRASPS = 96
 # Cost of a grasp at which its quality is 1/e (s), and clearance to the hand below which its quality is 0 (m).
 _COST_SCALE, _MIN_CLEARANCE = 3.0, 0.003
 #: Quality up to which a grasp is not a target of the network.
@@ -165,7 +172,7 @@ class ViewRenderer:
         self._arm = ArmInWorld.for_panda(self._context.panda_urdf, self._context.panda, LIMIT_PADDING)
 
     def render_scene(self, number: int) -> GraspViews:
-        """Return up to `count` random views of a scene; views with few object points are discarded.
+        """Return random views of the scene with a number; those with few object points are discarded.
 
         Raises:
             SimulationError: A model cannot be loaded.
@@ -234,7 +241,7 @@ class ViewRenderer:
         camera = RayCamera(scene.assets, self._context.config.physics)
         rendered = [self._render_view(scene, camera, frame, joints, rng) for frame, joints in poses]
         views = [view for view in rendered if view is not None]
-        shapes = ((_N_OBJECT_POINTS, 3), (_MAX_HAND_POINTS, 3), (), (_MAX_GRASPS, 7), (_MAX_GRASPS,), (3,), (3,), (3,))
+        shapes = ((N_OBJECT_POINTS, 3), (N_HAND_POINTS, 3), (), (_MAX_GRASPS, 7), (_MAX_GRASPS,), (3,), (3,), (3,))
         columns = [(np.float16 if shape else np.uint8, shape) for shape in shapes]
         return stack_samples(GraspViews, views, columns)
 
@@ -254,8 +261,6 @@ class ViewRenderer:
         if len(object_points) < _MIN_POINTS:
             return None
         world_from_link = self._arm.compute_hand_pose(np.asarray(joints, dtype=np.float64))
-        hands, n_hands = np.zeros((_MAX_HAND_POINTS, 3)), min(len(hand_points), _MAX_HAND_POINTS)
-        hands[:n_hands] = hand_points[rng.choice(len(hand_points), n_hands, replace=False)]
         best = np.argsort(-labelled.quality, kind="stable")[:_MAX_GRASPS]
         best = best[labelled.quality[best] > MIN_QUALITY]
         grasps, quality = np.zeros((_MAX_GRASPS, 7)), np.zeros(_MAX_GRASPS)
@@ -266,8 +271,8 @@ class ViewRenderer:
         center = inverse_transform_points(world_from_link, center[None])[0]
         to_link = Rotation.from_quat(world_from_link[3:]).inv()
         velocity, motion = (to_link.apply(vector) for vector in _read_motion(scene, frame))
-        chosen = rng.choice(len(object_points), _N_OBJECT_POINTS, replace=len(object_points) < _N_OBJECT_POINTS)
-        return object_points[chosen], hands, n_hands, grasps, quality, center, velocity, motion
+        points = sample_points(object_points, hand_points, rng)
+        return *points, grasps, quality, center, velocity, motion
 
     def _sample_joints(self, labelled: LabelledFrame, rng: Rng) -> Array:
         """Return random arm joints (7,) in rad from which to render a frame: waiting, at a grasp or between."""
@@ -337,8 +342,8 @@ def _sample_pose(labelled: LabelledFrame, number: int, rng: Rng) -> Array:
 
 def read_object_pose(scene: Scene, frame: int) -> Array:
     """Return the handed-over object's world pose (7,), quaternion xyzw, in a frame (1 ms) of a recording."""
-    dof = scene.object_dof[frame, 0].astype(np.float64)
-    return np.concatenate([dof[:3], Rotation.from_euler("XYZ", dof[3:]).as_quat()])
+    dof = scene.object_dof[frame, 0]
+    return np.concatenate([dof[:3], quaternions_from_euler(dof[3:])])
 
 
 def read_hand_spheres(scene: Scene, frame: int) -> Spheres | None:

@@ -19,14 +19,11 @@ from handover_marl.learning.imitation.gaddpg.data_generation import (
     RolloutTask,
     list_shared_scenes,
 )
-from handover_marl.learning.imitation.gaddpg.expert import GraspExpertConfig
 from handover_marl.learning.imitation.learner import ImitationLearner
 from handover_marl.receivers import make
 from tests.learning.training.scripts import evaluate_hold, script
 from tests.short_episodes import shorten_episodes
 
-# The validation of grasps and the planner are off, because they take minutes at first use.
-EXPERT = GraspExpertConfig(use_validation=False, use_planner=False, candidates=2)
 # Few scenes, because each one is generated when it is loaded.
 SCENES = (11, 12)
 
@@ -37,7 +34,7 @@ def test_interrupted_run_is_resumed(
 ) -> None:
     train = script("train_gaddpg", monkeypatch)
     small = {"dataset": "synthetic", "scenarios": 3, "rounds": 1, "episodes": 1, "updates": 2, "batch_size": 2}
-    args = {**small, "val_scenes": 1, "workers": 1, "expert": EXPERT, "out": str(tmp_path / "run")}
+    args = {**small, "val_scenes": 1, "workers": 1, "out": str(tmp_path / "run")}
     shorten_episodes(monkeypatch, 500)
     evaluated = evaluate_hold(monkeypatch)
     monkeypatch.setattr(train, "list_shared_scenes", lambda data, setups: SCENES)
@@ -66,7 +63,7 @@ def test_interrupted_run_is_resumed(
 
 @pytest.mark.slow
 def test_states_depend_on_the_seed_only() -> None:
-    generator = DataGenerator(DataGeneratorConfig(SCENES[:1], "synthetic", expert=EXPERT))
+    generator = DataGenerator(DataGeneratorConfig(SCENES[:1], "synthetic"))
     plans = {number: plan for number in range(3) if len((plan := generator.plan(number)).goals)}
     both, other = (
         generator.collect_states(RolloutTask(list(plans), list(plans.values()), repetition), None)

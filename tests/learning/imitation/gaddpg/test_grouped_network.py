@@ -6,13 +6,13 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch", reason="needs the extra `train`")
 
-from handover_marl.learning.imitation.gaddpg.batches import ImitationBatches  # noqa: E402
 from handover_marl.learning.imitation.gaddpg.data_generation import ImitationStates, stack_states  # noqa: E402
-from handover_marl.learning.imitation.gaddpg.learner import (  # noqa: E402
+from handover_marl.learning.imitation.gaddpg.training import (  # noqa: E402
     GaddpgLearner,
+    ImitationBatches,
     compute_action_losses,
     compute_goal_losses,
-    evaluate_network,
+    encode_batch,
 )
 from handover_marl.learning.networks.gaddpg_network import GaddpgNetwork  # noqa: E402
 
@@ -38,7 +38,8 @@ def test_grouped_network_equals_the_network() -> None:
             module.running_var.uniform_(0.5, 1.5)
     with torch.no_grad():
         whole = network(torch.from_numpy(clouds), torch.full((4,), 9.0))
-        grouped = evaluate_network(network, ImitationBatches(states, max_neighbors=64).select(np.arange(4), None))
+        batch = ImitationBatches(states, max_neighbors=64).select(np.arange(4), None)
+        grouped = network.policy(encode_batch(network.features, batch), batch.remaining)
     torch.testing.assert_close(grouped.action, whole.action, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(grouped.goal, whole.goal, atol=1e-5, rtol=1e-4)
 
