@@ -111,14 +111,9 @@ class EncodedEnv(ParallelWrapper):
         return self._observations[agent]
 
     def reset(self, seed: int | None = None, options: ByAgent | None = None) -> tuple[ByAgent, ByAgent]:
-        """Start an episode and simulate it until an action scheme needs outputs.
+        """Start an episode and simulate it until an action scheme needs outputs; return features and infos by agent.
 
-        Args:
-            seed: Seed of the random generator that draws scenes; None keeps its state.
-            options: `{"scene_id": n}` chooses the scene; default: draw one.
-
-        Returns:
-            Feature vectors and infos by agent.
+        Arguments are those of `HandoverEnv.reset`.
 
         Raises:
             OptionError: Many episodes in a row have ended before outputs were needed.
