@@ -117,7 +117,7 @@ def set_discount(rewards: RewardLike, discount: float) -> Any:
 def make_reward_source(
     rewards: RewardLike, goal: tuple[float, ...], count: int = 1, arrays: ArrayFactory = NUMPY_ARRAYS
 ) -> RewardSource:
-    """Make the source of the reward terms of n episodes.
+    """Make the object that computes the reward terms of n episodes.
 
     Each episode gets a deep copy of a reward object, so that episodes do not share its attributes.
 
