@@ -153,7 +153,7 @@ class CooperativeGiver(ArrayGiver):
         return (observation["holding"][:, 0] != 0.0) & (moves < self.arrival_tolerance)
 
     def _choose_poses(self, rows: AnyIndices, observation: Observation) -> None:
-        """Set the deviations of the episodes `rows` from the recorded poses half a second ahead."""
+        """Choose displacements and rotations in the episodes `rows`, from the recorded poses half a second ahead."""
         xp, config = self.arrays.xp, self.config
         gripper = widen(observation["gripper_pose"][:, :3])
         wrist = widen(observation["replay_wrist_poses"][:, -1, :3])

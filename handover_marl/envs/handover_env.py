@@ -284,7 +284,8 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
         """Return the number of the scene that the options of `reset` choose, or else of one drawn from `rng`.
 
         Raises:
-            OptionError, SceneError: See `check_scene_option`.
+            OptionError: The options are no mapping, or have another key of a scene than `scene_id`.
+            SceneError: The scene is not in the split.
         """
         scene_id = check_scene_option(options or {}, self.scene_ids, f"{self.config.setup} {self.config.split}")
         return int(rng.choice(self.scene_ids)) if scene_id is None else scene_id
@@ -300,7 +301,7 @@ class HandoverEnv(ParallelEnv, EzPickle):  # type: ignore[misc]
             seed: Seed of the run.
 
         Raises:
-            PolicyError: A giver fails.
+            PolicyError: The policy is a giver and fails at the start of the episode.
             ResetNeededError: No episode has been started.
         """
         self._partner = EpisodeAgent(self._episode, agent, policy, seed)

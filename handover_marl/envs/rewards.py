@@ -273,7 +273,7 @@ class RewardSource(ABC):
 
 
 class WeightedRewardSource(RewardSource):
-    """Source of the weighted terms of the library, those of this module's table.
+    """Source of the library's reward terms (`TERMS`), each multiplied by its weight.
 
     Args:
         weights: Weights of the terms.
@@ -290,14 +290,14 @@ class WeightedRewardSource(RewardSource):
         self._states = arrays.full((count, _COUNT, _SIZE), math.nan)
 
     def start(self, rows: AnyIndices, step: StepData) -> TermNames:
-        """Start episodes; see `RewardSource.start`."""
+        """Start the episodes `rows`; return the names of the terms by agent. See `RewardSource.start`."""
         if self._needs_state:
             self._states[rows] = math.nan
             self._states[rows, -1] = self._summarize(step.read_state(self._needs_forces))
         return self._weights
 
     def compute(self, rows: AnyIndices, step: StepData) -> dict[str, ArrayTerms]:
-        """Return the values of the terms; see `RewardSource.compute`."""
+        """Return the weighted values (r,) of the terms by agent and name; see `RewardSource.compute`."""
         states, state = self._states[rows], step.read_state(self._needs_forces) if self._needs_state else {}
         if self._needs_state:
             states = self._xp.concat([states[:, 1:], self._summarize(state)[:, None]], axis=1)

@@ -308,7 +308,7 @@ class WristCamera:
         return _pad_cloud(cloud, N_POINTS)
 
     def _make_rng(self, content: npt.NDArray[np.float32], steps: int, stream: int) -> np.random.Generator:
-        """Return a generator seeded by seed, `steps`, `stream` and the image or cloud `content`: scenes then differ."""
+        """Return a random generator, seeded by the camera's seed, `steps`, `stream` and the bytes of `content`."""
         digest = hashlib.sha256(content.tobytes()).digest()
         return np.random.default_rng((self._seed, steps, stream, int.from_bytes(digest[:8], "big")))
 

@@ -191,7 +191,7 @@ class EpisodeAgent:
         planning_time: Wall-clock time of the last call of the policy (s), without rendering.
 
     Raises:
-        PolicyError: A giver fails.
+        PolicyError: The policy is a giver and fails at the start of the episode.
     """
 
     def __init__(self, episode: Episode, agent: str, policy: EpisodePolicy, seed: int | None) -> None:

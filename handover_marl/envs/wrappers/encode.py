@@ -93,7 +93,7 @@ class EncodedEnv(ParallelWrapper):
         return self._features[agent].space
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Return the space of the outputs that the agent's action scheme decodes."""
+        """Return the space of the agent's network outputs, a box from -1 to 1; its action scheme decodes them."""
         return self._output_spaces[agent]
 
     def convert_observation(self, agent: str, observation: Observation) -> Vector:
